@@ -1,0 +1,53 @@
+# Python 3.11+ and make are all it needs. Every target sets up what it uses in .venv.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+WORKERS ?= auto
+
+# uv when present (fast), otherwise venv and pip.
+define install
+	@if command -v uv >/dev/null 2>&1; then \
+		test -x $(BIN)/python || uv venv --quiet --python $(PYTHON) $(VENV); \
+		uv pip install --quiet --python $(BIN)/python -e $(1); \
+	else \
+		test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check -e $(1); \
+	fi
+	@touch $@
+endef
+
+.PHONY: help install dev demo test lint format studies clean
+
+help:  ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+install: $(VENV)/.installed  ## set up .venv with the package
+$(VENV)/.installed: pyproject.toml
+	$(call install,.)
+
+dev: $(VENV)/.installed-dev  ## the same with the tools for development
+$(VENV)/.installed-dev: pyproject.toml
+	$(call install,'.[dev]')
+	@touch $(VENV)/.installed
+
+demo: install  ## the whole way on a simulated recording, no download
+	$(BIN)/airpuck demo --out demo
+
+test: dev  ## all tests but the long studies
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+studies: dev  ## the long studies
+	$(BIN)/python -m pytest -m study -n $(WORKERS)
+
+lint: dev  ## ruff and pyright
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: dev  ## let ruff rewrite what it can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:  ## remove everything that make and the tools made
+	rm -rf $(VENV) demo out dist build .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,1 @@
+"""From past poses and commands to the present state and actuation."""

@@ -1,0 +1,1 @@
+"""The physics: pure functions of state, input and parameters."""

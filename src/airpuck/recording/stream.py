@@ -1,0 +1,111 @@
+"""A recording: the streams a lab logged, exactly as they were logged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from airpuck.errors import InputError
+
+#: Columns of the streams whose meaning is fixed. A command's columns are the propellers' names.
+COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "pose": ("x_m", "y_m", "yaw_rad"),
+        "reference": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
+        "estimate": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
+        "imu": ("ax_m_s2", "ay_m_s2", "az_m_s2", "gx_rad_s", "gy_rad_s", "gz_rad_s"),
+        "mouse": ("vx_m_s", "vy_m_s"),
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One topic as logged.
+
+    Attributes
+    ----------
+    stamp_ns : array of int64, shape (N,)
+        Time in each message's header [ns since the epoch]. Where messages carry none, the
+        recorder's time.
+    received_ns : array of int64, shape (N,)
+        The recorder's time of arrival [ns since the epoch].
+    values : array of float64, shape (N, k)
+        The numbers, SI units.
+    columns : tuple of str
+        Names of the k columns.
+    """
+
+    stamp_ns: Int64[np.ndarray, N]
+    received_ns: Int64[np.ndarray, N]
+    values: Float[np.ndarray, "N k"]
+    columns: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n, k = self.values.shape
+        if len(self.columns) != k or len(self.stamp_ns) != n or len(self.received_ns) != n:
+            raise ValueError("stamps, values and columns of a stream do not fit together")
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Stream):
+            return NotImplemented
+        return self.columns == other.columns and all(
+            np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f")
+            for mine, theirs in (
+                (self.stamp_ns, other.stamp_ns),
+                (self.received_ns, other.received_ns),
+                (self.values, other.values),
+            )
+        )
+
+    __hash__ = None  # pyright: ignore[reportAssignmentType]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Named streams of one flight, and where they came from.
+
+    A recording never knows whether it was flown or simulated.
+
+    Attributes
+    ----------
+    streams : mapping of str to Stream
+        ``pose`` and ``command``, and where logged ``reference``, ``estimate``, ``imu``, ``mouse``;
+        columns as in `COLUMNS`.
+    source : str
+        The file or folder.
+    hashes : mapping of str to str
+        SHA-256 of every file that was read, by name.
+    warnings : tuple of str
+        What was wrong with the files but could be lived with.
+    """
+
+    streams: Mapping[str, Stream]
+    source: str
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Stream:
+        """Return a stream by name.
+
+        Raises
+        ------
+        InputError
+            If the recording has no such stream, or it is empty.
+        """
+        stream = self.streams.get(name)
+        if stream is None:
+            raise InputError(
+                f"has no {name} stream (it has {', '.join(self.streams) or 'none'})",
+                file=self.source,
+            )
+        if len(stream) == 0:
+            raise InputError(f"the {name} stream is empty", file=self.source)
+        return stream
