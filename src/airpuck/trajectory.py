@@ -74,10 +74,10 @@ class Trajectory:
         What preprocessing found and could live with.
     """
 
-    time: Float[np.ndarray, N]
+    time: Float[np.ndarray, " N"]
     state: Float[np.ndarray, "N 6"]
     acceleration: Float[np.ndarray, "N 3"]
-    command_time: Float[np.ndarray, K]
+    command_time: Float[np.ndarray, " K"]
     command: Float[np.ndarray, "K n"]
     propellers: tuple[str, ...]
     delay: float = 0.0
@@ -126,7 +126,7 @@ class Trajectory:
             )
         )
 
-    def window_starts(self, length: int, stride: int = 1) -> Int[np.ndarray, windows]:
+    def window_starts(self, length: int, stride: int = 1) -> Int[np.ndarray, " windows"]:
         """Return where windows of `length` samples can begin.
 
         Parameters
@@ -269,9 +269,9 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 
 def hold(
-    event_time: Float[np.ndarray, K],
+    event_time: Float[np.ndarray, " K"],
     values: Float[np.ndarray, "K n"],
-    time: Float[np.ndarray, N],
+    time: Float[np.ndarray, " N"],
 ) -> Float[np.ndarray, "N n"]:
     """Zero-order hold: the last value at or before each time.
 

@@ -40,8 +40,8 @@ class Stream:
         Names of the k columns.
     """
 
-    stamp_ns: Int64[np.ndarray, N]
-    received_ns: Int64[np.ndarray, N]
+    stamp_ns: Int64[np.ndarray, " N"]
+    received_ns: Int64[np.ndarray, " N"]
     values: Float[np.ndarray, "N k"]
     columns: tuple[str, ...]
 
