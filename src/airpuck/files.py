@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -112,8 +113,14 @@ def write_toml(
 
     comment = "".join(f"# {line}".rstrip() + "\n" for line in header.splitlines())
     text = f"{comment}\n" if comment else ""
+    # tomli_w gives every number of an array its own line; rows of a matrix read better as rows.
+    rows = re.compile(r"\[\n((?:[ ]+[^\[\]\n]+,\n)+)[ ]*\]")
+    dumped = rows.sub(
+        lambda row: "[" + ", ".join(x.strip(" ,") for x in row[1].splitlines()) + "]",
+        tomli_w.dumps(content),
+    )
     with replacing(path) as temporary:
-        temporary.write_text(text + tomli_w.dumps(content), encoding="utf-8")
+        temporary.write_text(text + dumped, encoding="utf-8")
 
 
 @contextlib.contextmanager

@@ -1,0 +1,69 @@
+"""Encoders: from the past of a window to the extended state at its present (subsec:encoder)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from airpuck.model.motor import motor_step
+from airpuck.model.rigid_body import Dynamics
+from airpuck.model.rollout import scan
+from airpuck.windows import Past
+
+
+class Encoder(Protocol):
+    """Estimates the extended state at the present of a batch of windows."""
+
+    @property
+    def length(self) -> int:
+        """Number of samples E that it looks at."""
+        ...
+
+    def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
+        """Estimate the state.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        dynamics : Dynamics
+            The model.
+        past : Past
+            E samples of B windows.
+
+        Returns
+        -------
+        array, shape (6 + n, B)
+            x, y, γ, vx, vy, ω and the motor speeds.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class PaperEncoder:
+    """The encoder of the paper: measured pose, smoothed velocities, motors lagging the commands.
+
+    Motor speeds start at the first command of the window and follow the later ones.
+
+    Attributes
+    ----------
+    length : int
+        Samples E.
+    indexing : {"start", "end"}
+        Which command is in force between two samples: the one held at the interval's start, as in
+        the rollout, or the one at its end, as in the code behind the published numbers.
+    """
+
+    length: int = 20
+    indexing: Literal["start", "end"] = "start"
+
+    def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
+        """Estimate the state; see `Encoder.encode`."""
+        commands = past.command[:-1] if self.indexing == "start" else past.command[1:]
+
+        def follow(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
+            speed = motor_step(xp, speed, *held, dynamics.motor_time_constant)
+            return speed, speed[:0]
+
+        speed, _ = scan(xp, follow, past.command[0], (commands, past.duration))
+        return xp.concatenate([past.state[-1], speed])

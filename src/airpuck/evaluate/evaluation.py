@@ -1,0 +1,219 @@
+"""How well a model predicts a trajectory: the paper's protocol (sec:results)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.errors import InputError
+from airpuck.estimate.encoder import Encoder, PaperEncoder
+from airpuck.evaluate.prediction import prediction_errors
+from airpuck.model_file import Model
+from airpuck.trajectory import Trajectory
+from airpuck.windows import make_windows
+
+#: Names of the channels in every result, with their units.
+CHANNELS = ("x_m", "y_m", "yaw_rad")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Which predictions are made and when they are judged.
+
+    Attributes
+    ----------
+    name : str
+        Every number names its protocol.
+    encoder_length, prediction_length : int
+        E and T, in samples; windows do not overlap.
+    horizon : float
+        When errors are reported [s]; the nearest step counts.
+    """
+
+    name: str = "paper"
+    encoder_length: int = 20
+    prediction_length: int = 50
+    horizon: float = 0.2
+
+
+PROTOCOLS = {"paper": Protocol()}
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Prediction errors of one model on one trajectory.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    protocol : Protocol
+        How it was evaluated.
+    errors : array, shape (T, 3, W)
+        Predicted minus measured x, y [m], γ [rad], for every step and window.
+    start : array, shape (W,)
+        When each prediction starts [s].
+    sample_period : float
+        Time of one step [s].
+    left_out : int
+        Windows of the trajectory that touch an excluded span.
+    """
+
+    model: str
+    protocol: Protocol
+    errors: Float[np.ndarray, "T 3 W"]
+    start: Float[np.ndarray, " W"]
+    sample_period: float
+    left_out: int
+
+    @property
+    def horizon_step(self) -> int:
+        """Number of the step at which errors are reported, counted from 1."""
+        steps = round(self.protocol.horizon / self.sample_period)
+        return min(max(steps, 1), len(self.errors))
+
+    @property
+    def at_horizon(self) -> Float[np.ndarray, "3 W"]:
+        """Errors of every window at the reported step."""
+        return self.errors[self.horizon_step - 1]
+
+    @cached_property
+    def rmse_over_horizon(self) -> Float[np.ndarray, "T 3"]:
+        """Root mean square over the windows, at every step."""
+        return np.sqrt(np.mean(self.errors**2, axis=2))
+
+    @property
+    def rmse(self) -> Float[np.ndarray, " 3"]:
+        """Root mean square at the reported step; a column of table:prediction_error."""
+        return self.rmse_over_horizon[self.horizon_step - 1]
+
+    @property
+    def median_abs(self) -> Float[np.ndarray, " 3"]:
+        """Median absolute error at the reported step."""
+        return np.median(np.abs(self.at_horizon), axis=1)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``model, protocol, horizon_s, horizon_step, windows, left_out, rmse, median_abs``, and
+            per step ``rmse_over_horizon``.
+        """
+
+        def named(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
+            return dict(zip(CHANNELS, values.tolist(), strict=True))
+
+        return {
+            "model": self.model,
+            "protocol": self.protocol.name,
+            "horizon_s": self.horizon_step * self.sample_period,
+            "horizon_step": self.horizon_step,
+            "windows": self.errors.shape[2],
+            "left_out": self.left_out,
+            "rmse": named(self.rmse),
+            "median_abs": named(self.median_abs),
+            "rmse_over_horizon": [named(row) for row in self.rmse_over_horizon],
+        }
+
+
+def evaluate(
+    model: Model,
+    trajectory: Trajectory,
+    *,
+    protocol: Protocol = PROTOCOLS["paper"],
+    encoder: Encoder | None = None,
+) -> Evaluation:
+    """Measure how well a model predicts a trajectory.
+
+    The trajectory is cut into windows that do not overlap; on each, the encoder looks at the first
+    E samples and the model predicts the next T.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    trajectory : Trajectory
+        Data that it was not learned from.
+    protocol : Protocol, optional
+        By default the paper's: E = 20, T = 50, judged after 0.2 s.
+    encoder : Encoder, optional
+        By default the paper's, with the indexing that the model was learned with.
+
+    Returns
+    -------
+    Evaluation
+        The errors.
+
+    Raises
+    ------
+    InputError
+        If the model is of another craft, or the trajectory is shorter than one window.
+    """
+    check_propellers(model, trajectory)
+    encoder = encoder or PaperEncoder(protocol.encoder_length, model.indexing)
+    length = protocol.encoder_length + protocol.prediction_length
+    windows = make_windows(
+        trajectory, protocol.encoder_length, protocol.prediction_length, stride=length
+    )
+    return Evaluation(
+        model=model.name,
+        protocol=protocol,
+        errors=prediction_errors(model.dynamics, windows, encoder),
+        start=windows.time[windows.present],
+        sample_period=trajectory.sample_period,
+        left_out=len(trajectory) // length - len(windows),
+    )
+
+
+def compare(
+    models: Sequence[Model], trajectory: Trajectory, *, protocol: Protocol = PROTOCOLS["paper"]
+) -> list[Evaluation]:
+    """Evaluate several models on the same windows.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The models.
+    trajectory : Trajectory
+        Data that none of them was learned from.
+    protocol : Protocol, optional
+        As for `evaluate`.
+
+    Returns
+    -------
+    list of Evaluation
+        One for each model, in their order.
+    """
+    return [evaluate(model, trajectory, protocol=protocol) for model in models]
+
+
+def check_propellers(model: Model, trajectory: Trajectory) -> None:
+    """Refuse a model and a trajectory of different craft.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    trajectory : Trajectory
+        The data.
+
+    Raises
+    ------
+    InputError
+        If their propellers differ in number, name or order.
+    """
+    mine, theirs = model.vehicle.propeller_names, trajectory.propellers
+    if mine != theirs:
+        raise InputError(
+            f"the recording has {len(theirs)} motors ({', '.join(theirs)}), but the model "
+            f"{model.name} has {len(mine)} ({', '.join(mine)}); "
+            "they must be the same, in the same order",
+            file=trajectory.source,
+        )

@@ -1,0 +1,45 @@
+"""Predict windows with a model, and measure the errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.estimate.encoder import Encoder
+from airpuck.model.rigid_body import Dynamics
+from airpuck.model.rollout import rollout
+from airpuck.windows import Windows
+
+#: Windows predicted at once, which bounds the memory.
+_BATCH = 1024
+
+
+def prediction_errors(
+    dynamics: Dynamics, windows: Windows, encoder: Encoder
+) -> Float[np.ndarray, "T 3 W"]:
+    """Predict every window and compare with what was measured.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        The model.
+    windows : Windows
+        What to predict.
+    encoder : Encoder
+        Where predictions start from; its length must be that of the windows.
+
+    Returns
+    -------
+    array, shape (T, 3, W)
+        Predicted minus measured x, y [m] and γ [rad] after each step. Yaw is continuous in a
+        trajectory, so its error is not wrapped.
+    """
+    errors = np.empty((windows.prediction_length, 3, len(windows)))
+    for first in range(0, len(windows), _BATCH):
+        part = slice(first, first + _BATCH)
+        starts = windows.starts[part]
+        state = encoder.encode(np, dynamics, windows.past(starts))
+        commands, durations, measured = windows.future(starts)
+        predicted = rollout(np, dynamics, state, commands, durations)
+        errors[:, :, part] = predicted[:, :3] - measured[:, :3]
+    return errors

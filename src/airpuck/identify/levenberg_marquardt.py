@@ -1,0 +1,146 @@
+"""Levenberg-Marquardt with bounds and rising thrust curves: the default optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import piqp
+from jaxtyping import Bool, Float
+
+from airpuck.identify.method import Iteration, Outcome
+from airpuck.identify.monotone import SlopeConstraints
+from airpuck.identify.objective import PredictionLoss, Quadratic
+from airpuck.model.parameters import Parameters
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt:
+    """Damped Gauss-Newton steps, each the solution of a small quadratic program.
+
+    Every iterate respects the bounds and, with `monotone`, condition (thrust_cond): the thrust
+    curves rise on all of [0, 1]. The damping follows Nielsen's rule (Madsen, Nielsen and
+    Tingleff, "Methods for non-linear least squares problems", 2004).
+
+    Attributes
+    ----------
+    max_iterations : int
+        Most evaluations after the first.
+    tolerance : float
+        Stop when the next step promises to lower the loss by less than this fraction.
+    monotone : bool
+        Whether thrust curves must rise.
+    damping : float
+        Initial damping, relative to the diagonal of the Hessian.
+    """
+
+    max_iterations: int = 50
+    tolerance: float = 1e-6
+    monotone: bool = True
+    damping: float = 1e-4
+
+    def minimize(
+        self,
+        loss: PredictionLoss,
+        parameters: Parameters,
+        free: Bool[np.ndarray, " P"],
+        progress: Callable[[Iteration], None] = lambda _: None,
+    ) -> Outcome:
+        """Minimise a prediction loss; see `Method.minimize`."""
+        n_thrust, shape = np.size(parameters.thrust), np.shape(parameters.thrust)
+        slopes = SlopeConstraints(free[:n_thrust].reshape(shape)) if self.monotone else None
+        lower, upper = (bound[free] for bound in parameters.bounds())
+        point = np.array(parameters.to_vector())
+        here = loss.quadratic(parameters)
+        history = [Iteration(0, here.loss)]
+        progress(history[0])
+        damping, growth, reason = self.damping, 2.0, "most iterations reached"
+        for number in range(1, self.max_iterations + 1):
+            step = np.zeros_like(point)
+            step[free] = self._step(here, point, free, lower, upper, damping, slopes, shape)
+            promised = -(here.gradient @ step + step @ here.hessian @ step / 2)
+            if promised <= self.tolerance * here.loss:
+                reason = "converged"
+                break
+            there = loss.quadratic(parameters.with_vector(point + step))
+            gain = (here.loss - there.loss) / promised
+            if gain > 0:
+                point, here = point + step, there
+                damping *= max(1 / 3, 1 - (2 * float(gain) - 1) ** 3)
+                growth = 2.0
+            else:
+                damping *= growth
+                growth *= 2
+            history.append(Iteration(number, here.loss))
+            progress(history[-1])
+        return Outcome(
+            parameters=parameters.with_vector(point),
+            loss=here.loss,
+            history=tuple(history),
+            converged=reason == "converged",
+            message=reason,
+        )
+
+    def _step(
+        self,
+        here: Quadratic,
+        point: Float[np.ndarray, " P"],
+        free: Bool[np.ndarray, " P"],
+        lower: Float[np.ndarray, " F"],
+        upper: Float[np.ndarray, " F"],
+        damping: float,
+        slopes: SlopeConstraints | None,
+        thrust_shape: tuple[int, ...],
+    ) -> Float[np.ndarray, " F"]:
+        """Solve min g'd + d'(H + λ diag H)d/2 within the bounds and slope constraints."""
+        gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
+        curvature = np.diag(hessian)
+        # A parameter without influence has no curvature: leave it where it is.
+        scale = 1 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
+        damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
+        n_thrust = int(np.prod(thrust_shape))
+        while True:
+            rows = np.zeros((0, n_thrust)) if slopes is None else slopes.rows()
+            margin = 0.0 if slopes is None else slopes.margin
+            step = scale * _solve(
+                damped / here.loss,
+                gradient * scale / here.loss,
+                rows[:, free[:n_thrust]] @ np.diag(scale)[: free[:n_thrust].sum()],
+                margin - rows @ point[:n_thrust],
+                (lower - point[free]) / scale,
+                (upper - point[free]) / scale,
+            )
+            step = np.clip(step, lower - point[free], upper - point[free])
+            if slopes is None:
+                return step
+            thrust = point[:n_thrust].copy()
+            thrust[free[:n_thrust]] += step[: free[:n_thrust].sum()]
+            if not slopes.cut(thrust.reshape(thrust_shape)):
+                return step
+
+
+def _solve(
+    hessian: Float[np.ndarray, "F F"],
+    gradient: Float[np.ndarray, " F"],
+    rows: Float[np.ndarray, "R F"],
+    least: Float[np.ndarray, " R"],
+    lower: Float[np.ndarray, " F"],
+    upper: Float[np.ndarray, " F"],
+) -> Float[np.ndarray, " F"]:
+    """Solve min d'Hd/2 + g'd subject to rows·d ≥ least and lower ≤ d ≤ upper."""
+    solver = piqp.DenseSolver()
+    solver.settings.eps_abs = 1e-10
+    none = len(rows) == 0
+    solver.setup(
+        hessian,
+        gradient,
+        G=None if none else rows,
+        h_l=None if none else least,
+        x_l=lower,
+        x_u=upper,
+    )
+    status = solver.solve()
+    if status != piqp.PIQP_SOLVED:
+        raise ArithmeticError(f"the step's quadratic program ended with {status}")
+    return np.array(solver.result.x)

@@ -1,0 +1,88 @@
+"""What every optimiser takes and returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool
+
+from airpuck.identify.objective import PredictionLoss
+from airpuck.model.parameters import Parameters
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One step of an optimiser.
+
+    Attributes
+    ----------
+    number : int
+        0 is the start. A step of Levenberg-Marquardt, an epoch of Adam.
+    loss : float
+        Prediction loss on the training windows.
+    test_loss : float or None
+        The same on windows held out, where the optimiser holds some out.
+    """
+
+    number: int
+    loss: float
+    test_loss: float | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of an optimiser.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        The best ones found.
+    loss : float
+        Their prediction loss, without any regulariser.
+    history : tuple of Iteration
+        The way there, beginning with the start.
+    converged : bool
+        Whether the optimiser stopped by its own criterion.
+    message : str
+        Why it stopped.
+    """
+
+    parameters: Parameters
+    loss: float
+    history: tuple[Iteration, ...]
+    converged: bool
+    message: str
+
+
+class Method(Protocol):
+    """An optimiser, with its settings."""
+
+    def minimize(
+        self,
+        loss: PredictionLoss,
+        parameters: Parameters,
+        free: Bool[np.ndarray, " P"],
+        progress: Callable[[Iteration], None] = ...,
+    ) -> Outcome:
+        """Minimise a prediction loss.
+
+        Parameters
+        ----------
+        loss : PredictionLoss
+            What to minimise.
+        parameters : Parameters
+            Where to start.
+        free : array of bool, shape (P,)
+            Which entries of ``parameters.to_vector()`` may change.
+        progress : callable, optional
+            Called after every iteration.
+
+        Returns
+        -------
+        Outcome
+            The best parameters and the way there.
+        """
+        ...

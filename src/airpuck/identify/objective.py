@@ -1,0 +1,301 @@
+"""The batched multi-step prediction loss and its Gauss-Newton approximation.
+
+Sensitivities of the prediction are propagated forward beside the state and summed up inside the
+time loop: what leaves it is the loss, its gradient and one small matrix, whatever the number of
+windows. The equations of motion are not differentiated by hand: at each Runge-Kutta stage JAX
+gives the local Jacobian of the accelerations, in reverse mode, since there are three of them and
+many parameters.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from airpuck.estimate.encoder import Encoder
+from airpuck.model.motor import motor_step
+from airpuck.model.parameters import Parameters
+from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
+from airpuck.vehicle import Vehicle
+from airpuck.windows import Windows, gather_past
+
+#: Weights of the x, y and yaw errors before squaring, as in the published fits.
+PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
+
+#: Windows handled at once: large enough to fill vector units, small enough for the cache.
+_BATCH = 256
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A loss and its quadratic approximation at a point.
+
+    Attributes
+    ----------
+    loss : float
+        Mean square of the weighted errors.
+    gradient : array, shape (P,)
+        Its gradient.
+    hessian : array, shape (P, P)
+        Its Gauss-Newton Hessian, 2 JᵀJ / M for M residuals.
+    """
+
+    loss: float
+    gradient: Float[np.ndarray, " P"]
+    hessian: Float[np.ndarray, "P P"]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionLoss:
+    """Mean squared prediction error over windows, steps and channels.
+
+    L(θ) = 1/(3 T W) Σ_windows Σ_{k=1…T} ‖ w ∘ (ŷ_{t+k|t} - y_{t+k}) ‖², y = (x, y, γ).
+
+    Attributes
+    ----------
+    windows : Windows
+        What to predict.
+    vehicle : Vehicle
+        The craft.
+    encoder : Encoder
+        Where predictions start from.
+    weights : tuple of float
+        w, for x, y [1/m] and γ [1/rad].
+    frame : {"body", "world"}
+        Where the offset of the centre of mass is constant.
+    """
+
+    windows: Windows
+    vehicle: Vehicle
+    encoder: Encoder
+    weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
+    frame: CenterOfMassFrame = "body"
+
+    def quadratic(self, parameters: Parameters) -> Quadratic:
+        """Evaluate the loss and its Gauss-Newton approximation.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            θ.
+
+        Returns
+        -------
+        Quadratic
+            With respect to ``parameters.to_vector()``.
+        """
+        matrix, moved_by = _configuration_basis(parameters, self.vehicle)
+        windows = self.windows
+        with jax.enable_x64(True):
+            dynamics = jax.tree.map(
+                jnp.asarray,
+                (
+                    parameters.thrust,
+                    parameters.dynamics(np, self.vehicle).configuration,
+                    parameters.center_of_mass,
+                    float(parameters.motor_time_constant),
+                ),
+            )
+            data = (
+                jnp.asarray(windows.time),
+                jnp.asarray(windows.state),
+                jnp.asarray(windows.input),
+            )
+            basis, weights = jnp.asarray(matrix), jnp.asarray(self.weights)
+
+        def sums(batch: tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]) -> Any:
+            with jax.enable_x64(True):
+                return jax.block_until_ready(
+                    _normal_equations(
+                        dynamics,
+                        basis,
+                        *data,
+                        *batch,
+                        weights,
+                        encoder=self.encoder,
+                        horizon=windows.prediction_length,
+                        frame=self.frame,
+                    )
+                )
+
+        # JAX releases the interpreter lock while it computes: threads use all cores without the
+        # process-wide settings that several JAX devices would need.
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            parts = list(pool.map(sums, _batches(windows.starts)))
+        square, slope, curvature = (
+            sum(np.asarray(x) for x in part) for part in zip(*parts, strict=True)
+        )
+        local = _local_coordinates(parameters, moved_by)
+        scale = 1 / (3 * windows.prediction_length * len(windows))
+        return Quadratic(
+            loss=float(square) * scale,
+            gradient=2 * scale * local.T @ slope,
+            hessian=2 * scale * local.T @ curvature @ local,
+        )
+
+
+def _batches(
+    starts: Int[np.ndarray, " W"],
+) -> Sequence[tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]]:
+    """Split windows into batches of one size, so that one program serves all; pad with weight 0."""
+    size = min(_BATCH, 1 << (len(starts) - 1).bit_length())
+    count = -(-len(starts) // size)
+    padded = np.pad(starts, (0, count * size - len(starts)), mode="edge").reshape(count, size)
+    weight = (np.arange(count * size) < len(starts)).astype(float).reshape(count, size)
+    return list(zip(padded, weight, strict=True))
+
+
+def _configuration_basis(
+    parameters: Parameters, vehicle: Vehicle
+) -> tuple[Float[np.ndarray, "K 3 n"], Int[np.ndarray, " K"]]:
+    """Return dΠ/dθ for the entries of θ that move Π, and which they are.
+
+    By complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
+    SIAM Review 40, 1998).
+    """
+    names = {"configuration_matrix"}
+    if parameters.configuration_matrix is None:
+        names = {"inertia", "angle_offset", "center_of_mass"}
+    moved_by = np.flatnonzero(parameters.mask(frozenset(names)))
+    vector, step = parameters.to_vector(), 1e-30
+    basis = []
+    for entry in moved_by:
+        moved = vector.astype(complex)
+        moved[entry] += 1j * step
+        matrix = parameters.with_vector(moved).dynamics(np, vehicle).configuration
+        basis.append(np.imag(matrix) / step)
+    return np.array(basis), moved_by
+
+
+def _local_coordinates(
+    parameters: Parameters, moved_by: Int[np.ndarray, " K"]
+) -> Float[np.ndarray, "L P"]:
+    """Return d(local)/dθ for the coordinates that `_normal_equations` differentiates by.
+
+    These are the thrust coefficients, the K directions of Π, the centre of mass where it acts
+    beside Π, and the time constant.
+    """
+    entry = np.eye(len(parameters.to_vector()))
+    return np.concatenate(
+        [
+            entry[parameters.mask(frozenset({"thrust"}))],
+            entry[moved_by],
+            entry[parameters.mask(frozenset({"center_of_mass"}))],
+            entry[parameters.mask(frozenset({"motor_time_constant"}))],
+        ]
+    )
+
+
+@partial(jax.jit, static_argnames=("encoder", "horizon", "frame"))
+def _normal_equations(
+    dynamics: tuple[Any, Any, Any, Any],
+    basis: Any,
+    time: Any,
+    state: Any,
+    command: Any,
+    starts: Any,
+    weight: Any,
+    channel_weights: Any,
+    *,
+    encoder: Encoder,
+    horizon: int,
+    frame: CenterOfMassFrame,
+) -> tuple[Any, Any, Any]:
+    """Sum r², Jᵀr and JᵀJ over a batch of B windows."""
+    coefficients, configuration, center, tau = dynamics
+    n, batch = command.shape[1], starts.shape[0]
+
+    def encode(tau: Any) -> Any:
+        model = Dynamics(coefficients, configuration, center, tau, frame)
+        past = gather_past(jnp, time, state, command, starts, encoder.length)
+        return encoder.encode(jnp, model, past)
+
+    def accelerate(coefficients: Any, direction: Any, center: Any, motion: Any, speed: Any) -> Any:
+        """Accelerations of one window, with Π moved by `direction` in its basis."""
+        matrix = configuration + jnp.tensordot(direction, basis, 1)
+        model = Dynamics(coefficients, matrix, center, tau, frame)
+        return jnp.stack(acceleration(jnp, model, motion, speed))
+
+    origin = (coefficients, jnp.zeros(len(basis)), center)
+    over_batch = {"in_axes": (None, None, None, -1, -1), "out_axes": -1}
+    value = jax.vmap(accelerate, **over_batch)
+    jacobian = jax.vmap(jax.jacrev(accelerate, argnums=(0, 1, 2, 3, 4)), **over_batch)
+
+    def rates(motion: Any, d_motion: Any, speed: Any, d_speed: Any) -> tuple[Any, Any]:
+        """Time derivative of (γ, vx, vy, ω) and of its sensitivities, shape (4, L, B)."""
+        by_thrust, by_direction, by_center, by_motion, by_speed = jacobian(*origin, motion, speed)
+        d_acceleration = jnp.concatenate(
+            [
+                by_thrust.reshape(3, -1, batch),
+                by_direction,
+                by_center,
+                jnp.sum(by_speed * d_speed, axis=1, keepdims=True),
+            ],
+            axis=1,
+        )
+        for k in range(4):
+            d_acceleration += by_motion[:, k, None] * d_motion[k]
+        return (
+            jnp.concatenate([motion[3:], value(*origin, motion, speed)]),
+            jnp.concatenate([d_motion[3:], d_acceleration]),
+        )
+
+    def lag(speed: Any, d_speed: Any, held: Any, duration: Any) -> tuple[Any, Any]:
+        return jax.jvp(
+            lambda speed, tau: motor_step(jnp, speed, held, duration, tau),
+            (speed, tau),
+            (d_speed, jnp.ones_like(tau)),
+        )
+
+    def step(carry: Any, k: Any) -> tuple[Any, None]:
+        position, motion, speed, d_position, d_motion, d_speed, sums = carry
+        now = starts + encoder.length - 1 + k
+        held, h = command[now].T, time[now + 1] - time[now]
+        # As in `airpuck.model.rollout.step`, with every quantity beside its sensitivities.
+        begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, 0.0)
+        middle, end = lag(*begin, held, h / 2), lag(*begin, held, h)
+        k1, d1 = rates(motion, d_motion, *begin)
+        k2, d2 = rates(motion + h / 2 * k1, d_motion + h / 2 * d1, *middle)
+        k3, d3 = rates(motion + h / 2 * k2, d_motion + h / 2 * d2, *middle)
+        k4, d4 = rates(motion + h * k3, d_motion + h * d3, *end)
+        position += h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
+        d_position += h * d_motion[1:3] + h**2 / 6 * (d1 + d2 + d3)[1:3]
+        motion += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        d_motion += h / 6 * (d1 + 2 * d2 + 2 * d3 + d4)
+
+        scale = channel_weights[:, None] * jnp.sqrt(weight)
+        predicted = jnp.concatenate([position, motion[:1]])
+        residual = scale * (predicted - state[now + 1, :3].T)
+        jacobian = scale[:, None] * jnp.concatenate([d_position, d_motion[:1]])
+        flat = jnp.moveaxis(jacobian, 1, 0).reshape(jacobian.shape[1], -1)
+        square, slope, curvature = sums
+        sums = (
+            square + jnp.sum(residual**2),
+            slope + flat @ residual.reshape(-1),
+            curvature + flat @ flat.T,
+        )
+        return (position, motion, end[0], d_position, d_motion, end[1], sums), None
+
+    encoded, d_encoded = jax.jvp(encode, (tau,), (jnp.ones_like(tau),))
+    size = coefficients.size + len(basis) + 3
+    # Only the time constant moves the encoder's estimate; it is the last local coordinate.
+    d_state = jnp.zeros((6, size, batch)).at[:, -1].set(d_encoded[:6])
+    carry = (
+        encoded[:2],
+        encoded[2:6],
+        encoded[6:],
+        d_state[:2],
+        d_state[2:],
+        d_encoded[6 : 6 + n],
+        (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
+    )
+    return jax.lax.scan(step, carry, jnp.arange(horizon))[0][-1]

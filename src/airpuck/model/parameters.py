@@ -1,0 +1,322 @@
+"""Everything that can be learned, as one set for all rungs of the model ladder.
+
+A rung (`airpuck.model.presets`) only says which entries are free. `Quantity` states each
+parameter's unit, shape and bounds once, for files, summaries and optimisers alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
+from airpuck.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One kind of parameter.
+
+    Attributes
+    ----------
+    name : str
+        Attribute of `Parameters`.
+    key : str
+        Key in a model file; ends with the unit.
+    unit : str
+        Unit for people.
+    symbol : str
+        Symbol in the documentation.
+    lower, upper : float
+        Bounds that a fit must respect.
+    meaning : str
+        A few words.
+    entries : callable
+        ``(propeller names, degree) -> labels`` of the entries, in the order of the flat vector.
+    """
+
+    name: str
+    key: str
+    unit: str
+    symbol: str
+    lower: float
+    upper: float
+    meaning: str
+    entries: Callable[[tuple[str, ...], int], tuple[str, ...]]
+
+
+def _scalar(_names: tuple[str, ...], _degree: int) -> tuple[str, ...]:
+    return ("",)
+
+
+QUANTITIES: tuple[Quantity, ...] = (
+    Quantity(
+        "thrust",
+        "thrust_N",
+        "N",
+        "a, b, c, …",
+        -np.inf,
+        np.inf,
+        "coefficients of φ, φ², φ³, … of each propeller's thrust",
+        lambda names, degree: tuple(f"{n} φ^{k}" for n in names for k in range(1, degree + 1)),
+    ),
+    Quantity(
+        "inertia",
+        "inertia_kg_m2",
+        "kg m²",
+        "I",
+        1e-7,
+        np.inf,
+        "moment of inertia about the centre of mass",
+        _scalar,
+    ),
+    Quantity(
+        "motor_time_constant",
+        "motor_time_constant_s",
+        "s",
+        "τ",
+        1e-4,
+        1.0,
+        "first-order lag of motor speed behind the command",
+        _scalar,
+    ),
+    Quantity(
+        "angle_offset",
+        "angle_offset_rad",
+        "rad",
+        "α",
+        -np.pi,
+        np.pi,
+        "rotation of the propeller layout against the measured yaw",
+        _scalar,
+    ),
+    Quantity(
+        "center_of_mass",
+        "center_of_mass_m",
+        "m",
+        "r",
+        -1.0,
+        1.0,
+        "offset of the centre of mass from the geometric centre",
+        lambda _names, _degree: ("x", "y"),
+    ),
+    Quantity(
+        "configuration_matrix",
+        "configuration_matrix_SI",
+        "1/kg, 1/kg, 1/(kg m)",
+        "Π",
+        -np.inf,
+        np.inf,
+        "directly learned map from thrusts to body accelerations",
+        lambda names, _degree: tuple(f"{row} {n}" for row in ("x", "y", "yaw") for n in names),
+    ),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """A point in parameter space.
+
+    Attributes
+    ----------
+    thrust : array, shape (n, degree)
+        Coefficients of φ, φ², φ³, … of each propeller's thrust [N].
+    inertia : float
+        Moment of inertia I about the centre of mass [kg m²].
+    motor_time_constant : float
+        Lag τ of motor speed behind the command; 0: none is modelled [s].
+    angle_offset : float
+        Rotation α of the propeller layout against the measured yaw [rad].
+    center_of_mass : array, shape (2,)
+        Offset r of the centre of mass from the geometric centre, body frame [m].
+    configuration_matrix : array, shape (3, n), or None
+        Π, where it is learned directly; None where it follows from the vehicle and the parameters
+        above [1/kg, 1/kg, 1/(kg m)].
+    """
+
+    thrust: Any
+    inertia: Any
+    motor_time_constant: Any
+    angle_offset: Any
+    center_of_mass: Any
+    configuration_matrix: Any = None
+
+    @property
+    def quantities(self) -> Iterator[Quantity]:
+        """The kinds of parameter that this set has."""
+        return (q for q in QUANTITIES if getattr(self, q.name) is not None)
+
+    def to_vector(self) -> Float[np.ndarray, " P"]:
+        """Return all entries as one vector, in the order of `QUANTITIES`.
+
+        Returns
+        -------
+        array, shape (P,)
+            The entries.
+        """
+        return np.concatenate([np.ravel(getattr(self, q.name)) for q in self.quantities])
+
+    def with_vector(self, vector: Any) -> Parameters:
+        """Return the parameters whose `to_vector` is the given one.
+
+        Parameters
+        ----------
+        vector : array, shape (P,)
+            All entries; real, complex, or traced by JAX.
+
+        Returns
+        -------
+        moved : Parameters
+            A set of the same shapes.
+        """
+        entries, first = {}, 0
+        for quantity in self.quantities:
+            shape = np.shape(getattr(self, quantity.name))
+            last = first + int(np.prod(shape, dtype=int))
+            entries[quantity.name] = vector[first:last].reshape(shape)
+            first = last
+        return replace(self, **entries)
+
+    def labels(self, propellers: tuple[str, ...]) -> list[str]:
+        """Name every entry of `to_vector`.
+
+        Parameters
+        ----------
+        propellers : tuple of str
+            Names of the propellers.
+
+        Returns
+        -------
+        list of str
+            For example ``thrust motor_a_1 φ^2``.
+        """
+        degree = np.shape(self.thrust)[1]
+        return [
+            f"{quantity.name} {entry}".rstrip()
+            for quantity in self.quantities
+            for entry in quantity.entries(propellers, degree)
+        ]
+
+    def bounds(self) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+        """Return the bounds of every entry of `to_vector`.
+
+        Returns
+        -------
+        lower, upper : array, shape (P,)
+            Bounds that a fit must respect.
+        """
+        sizes = [np.size(getattr(self, q.name)) for q in self.quantities]
+        lower = np.repeat([q.lower for q in self.quantities], sizes)
+        upper = np.repeat([q.upper for q in self.quantities], sizes)
+        return lower, upper
+
+    def mask(self, free: frozenset[str]) -> Bool[np.ndarray, " P"]:
+        """Mark the entries of `to_vector` that belong to the named quantities.
+
+        Parameters
+        ----------
+        free : frozenset of str
+            Names of quantities.
+
+        Returns
+        -------
+        array of bool, shape (P,)
+            True where the entry belongs to one of them.
+        """
+        return np.concatenate(
+            [np.full(np.size(getattr(self, q.name)), q.name in free) for q in self.quantities]
+        )
+
+    def dynamics(self, xp: Any, vehicle: Vehicle, frame: CenterOfMassFrame = "body") -> Dynamics:
+        """Compute the coefficients of the equations of motion.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        vehicle : Vehicle
+            Geometry and mass.
+        frame : {"body", "world"}
+            Where the offset of the centre of mass is constant.
+
+        Returns
+        -------
+        Dynamics
+            What the physics computes with.
+        """
+        configuration = self.configuration_matrix
+        if configuration is None:
+            configuration = configuration_matrix(
+                xp,
+                vehicle.positions,
+                vehicle.directions,
+                vehicle.mass_kg,
+                self.inertia,
+                self.angle_offset,
+                self.center_of_mass,
+            )
+        return Dynamics(
+            thrust=self.thrust,
+            configuration=configuration,
+            center_of_mass=self.center_of_mass,
+            motor_time_constant=self.motor_time_constant,
+            frame=frame,
+        )
+
+
+def nominal_parameters(vehicle: Vehicle, degree: int | None = None) -> Parameters:
+    """Return the vehicle's nominal values as parameters.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft.
+    degree : int, optional
+        Degree of the thrust polynomials; by default that of the vehicle's nominal thrust. A lower
+        degree is the least-squares fit to the nominal curve on [0, 1].
+
+    Returns
+    -------
+    nominal : Parameters
+        No angle offset, the centre of mass in the middle.
+    """
+    return Parameters(
+        thrust=change_degree(vehicle.nominal_thrust, degree),
+        inertia=vehicle.nominal.inertia_kg_m2,
+        motor_time_constant=vehicle.nominal.motor_time_constant_s,
+        angle_offset=0.0,
+        center_of_mass=np.zeros(2),
+    )
+
+
+def change_degree(
+    coefficients: Float[np.ndarray, "n degree"], degree: int | None
+) -> Float[np.ndarray, "n new_degree"]:
+    """Express thrust curves by polynomials of another degree.
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+    degree : int or None
+        New degree; None leaves the curves as they are.
+
+    Returns
+    -------
+    array, shape (n, new degree)
+        The same curves where the degree rises, the nearest ones on [0, 1] where it falls.
+    """
+    old = coefficients.shape[1]
+    if degree is None or degree == old:
+        return coefficients
+    if degree > old:
+        return np.pad(coefficients, ((0, 0), (0, degree - old)))
+    # The Gram matrix of the monomials φ, φ², … on [0, 1] is a Hilbert matrix: <φ^i, φ^j> =
+    # 1/(i+j+1). Small degrees only, so its conditioning does no harm.
+    power = np.arange(1, old + 1)
+    gram = 1.0 / (power[:, None] + power[None, :] + 1)
+    return np.linalg.solve(gram[:degree, :degree], gram[:degree] @ coefficients.T).T

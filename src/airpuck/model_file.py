@@ -1,0 +1,332 @@
+"""A model: vehicle, parameters, what was learned from what; and the file a person can read."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pydantic
+from jaxtyping import Bool, Float
+
+from airpuck.errors import InputError
+from airpuck.files import Section, checked, read_toml, write_toml
+from airpuck.model.parameters import QUANTITIES, Parameters
+from airpuck.model.presets import PRESETS
+from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
+from airpuck.vehicle import Vehicle, default_vehicle
+
+_FORMAT = "airpuck model 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A craft with numbers for everything.
+
+    Attributes
+    ----------
+    name : str
+        The rung, e.g. ``M3``.
+    vehicle : Vehicle
+        Geometry and mass.
+    parameters : Parameters
+        The learned and the fixed parameters.
+    free : array of bool, shape (P,)
+        Which entries of ``parameters.to_vector()`` were learned.
+    frame : {"body", "world"}
+        Where the offset of the centre of mass is constant.
+    indexing : {"start", "end"}
+        Convention of the encoder that the model was learned with (`PaperEncoder.indexing`).
+    transport_delay : float
+        From a command's stamp to the motors [s].
+    fit : mapping
+        How it was learned: loss, method, settings. Empty for a model that was not fitted here.
+    data : mapping of str to str
+        SHA-256 of the files it was learned from, by name.
+    source : str
+        Where the numbers come from.
+    """
+
+    name: str
+    vehicle: Vehicle
+    parameters: Parameters
+    free: Bool[np.ndarray, " P"]
+    frame: CenterOfMassFrame = "body"
+    indexing: Literal["start", "end"] = "start"
+    transport_delay: float = 0.0
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    data: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Coefficients of the equations of motion."""
+        return self.parameters.dynamics(np, self.vehicle, self.frame)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model as TOML; `read_model` reads every number back bit-equal.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        shapes = {q.name: np.shape(getattr(self.parameters, q.name)) for q in QUANTITIES}
+        free, first = {}, 0
+        for quantity in self.parameters.quantities:
+            size = int(np.prod(shapes[quantity.name], dtype=int))
+            entries = self.free[first : first + size]
+            same = bool((entries == entries[0]).all())
+            free[quantity.name] = bool(entries[0]) if same else entries.tolist()
+            first += size
+        content = {
+            "format": _FORMAT,
+            "name": self.name,
+            "source": self.source,
+            "transport_delay_s": self.transport_delay,
+            "center_of_mass_frame": self.frame,
+            "encoder_indexing": self.indexing,
+            "parameters": {
+                q.key: np.asarray(getattr(self.parameters, q.name)).tolist()
+                for q in self.parameters.quantities
+            },
+            "free": free,
+            "fit": dict(self.fit),
+            "data": dict(self.data),
+            "vehicle": self.vehicle.model_dump(mode="json"),
+        }
+        write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
+
+
+class _ParametersSection(Section):
+    thrust_N: tuple[tuple[float, ...], ...]
+    inertia_kg_m2: float = pydantic.Field(gt=0)
+    motor_time_constant_s: float = pydantic.Field(ge=0)
+    angle_offset_rad: float
+    center_of_mass_m: tuple[float, float]
+    configuration_matrix_SI: tuple[tuple[float, ...], ...] | None = None
+
+    def parameters(self, vehicle: Vehicle) -> Parameters:
+        n = vehicle.n_propellers
+        thrust = _matrix(self.thrust_N, "thrust_N")
+        if len(thrust) != n:
+            raise InputError(
+                f"has {len(thrust)} curves, but the vehicle has {n} propellers",
+                field="parameters.thrust_N",
+            )
+        matrix = self.configuration_matrix_SI
+        if matrix is not None:
+            matrix = _matrix(matrix, "configuration_matrix_SI")
+            if matrix.shape != (3, n):
+                raise InputError(
+                    f"must have 3 rows of {n} numbers, one for each propeller",
+                    field="parameters.configuration_matrix_SI",
+                )
+        return Parameters(
+            thrust=thrust,
+            inertia=self.inertia_kg_m2,
+            motor_time_constant=self.motor_time_constant_s,
+            angle_offset=self.angle_offset_rad,
+            center_of_mass=np.array(self.center_of_mass_m),
+            configuration_matrix=matrix,
+        )
+
+
+def _matrix(rows: tuple[tuple[float, ...], ...], key: str) -> Float[np.ndarray, "rows columns"]:
+    """Return rows as an array, or say that they differ in length."""
+    if not rows or not rows[0] or len({len(row) for row in rows}) != 1:
+        raise InputError("its rows must all have the same length", field=f"parameters.{key}")
+    return np.array(rows, dtype=float)
+
+
+class _ModelFile(Section):
+    format: Literal["airpuck model 1"]
+    name: str
+    source: str = ""
+    transport_delay_s: float = pydantic.Field(ge=0)
+    center_of_mass_frame: CenterOfMassFrame = "body"
+    encoder_indexing: Literal["start", "end"] = "start"
+    parameters: _ParametersSection
+    free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
+    fit: dict[str, Any] = pydantic.Field(default_factory=dict)
+    data: dict[str, str] = pydantic.Field(default_factory=dict)
+    vehicle: Vehicle
+
+
+def read_model(name: str | os.PathLike[str]) -> Model:
+    """Read a model.
+
+    Parameters
+    ----------
+    name : str or path-like
+        A model file, the authors' ``params.json``, or ``paper:M0`` … ``paper:M4`` for the published
+        parameters.
+
+    Returns
+    -------
+    Model
+        The model.
+
+    Raises
+    ------
+    InputError
+        If there is no such model, or a field is wrong.
+    """
+    if isinstance(name, str) and name.startswith("paper:"):
+        return published_model(name.removeprefix("paper:"))
+    try:
+        if Path(name).suffix == ".json":
+            return _read_params_json(Path(name))
+        return _from_file(read_toml(name, _ModelFile))
+    except InputError as error:
+        if error.file is None:
+            raise InputError(error.problem, file=name, field=error.field) from None
+        raise
+
+
+def _from_file(content: _ModelFile) -> Model:
+    """Assemble the model that a checked file describes."""
+    parameters = content.parameters.parameters(content.vehicle)
+    masks = []
+    for quantity in parameters.quantities:
+        size = np.size(getattr(parameters, quantity.name))
+        free = content.free.get(quantity.name, False)
+        if not isinstance(free, bool) and len(free) != size:
+            raise InputError(f"must be one truth value or {size}", field=f"free.{quantity.name}")
+        masks.append(np.broadcast_to(np.array(free), size))
+    return Model(
+        name=content.name,
+        vehicle=content.vehicle,
+        parameters=parameters,
+        free=np.concatenate(masks),
+        frame=content.center_of_mass_frame,
+        indexing=content.encoder_indexing,
+        transport_delay=content.transport_delay_s,
+        fit=content.fit,
+        data=content.data,
+        source=content.source,
+    )
+
+
+def published_model(name: str) -> Model:
+    """Return a model with the parameters published with the paper.
+
+    It carries the paper's conventions: the offset of the centre of mass fixed to the world, and the
+    encoder's commands taken at the end of each interval.
+
+    Parameters
+    ----------
+    name : str
+        ``M0`` … ``M4``.
+
+    Returns
+    -------
+    Model
+        The published model.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    import tomllib
+
+    packaged = resources.files("airpuck") / "packaged" / "paper.toml"
+    published = tomllib.loads(packaged.read_text(encoding="utf-8"))
+    if name not in published:
+        raise InputError(
+            f"there is no published model {name!r}; choose one of "
+            + ", ".join(f"paper:{key}" for key in published),
+            field="model",
+        )
+    vehicle = default_vehicle()
+    parameters = checked(published[name], _ParametersSection).parameters(vehicle)
+    return Model(
+        name=name,
+        vehicle=vehicle,
+        parameters=parameters,
+        free=PRESETS[name].mask(parameters),
+        frame="world",
+        indexing="end",
+        transport_delay=vehicle.nominal.transport_delay_s,
+        source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
+    )
+
+
+class _AuthorsModel(pydantic.BaseModel):
+    """The part of the authors' params.json that describes a model."""
+
+    class Values(pydantic.BaseModel):
+        """Their ``model_params``."""
+
+        signal2thrust: tuple[tuple[float, ...], ...]
+        mass: float = pydantic.Field(gt=0)
+        inertia: float
+        tau: float
+        motor_angle_offset: float
+        center_of_mass: tuple[float, float, float]
+        configuration_matrix: tuple[tuple[float, ...], ...]
+
+    class Switches(pydantic.BaseModel):
+        """Their ``model``."""
+
+        learn_configuration_matrix: bool
+        learn_center_of_mass: bool
+        learn_inertia: bool
+        learn_tau: bool
+        learn_signal2thrust: bool
+        learn_motor_angle_offset: bool
+
+    model: Switches
+    model_params: Values
+
+
+def _read_params_json(path: Path) -> Model:
+    """Read the authors' params.json; the geometry is the default vehicle's, with their mass."""
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"is not valid JSON: {error}", file=path) from error
+    if not isinstance(raw, dict):
+        raise InputError("must hold a JSON object", file=path)
+    content = checked(raw, _AuthorsModel, file=path)
+    values, switches = content.model_params, content.model
+    vehicle = default_vehicle().model_copy(update={"mass_kg": values.mass})
+    section = {
+        "thrust_N": values.signal2thrust,
+        "inertia_kg_m2": values.inertia,
+        "motor_time_constant_s": values.tau,
+        "angle_offset_rad": values.motor_angle_offset,
+        "center_of_mass_m": values.center_of_mass[:2],
+    }
+    if switches.learn_configuration_matrix:
+        section["configuration_matrix_SI"] = values.configuration_matrix
+    parameters = checked(section, _ParametersSection, file=path).parameters(vehicle)
+    free = {
+        "thrust": switches.learn_signal2thrust,
+        "inertia": switches.learn_inertia,
+        "motor_time_constant": switches.learn_tau,
+        "angle_offset": switches.learn_motor_angle_offset,
+        "center_of_mass": switches.learn_center_of_mass,
+        "configuration_matrix": switches.learn_configuration_matrix,
+    }
+    mask = parameters.mask(frozenset(name for name, learned in free.items() if learned))
+    rung = (n for n, p in PRESETS.items() if np.array_equal(p.mask(parameters), mask))
+    return Model(
+        name=next(rung, path.parent.name),
+        vehicle=vehicle,
+        parameters=parameters,
+        free=mask,
+        frame="world",
+        indexing="end",
+        transport_delay=vehicle.nominal.transport_delay_s,
+        source=str(path),
+    )
