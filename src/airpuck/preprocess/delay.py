@@ -1,0 +1,118 @@
+"""Transport delay: how many samples the motion lags what the commands explain (subsec:data)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.model.motor import motor_step
+from airpuck.model.rigid_body import Dynamics
+from airpuck.model.rigid_body import acceleration as model_acceleration
+
+#: Longest delay that is looked for [s].
+LONGEST = 0.5
+
+
+@dataclass(frozen=True)
+class DelayEstimate:
+    """Result of the correlation.
+
+    Attributes
+    ----------
+    samples : int
+        Delay in samples of the motion capture.
+    correlation : float
+        Correlation of modelled and measured accelerations at that delay, mean over x, y and yaw.
+    passes : int
+        Times that the signals were correlated until no shift was left.
+    """
+
+    samples: int
+    correlation: float
+    passes: int
+
+
+def estimate_delay(
+    time: Float[np.ndarray, " N"],
+    state: Float[np.ndarray, "N 6"],
+    acceleration: Float[np.ndarray, "N 3"],
+    command: Float[np.ndarray, "N n"],
+    dynamics: Dynamics,
+    usable: Bool[np.ndarray, " N"] | None = None,
+) -> DelayEstimate:
+    """Find the delay at which modelled accelerations fit the measured ones best.
+
+    Modelled and measured accelerations are correlated channel by channel; commands are shifted by
+    the mean of the three best lags, and this is repeated, since the modelled acceleration depends
+    on the yaw it is paired with, until no shift is left.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Sample times [s].
+    state : array, shape (N, 6)
+        Measured states.
+    acceleration : array, shape (N, 3)
+        Measured accelerations of x, y, γ.
+    command : array, shape (N, n)
+        Commands held at the sample times, not shifted.
+    dynamics : Dynamics
+        A nominal model; a rough one does.
+    usable : array of bool, shape (N,), optional
+        Samples to correlate; by default all.
+
+    Returns
+    -------
+    DelayEstimate
+        Negative samples mean that the motion precedes the commands.
+    """
+    usable = np.ones(len(time), dtype=bool) if usable is None else usable
+    speed = _motor_speeds(time, command, dynamics)
+    limit = round(LONGEST / float(np.median(np.diff(time))))
+    shift, passes, peak = 0, 0, 0.0
+    visited: set[int] = set()
+    # Shifts cannot oscillate for ever: a shift that comes back ends the search.
+    while shift not in visited:
+        visited.add(shift)
+        passes += 1
+        # Sample k of the motion is paired with the motor speed `shift` samples before.
+        motion = slice(max(shift, 0), len(time) + min(shift, 0))
+        cause = slice(max(-shift, 0), len(time) - max(shift, 0))
+        modelled = (
+            np.stack(model_acceleration(np, dynamics, state[motion, 2:].T, speed[cause].T))
+            * usable[motion]
+        )
+        measured = acceleration[motion].T * usable[motion]
+        lags, peaks = zip(
+            *(_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)), strict=True
+        )
+        peak = float(np.mean(peaks))
+        shift = int(np.clip(shift + np.rint(np.mean(lags)), -limit, limit))
+    return DelayEstimate(samples=shift, correlation=peak, passes=passes)
+
+
+def _motor_speeds(
+    time: Float[np.ndarray, " N"], command: Float[np.ndarray, "N n"], dynamics: Dynamics
+) -> Float[np.ndarray, "N n"]:
+    """Let the motors of a nominal model follow the commands, from rest at the first one."""
+    speed = np.empty_like(command)
+    speed[0] = command[0]
+    for k, duration in enumerate(np.diff(time)):
+        speed[k + 1] = motor_step(np, speed[k], command[k], duration, dynamics.motor_time_constant)
+    return speed
+
+
+def _best_lag(
+    measured: Float[np.ndarray, " N"], modelled: Float[np.ndarray, " N"], limit: int
+) -> tuple[int, float]:
+    """Return the lag of `measured` behind `modelled`, and the correlation coefficient there."""
+    from scipy.signal import correlate
+
+    full = correlate(measured, modelled, mode="full", method="fft")
+    centre = len(modelled) - 1
+    window = full[max(centre - limit, 0) : centre + limit + 1]
+    lag = int(np.argmax(window)) - min(limit, centre)
+    norm = float(np.linalg.norm(measured) * np.linalg.norm(modelled))
+    return lag, float(window.max()) / norm if norm > 0 else 0.0

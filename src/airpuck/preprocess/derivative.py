@@ -1,0 +1,100 @@
+"""Velocity and acceleration from poses: Savitzky-Golay smoothing, then finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+#: Order of the smoothing polynomials, and samples they span for velocity and for acceleration.
+POLYNOMIAL_ORDER = 3
+VELOCITY_WINDOW = 11
+ACCELERATION_WINDOW = 15
+
+
+def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """Make a yaw that is wrapped to one turn continuous.
+
+    Parameters
+    ----------
+    yaw : array, shape (N,)
+        Yaw [rad]; less than half a turn from one sample to the next.
+
+    Returns
+    -------
+    array, shape (N,)
+        The same angles, equal to `yaw` at the first sample, without jumps.
+    """
+    turns = np.cumsum(np.rint(np.diff(yaw) / (2 * np.pi)))
+    # Whole turns are added to the measured number, so that no digit of it is lost.
+    return yaw - 2 * np.pi * np.concatenate([[0.0], turns])
+
+
+def smooth(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "N k"]:
+    """Smooth by local cubic polynomials (Savitzky-Golay).
+
+    Parameters
+    ----------
+    values : array, shape (N, k)
+        Samples; N is at least `window`.
+    window : int
+        Odd number of samples that each polynomial is fitted to.
+
+    Returns
+    -------
+    array, shape (N, k)
+        Smoothed values. Not causal: it looks ``window // 2`` samples ahead.
+    """
+    from scipy.signal import savgol_filter
+
+    return np.asarray(savgol_filter(values, window, POLYNOMIAL_ORDER, axis=0))
+
+
+def velocity(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+) -> Float[np.ndarray, "N k"]:
+    """Differentiate once: smooth over 11 samples, then second-order differences.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Times without gaps, not necessarily equidistant [s].
+    values : array, shape (N, k)
+        Samples.
+
+    Returns
+    -------
+    array, shape (N, k)
+        First derivatives.
+    """
+    return np.gradient(smooth(values, VELOCITY_WINDOW), time, axis=0, edge_order=2)
+
+
+def acceleration(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+) -> Float[np.ndarray, "N k"]:
+    """Differentiate twice: smooth over 15 samples, then the second divided difference.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Times without gaps, not necessarily equidistant [s].
+    values : array, shape (N, k)
+        Samples.
+
+    Returns
+    -------
+    array, shape (N, k)
+        Second derivatives; at the ends those of the cubic through the four outermost samples.
+    """
+    smoothed = smooth(values, ACCELERATION_WINDOW)
+    before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
+    inner = (
+        2
+        * (smoothed[:-2] * after - smoothed[1:-1] * (before + after) + smoothed[2:] * before)
+        / (before * after * (before + after))
+    )
+    ends = [
+        2 * np.polynomial.polynomial.polyfit(time[part] - time[end], smoothed[part], 3)[2:3]
+        for part, end in ((slice(0, 4), 0), (slice(-4, None), -1))
+    ]
+    return np.concatenate([ends[0], inner, ends[1]])

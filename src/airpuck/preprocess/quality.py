@@ -1,0 +1,212 @@
+"""Data quality: what a recording's streams must satisfy, and faults that are found and reported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.errors import InputError
+from airpuck.recording.stream import Stream
+from airpuck.trajectory import Span
+
+#: A pause longer than this many sample periods is a gap.
+GAP_PERIODS = 1.5
+#: A pose that repeats exactly for this many samples is frozen: a real measurement has noise.
+FROZEN_SAMPLES = 5
+#: A pause between commands longer than this many periods leaves the motors' input unknown.
+COMMAND_GAP_PERIODS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """Samples in strictly increasing time.
+
+    Attributes
+    ----------
+    time : array, shape (N,)
+        Times [s].
+    values : array, shape (N, k)
+        Values.
+    warnings : tuple of str
+        What was dropped.
+    """
+
+    time: Float[np.ndarray, " N"]
+    values: Float[np.ndarray, "N k"]
+    warnings: tuple[str, ...]
+
+
+def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> None:
+    """Refuse poses that cannot be metres and radians.
+
+    Parameters
+    ----------
+    pose : Stream
+        x, y [m], yaw [rad].
+    time : array, shape (N,)
+        Times of the poses [s].
+    source : str
+        The recording, for the error message.
+
+    Raises
+    ------
+    InputError
+        If a pose is not finite, or the numbers look like degrees or millimetres.
+    """
+    _check_finite(pose, time, "pose", source)
+    position, yaw = pose.values[:, :2], pose.values[:, 2]
+    if np.abs(position).max() > 50:
+        raise InputError(
+            f"positions reach {np.abs(position).max():.0f}, which is no air-hockey table in "
+            "metres; convert millimetres to metres",
+            file=source,
+            field="pose.position",
+        )
+    jumps = np.abs(np.diff(yaw))
+    # In radians a wrapped yaw stays within ±π and a continuous one has no jumps.
+    wraps_at_360 = np.any((jumps > 300) & (jumps < 361))
+    period = np.median(np.diff(time)) if len(time) > 1 else 0.0
+    spins_too_fast = period > 0 and np.quantile(jumps, 0.9) / period > 100
+    if np.abs(yaw).max() > 2 * np.pi and (wraps_at_360 or spins_too_fast):
+        raise InputError(
+            f"yaw reaches {np.abs(yaw).max():.0f} and looks like degrees; convert it to radians",
+            file=source,
+            field="pose.orientation.yaw",
+        )
+
+
+def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
+    """Refuse commands outside [0, 1].
+
+    Parameters
+    ----------
+    command : Stream
+        Motor commands.
+    time : array, shape (K,)
+        Their times [s].
+    source : str
+        The recording, for the error message.
+
+    Raises
+    ------
+    InputError
+        If a command is not finite or outside [0, 1].
+    """
+    _check_finite(command, time, "command", source)
+    outside = (command.values < 0) | (command.values > 1)
+    if outside.any():
+        row, column = np.argwhere(outside)[0]
+        raise InputError(
+            f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside [0, 1]; "
+            "scale commands to the range of the motor controller",
+            file=source,
+            field=command.columns[column],
+        )
+
+
+def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, source: str) -> None:
+    """Refuse NaN and infinity."""
+    bad = ~np.isfinite(stream.values)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"{int(bad.any(axis=1).sum())} of {len(stream)} {kind}s are not finite, the first at "
+            f"{time[row]:.3f} s (row {row + 1}); remove these rows, what is missing is then "
+            "treated as a gap",
+            file=source,
+            field=stream.columns[column],
+        )
+
+
+def drop_disorder(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], kind: str
+) -> Cleaned:
+    """Drop samples whose stamp repeats or precedes an earlier one.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Times as logged [s].
+    values : array, shape (N, k)
+        Values.
+    kind : str
+        Name of the stream, for the warnings.
+
+    Returns
+    -------
+    Cleaned
+        The samples in strictly increasing time; the first of equal stamps is kept.
+    """
+    latest = np.maximum.accumulate(time)
+    ahead = np.concatenate([[True], time[1:] > latest[:-1]])
+    duplicated = np.concatenate([[False], time[1:] == latest[:-1]])
+    backward = ~ahead & ~duplicated
+    warnings = []
+    for found, what in ((duplicated, "a duplicated stamp"), (backward, "a stamp that goes back")):
+        if found.any():
+            warnings.append(
+                f"dropped {int(found.sum())} {kind} samples with {what}, "
+                f"the first at {time[found][0]:.3f} s"
+            )
+    return Cleaned(time[ahead], values[ahead], tuple(warnings))
+
+
+def find_gaps(
+    time: Float[np.ndarray, " N"], cause: str = "gap", periods: float = GAP_PERIODS
+) -> tuple[Span, ...]:
+    """Find pauses in a stream.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Strictly increasing times [s].
+    cause : str, default "gap"
+        What to call them.
+    periods : float, default 1.5
+        Shortest pause, in median sample periods.
+
+    Returns
+    -------
+    tuple of Span
+        From the last sample before each pause to the first one after it.
+    """
+    pause = np.diff(time)
+    if len(pause) == 0:
+        return ()
+    before = np.flatnonzero(pause > periods * np.median(pause))
+    return tuple(Span(float(time[k]), float(time[k + 1]), cause) for k in before)
+
+
+def find_frozen(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+) -> tuple[Span, ...]:
+    """Find stretches over which a measurement repeats exactly.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Times [s].
+    values : array, shape (N, k)
+        Measurements.
+
+    Returns
+    -------
+    tuple of Span
+        Stretches of at least `FROZEN_SAMPLES` equal samples.
+    """
+    same = np.all(values[1:] == values[:-1], axis=1)
+    return tuple(
+        Span(float(time[first]), float(time[last]), "frozen pose")
+        for first, last in _runs(same)
+        if last - first + 1 >= FROZEN_SAMPLES
+    )
+
+
+def _runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """Return [first, last) of every run of True."""
+    edges = np.diff(np.concatenate([[0], marked.astype(np.int8), [0]]))
+    return list(
+        zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+    )
