@@ -88,7 +88,7 @@ class Preset:
 
 def _only(
     coefficients: Float[np.ndarray, "n degree"], powers: tuple[int, ...]
-) -> Float[np.ndarray, "n degree"]:
+) -> Float[np.ndarray, "n new_degree"]:
     """Fit the given powers of φ to the curves, by least squares at 101 points of [0, 1]."""
     degree = max(powers)
     speed = np.linspace(0, 1, 101)[:, None]
