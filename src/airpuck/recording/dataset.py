@@ -1,0 +1,214 @@
+"""The authors' public dataset, pinned to one commit and checked by hash."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+
+from airpuck.errors import InputError
+from airpuck.recording.fingerprint import sha256
+
+#: Environment variable that names a copy of the dataset.
+VARIABLE = "AIRPUCK_DATA"
+REPOSITORY = "PREDICT-EPFL/holohover-sysid"
+COMMIT = "3a257e77d1fdefe445f5d180900015d55013cd9a"
+BASE_URL = f"https://raw.githubusercontent.com/{REPOSITORY}/{COMMIT}/"
+
+#: What the paper's study reads: training, validation, the raw check of preprocessing, the flights.
+_STUDY = (
+    "models/paper/",
+    "control_experiment/",
+    "experiments/2023_10_18-11_28_12_sysid_h1_old/data.pt",
+    "experiments/2023_11_22-11_57_44_sysid_h1_old/data.pt",
+    "experiments/2024_03_05-16_12_50_sysid_h1_blue/",
+)
+_TIMEOUT_S = 20
+
+
+@cache
+def _registry() -> Mapping[str, str]:
+    """Return the SHA-256 of every file worth downloading, by its name in the repository."""
+    text = (resources.files("airpuck") / "packaged" / "dataset.sha256").read_text("utf-8")
+    lines = (line.split(maxsplit=1) for line in text.splitlines() if not line.startswith("#"))
+    return MappingProxyType({name: digest for digest, name in lines})
+
+
+def dataset_files(*, all: bool = False) -> Mapping[str, str]:
+    """List the files of the dataset.
+
+    Parameters
+    ----------
+    all : bool, default False
+        Every file, not only those of the paper's study.
+
+    Returns
+    -------
+    mapping of str to str
+        SHA-256 by name relative to the dataset's folder.
+    """
+    return {name: digest for name, digest in _registry().items() if all or name.startswith(_STUDY)}
+
+
+def dataset_folder() -> Path:
+    """Return a folder with the paper's study, downloading it if need be.
+
+    Returns
+    -------
+    Path
+        ``$AIRPUCK_DATA`` if that is set, otherwise the folder that `fetch` fills.
+
+    Raises
+    ------
+    InputError
+        If the variable names no folder, or the download fails.
+    """
+    return _folder_from_environment() or fetch()
+
+
+def _folder_from_environment() -> Path | None:
+    """Return what the environment variable names, if it is set."""
+    named = os.environ.get(VARIABLE)
+    if not named:
+        return None
+    folder = Path(named)
+    if not folder.is_dir():
+        raise InputError(
+            "is not a folder; set it to a copy of the dataset, or unset it to download one",
+            file=named,
+            field=VARIABLE,
+        )
+    return folder
+
+
+def fetch(
+    *,
+    all: bool = False,
+    folder: str | os.PathLike[str] | None = None,
+    base_url: str = BASE_URL,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Path:
+    """Download the dataset, and check every file's hash.
+
+    Files that are already there and whole are left alone. Where ``$AIRPUCK_DATA`` is set and no
+    folder is given, nothing is downloaded: the copy that it names is checked.
+
+    Parameters
+    ----------
+    all : bool, default False
+        Every file, not only those of the paper's study (about 15 MB).
+    folder : path-like, optional
+        Where to; by default the user's cache folder.
+    base_url : str
+        Where from; the file names are appended.
+    progress : callable, optional
+        Called with the number of files done, their total and the next file's name.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be downloaded or has not the expected content; nothing of it is kept.
+    """
+    files = dataset_files(all=all)
+    given = _folder_from_environment() if folder is None else None
+    if given is not None:
+        problems = verify(given, all=all)
+        if problems:
+            name, problem = next(iter(problems.items()))
+            more = f", and {len(problems) - 1} more files are wrong" if len(problems) > 1 else ""
+            raise InputError(
+                f"{problem}{more}; unset {VARIABLE} to download the dataset", file=given / name
+            )
+        return given
+    return _download(files, folder, base_url, progress)
+
+
+def _download(
+    files: Mapping[str, str],
+    folder: str | os.PathLike[str] | None,
+    base_url: str,
+    progress: Callable[[int, int, str], None] | None,
+) -> Path:
+    """Let pooch get what is missing; it keeps a file only if its hash is right."""
+    import pooch
+    import requests
+
+    pooch.get_logger().setLevel("WARNING")
+    target = pooch.os_cache("airpuck") / COMMIT[:7] if folder is None else Path(folder)
+    store = pooch.create(
+        path=target,
+        base_url=base_url,
+        registry={name: f"sha256:{digest}" for name, digest in files.items()},
+    )
+    downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
+    for done, name in enumerate(files):
+        if progress is not None:
+            progress(done, len(files), name)
+        try:
+            # pooch's annotation of a downloader does not fit pooch's own downloaders.
+            store.fetch(name, downloader=downloader)  # pyright: ignore[reportArgumentType]
+        except requests.RequestException as error:
+            raise InputError(
+                f"cannot be downloaded ({_reason(error)}); if this machine is offline, set "
+                f"{VARIABLE} to a copy of the dataset",
+                file=base_url + name,
+            ) from error
+        except OSError as error:
+            raise InputError(f"cannot be written ({error.strerror})", file=target / name) from error
+        except ValueError as error:
+            raise InputError(
+                "was downloaded with another content than expected and thrown away; try again",
+                file=base_url + name,
+            ) from error
+    if progress is not None:
+        progress(len(files), len(files), "")
+    return target
+
+
+def _reason(error: Exception) -> str:
+    """Say in a few words why a download failed."""
+    import requests
+
+    if isinstance(error, requests.HTTPError) and error.response is not None:
+        return f"the server answers {error.response.status_code}"
+    if isinstance(error, requests.Timeout):
+        return "the server does not answer"
+    if isinstance(error, requests.exceptions.ChunkedEncodingError):
+        return "the connection broke"
+    return "the server cannot be reached"
+
+
+def verify(folder: str | os.PathLike[str], *, all: bool = False) -> Mapping[str, str]:
+    """Check a copy of the dataset against the hashes.
+
+    Parameters
+    ----------
+    folder : path-like
+        The copy.
+    all : bool, default False
+        Expect every file, not only those of the paper's study. Files beyond these are checked
+        where they are there.
+
+    Returns
+    -------
+    mapping of str to str
+        What is wrong, by file name; empty for a good copy.
+    """
+    problems = {}
+    expected = dataset_files(all=all)
+    for name, digest in dataset_files(all=True).items():
+        file = Path(folder) / name
+        if not file.is_file():
+            if name in expected:
+                problems[name] = "is missing"
+        elif sha256(file) != digest:
+            problems[name] = "has another content than published"
+    return problems

@@ -1,0 +1,83 @@
+"""Reading a recording, whatever its form."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from airpuck.errors import InputError
+from airpuck.recording.bag import METADATA, is_bag, read_bag
+from airpuck.recording.csv_folder import is_csv_folder, read_csv_folder
+from airpuck.recording.stream import Recording
+from airpuck.recording.topics import Topics
+
+_FORMS = "a rosbag2 folder, an .mcap or .db3 file, or a folder of CSV files"
+
+
+def read_recording(path: str | os.PathLike[str], *, topics: Topics | None = None) -> Recording:
+    """Read a recording as it was logged.
+
+    Parameters
+    ----------
+    path : path-like
+        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, or a folder of the authors'
+        CSV files. A folder that holds one such folder stands for it. Where a folder holds a bag and
+        CSV files, the bag is read, because the CSV files were made from it.
+    topics : Topics, optional
+        Where the streams are; by default on the topics of the authors' table.
+
+    Returns
+    -------
+    Recording
+        At least a pose and a command stream. Nothing is judged, sorted, unwrapped or left out, but
+        a bag's messages are in the order of the recorder's clock. Of a damaged .mcap every whole
+        chunk is there, and a warning says how far it reaches.
+
+    Raises
+    ------
+    InputError
+        If there is no recording, several, or one that cannot be read.
+
+    Examples
+    --------
+    >>> recording = read_recording("flight_07")  # doctest: +SKIP
+    >>> recording["pose"].columns  # doctest: +SKIP
+    ('x_m', 'y_m', 'yaw_rad')
+    """
+    topics = topics or Topics()
+    found = Path(path)
+    try:
+        if found.is_dir():
+            found = _resolve(found)
+            return read_bag(found, topics) if is_bag(found) else read_csv_folder(found, topics)
+        if not found.exists():
+            raise InputError("there is no such file or folder", file=path)
+        if not found.is_file():
+            raise InputError(f"is no regular file; give {_FORMS}", file=path)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
+    if is_bag(found):
+        return read_bag(found, topics)
+    if found.suffix == ".csv":
+        raise InputError("is one of several CSV files; give the folder that holds it", file=path)
+    if found.suffix in (".npz", ".pt"):
+        raise InputError("is preprocessed already; no recording is left in it", file=path)
+    raise InputError(f"is no recording; give {_FORMS}", file=path)
+
+
+def _resolve(folder: Path) -> Path:
+    """Return the folder that holds the recording: this one, or the only one inside that does."""
+    if is_bag(folder) or is_csv_folder(folder):
+        return folder
+    inside = sorted(entry for entry in folder.iterdir() if entry.is_dir())
+    candidates = [entry for entry in inside if is_bag(entry) or is_csv_folder(entry)]
+    if len(candidates) == 1:
+        return candidates[0]
+    if candidates:
+        names = ", ".join(entry.name for entry in candidates)
+        raise InputError(f"holds several recordings; give one of {names}", file=folder)
+    if (folder / METADATA).is_file():
+        raise InputError(
+            "its storage file is missing: metadata.yaml is there, but no .mcap or .db3", file=folder
+        )
+    raise InputError(f"holds no recording; give {_FORMS}", file=folder)
