@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-_hook = install_import_hook("airpuck", "beartype.beartype")
+from . import typechecker  # noqa: F401  (the hook names it)
+
+_hook = install_import_hook("airpuck", "tests.typechecker.check")
 
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"

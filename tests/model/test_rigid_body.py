@@ -19,6 +19,12 @@ speeds = st.lists(st.floats(0, 1), min_size=6, max_size=6).map(np.array)
 motions = st.tuples(*[st.floats(-4, 4)] * 4).map(np.array)
 
 
+def rotate(angle, vectors):
+    """Turn row vectors counter-clockwise."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return vectors @ np.array([[cos, sin], [-sin, cos]])
+
+
 def general_parameters():
     return replace(
         published_model("M3").parameters, center_of_mass=np.array([3e-3, -2e-3]), angle_offset=0.4
@@ -69,12 +75,6 @@ def test_newton_and_euler_about_the_center_of_mass(speed, motion):
     dynamics = parameters.dynamics(np, vehicle)
     forces = thrust(parameters.thrust, speed)
     yaw, _, _, spin = motion
-    rotate = lambda angle, vectors: (
-        vectors
-        @ np.array(  # noqa: E731
-            [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        )
-    )
     body = rotate(parameters.angle_offset, vehicle.directions * forces[:, None])
     arms = rotate(parameters.angle_offset, vehicle.positions) - parameters.center_of_mass
     moments = arms[:, 0] * body[:, 1] - arms[:, 1] * body[:, 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from airpuck.model.motor import motor_step
 from airpuck.model.rigid_body import Dynamics
@@ -11,6 +11,7 @@ from airpuck.model.rollout import scan
 from airpuck.windows import Past
 
 
+@runtime_checkable
 class Encoder(Protocol):
     """Estimates the extended state at the present of a batch of windows."""
 

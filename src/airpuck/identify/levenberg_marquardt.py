@@ -60,7 +60,8 @@ class LevenbergMarquardt:
             step = np.zeros_like(point)
             step[free] = self._step(here, point, free, lower, upper, damping, slopes, shape)
             promised = -(here.gradient @ step + step @ here.hessian @ step / 2)
-            if promised <= self.tolerance * here.loss:
+            standstill = np.all(np.abs(step) <= 1e-14 + 1e-12 * np.abs(point))
+            if promised <= self.tolerance * here.loss or standstill:
                 reason = "converged"
                 break
             there = loss.quadratic(parameters.with_vector(point + step))
@@ -104,8 +105,8 @@ class LevenbergMarquardt:
             rows = np.zeros((0, n_thrust)) if slopes is None else slopes.rows()
             margin = 0.0 if slopes is None else slopes.margin
             step = scale * _solve(
-                damped / here.loss,
-                gradient * scale / here.loss,
+                damped,
+                gradient * scale,
                 rows[:, free[:n_thrust]] @ np.diag(scale)[: free[:n_thrust].sum()],
                 margin - rows @ point[:n_thrust],
                 (lower - point[free]) / scale,
@@ -128,19 +129,26 @@ def _solve(
     lower: Float[np.ndarray, " F"],
     upper: Float[np.ndarray, " F"],
 ) -> Float[np.ndarray, " F"]:
-    """Solve min d'Hd/2 + g'd subject to rows·d ≥ least and lower ≤ d ≤ upper."""
+    """Solve min d'Hd/2 + g'd subject to rows·d ≥ least and lower ≤ d ≤ upper; diag H is about 1."""
+    step = np.linalg.solve(hessian, -gradient)
+    if np.all(rows @ step >= least) and np.all(lower <= step) and np.all(step <= upper):
+        return step
+    # The solver's tolerances are absolute: make the step of order one, and drop what it cannot
+    # reach, since huge numbers would drown it.
+    unit = float(np.linalg.norm(step))
+    far = 1e6
+    near = least / unit > -far
     solver = piqp.DenseSolver()
     solver.settings.eps_abs = 1e-10
-    none = len(rows) == 0
     solver.setup(
         hessian,
-        gradient,
-        G=None if none else rows,
-        h_l=None if none else least,
-        x_l=lower,
-        x_u=upper,
+        gradient / unit,
+        G=rows[near] if near.any() else None,
+        h_l=least[near] / unit if near.any() else None,
+        x_l=np.where(lower / unit > -far, lower / unit, -np.inf),
+        x_u=np.where(upper / unit < far, upper / unit, np.inf),
     )
     status = solver.solve()
     if status != piqp.PIQP_SOLVED:
         raise ArithmeticError(f"the step's quadratic program ended with {status}")
-    return np.array(solver.result.x)
+    return unit * np.array(solver.result.x)

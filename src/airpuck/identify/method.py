@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
@@ -57,6 +57,7 @@ class Outcome:
     message: str
 
 
+@runtime_checkable
 class Method(Protocol):
     """An optimiser, with its settings."""
 

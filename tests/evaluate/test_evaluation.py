@@ -1,0 +1,98 @@
+"""Evaluation, down to the published digits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.evaluate.evaluation import Protocol, compare, evaluate
+from airpuck.model_file import published_model, read_model
+from airpuck.trajectory import Span
+
+from ..conftest import VALIDATION
+from ..identify.test_fit import TABLE_2, four_propellers
+from ..synthetic import fly
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return fly(published_model("M3"), duration=4.0)
+
+
+def test_the_true_model_predicts_exactly(flight):
+    model = replace(published_model("M3"), indexing="start")
+    evaluation = evaluate(model, flight, protocol=Protocol(encoder_length=200))
+    # The encoder starts its motors at the first command of the window; after 200 samples, thirty
+    # time constants, they have forgotten it.
+    np.testing.assert_allclose(evaluation.errors, 0, atol=1e-9)
+
+
+def test_a_shifted_world_shifts_predictions_alike(flight):
+    shifted = replace(flight, state=flight.state + np.array([0.1, -0.3, 0, 0, 0, 0]))
+    errors = [evaluate(published_model("M3"), f).errors for f in (flight, shifted)]
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
+
+
+def test_a_jump_of_the_measurement_is_an_error_of_the_other_sign(flight):
+    # From 2 s on everything is measured 0.1 m further in x.
+    step = np.where(flight.time >= 2.0, 0.1, 0.0)[:, None] * [1, 0, 0, 0, 0, 0]
+    jumped = replace(flight, state=flight.state + step)
+    base, errors = (evaluate(published_model("M3"), f) for f in (flight, jumped))
+    change = (errors.errors - base.errors)[-1, 0]
+    crossing = (errors.start < 2.0) & (errors.start + 50 / 240 >= 2.0)
+    np.testing.assert_allclose(change, np.where(crossing, -0.1, 0.0), atol=1e-12)
+
+
+def test_windows_do_not_overlap_and_cover_the_flight(flight):
+    evaluation = evaluate(published_model("M3"), flight)
+    assert len(evaluation.start) == len(flight) // 70
+    np.testing.assert_allclose(np.diff(evaluation.start), 70 / 240)
+    assert evaluation.horizon_step == 48
+    assert evaluation.left_out == 0
+
+
+def test_excluded_spans_are_left_out_and_counted(flight):
+    marked = replace(flight, excluded=(Span(1.0, 1.5, "gap"),))
+    evaluation = evaluate(published_model("M3"), marked)
+    assert evaluation.left_out >= 2
+    assert not np.any((evaluation.start > 1.0) & (evaluation.start < 1.5))
+
+
+def test_figures_are_plain_statistics(flight):
+    evaluation = evaluate(published_model("M2"), flight)
+    error = evaluation.errors[47]
+    np.testing.assert_allclose(evaluation.rmse, np.sqrt((error**2).mean(axis=1)))
+    np.testing.assert_allclose(evaluation.median_abs, np.median(np.abs(error), axis=1))
+    document = evaluation.to_json()
+    assert document["horizon_s"] == pytest.approx(0.2)
+    assert document["rmse"]["x_m"] == evaluation.rmse[0]
+    assert document["protocol"] == "paper"
+    assert len(document["rmse_over_horizon"]) == 50
+
+
+def test_a_model_of_another_craft_is_refused(flight):
+    with pytest.raises(InputError, match="4 \\(p0, p1, p2, p3\\)"):
+        evaluate(four_propellers(), flight)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", TABLE_2)
+def test_published_parameters_give_table_2(experiments, name):
+    from airpuck.recording.torch_archive import read_authors_experiment
+
+    validation = read_authors_experiment(experiments / VALIDATION / "data.pt")
+    (evaluation,) = compare([published_model(name)], validation)
+    assert evaluation.errors.shape == (50, 3, 334)
+    x, y, yaw = evaluation.rmse
+    assert (round(1e3 * x, 2), round(1e3 * y, 2), round(yaw, 4)) == TABLE_2[name]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", TABLE_2)
+def test_the_packaged_numbers_are_the_authors(data, name):
+    packaged = published_model(name)
+    authors = read_model(data / "models" / "paper" / name / "params.json")
+    assert authors.name == name
+    np.testing.assert_array_equal(packaged.parameters.to_vector(), authors.parameters.to_vector())
+    np.testing.assert_array_equal(packaged.free, authors.free)

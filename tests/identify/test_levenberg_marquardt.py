@@ -1,0 +1,101 @@
+"""The default optimiser, against scipy and against its own constraints."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identify.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identify.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.model.presets import PRESETS
+from airpuck.model.rollout import rollout
+from airpuck.model.thrust import is_monotone
+from airpuck.model_file import published_model
+from airpuck.vehicle import default_vehicle
+from airpuck.windows import make_windows
+
+from ..synthetic import fly
+
+VEHICLE = default_vehicle()
+
+
+def noisy_loss(model, noise=0.002, duration=6.0):
+    flight = fly(model, duration)
+    rng = np.random.default_rng(3)
+    state = flight.state + noise * rng.normal(size=flight.state.shape)
+    windows = make_windows(replace(flight, state=state), stride=7)
+    return PredictionLoss(windows, VEHICLE, PaperEncoder())
+
+
+def test_finds_scipys_minimum():
+    loss = noisy_loss(published_model("M3"))
+    start = PRESETS["M3"].initial(VEHICLE)
+    free = PRESETS["M3"].mask(start)
+    outcome = LevenbergMarquardt(monotone=False, tolerance=1e-12).minimize(loss, start, free)
+
+    def residuals(vector):
+        dynamics = start.with_vector(vector).dynamics(np, VEHICLE)
+        commands, durations, measured = loss.windows.future()
+        state = PaperEncoder().encode(np, dynamics, loss.windows.past())
+        predicted = rollout(np, dynamics, state, commands, durations)
+        weights = np.array(PUBLISHED_WEIGHTS)[:, None]
+        return (weights * (predicted[:, :3] - measured[:, :3])).ravel()
+
+    scipys = least_squares(residuals, start.to_vector(), method="trf", x_scale="jac", xtol=1e-12)
+    assert outcome.loss == pytest.approx(2 * scipys.cost / len(scipys.fun), rel=1e-7)
+    np.testing.assert_allclose(outcome.parameters.to_vector(), scipys.x, rtol=1e-2, atol=2e-5)
+
+
+def test_thrust_curves_rise_even_where_the_data_say_otherwise():
+    truth = published_model("M3")
+    falling = np.tile([0.1, 1.6, -1.2], (6, 1))  # F'(1) = -0.3
+    dipping = np.tile([0.45, -1.6, 1.7], (3, 1))  # F' is lowest, -0.05, at φ = 0.31
+    thrust = np.concatenate([falling[:3], dipping])
+    assert not is_monotone(thrust).any()
+    truth = replace(truth, parameters=replace(truth.parameters, thrust=thrust))
+    loss = noisy_loss(truth, noise=1e-4)
+    start = PRESETS["M3"].initial(VEHICLE)
+    free = PRESETS["M3"].mask(start)
+    constrained = LevenbergMarquardt().minimize(loss, start, free)
+    unconstrained = LevenbergMarquardt(monotone=False).minimize(loss, start, free)
+    assert is_monotone(constrained.parameters.thrust).all()
+    assert not is_monotone(unconstrained.parameters.thrust).any()
+    assert unconstrained.loss < constrained.loss
+
+
+def test_bounds_hold():
+    # Data without lag push the time constant towards zero.
+    truth = published_model("M0")
+    loss = noisy_loss(truth, noise=1e-4)
+    start = PRESETS["M2"].initial(VEHICLE)
+    outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M2"].mask(start))
+    assert 1e-4 <= outcome.parameters.motor_time_constant < 3e-3
+
+
+def test_fixed_entries_do_not_move():
+    loss = noisy_loss(published_model("M3"))
+    start = PRESETS["M2"].initial(VEHICLE)
+    outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M2"].mask(start))
+    assert outcome.parameters.inertia == start.inertia
+    assert outcome.parameters.angle_offset == 0
+    assert not np.array_equal(outcome.parameters.thrust, start.thrust)
+
+
+def test_history_never_rises_and_is_reported():
+    loss = noisy_loss(published_model("M3"))
+    start = PRESETS["M3"].initial(VEHICLE)
+    seen = []
+    outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M3"].mask(start), seen.append)
+    losses = [iteration.loss for iteration in outcome.history]
+    assert losses == sorted(losses, reverse=True)
+    assert tuple(seen) == outcome.history
+    assert outcome.converged
+
+
+def test_too_few_iterations_are_said_so():
+    loss = noisy_loss(published_model("M3"))
+    start = PRESETS["M3"].initial(VEHICLE)
+    outcome = LevenbergMarquardt(max_iterations=1).minimize(loss, start, PRESETS["M3"].mask(start))
+    assert not outcome.converged

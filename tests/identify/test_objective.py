@@ -1,0 +1,116 @@
+"""The loss and its Gauss-Newton approximation, against plain implementations."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identify.objective import PredictionLoss
+from airpuck.model.presets import PRESETS
+from airpuck.model.rollout import rollout
+from airpuck.model_file import published_model
+from airpuck.vehicle import default_vehicle
+from airpuck.windows import Windows, make_windows
+
+from ..synthetic import fly
+
+VEHICLE = default_vehicle()
+WEIGHTS = (1.0, 2.0, 0.1)
+
+
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    flight = fly(published_model("M3"), duration=3.0)
+    noise = np.random.default_rng(1).normal(size=flight.state.shape)
+    return make_windows(replace(flight, state=flight.state + 0.01 * noise), stride=11)
+
+
+def plain_residuals(xp, parameters, windows, encoder, frame):
+    """Straight from the paper: encode, roll out, compare; no batching, no sensitivities."""
+    dynamics = parameters.dynamics(xp, VEHICLE, frame)
+    commands, durations, measured = windows.future()
+    state = encoder.encode(xp, dynamics, windows.past())
+    predicted = rollout(xp, dynamics, state, commands, durations)
+    return xp.asarray(WEIGHTS)[:, None] * (predicted[:, :3] - measured[:, :3])
+
+
+def moved(name):
+    """Parameters off the initial values, so that no derivative vanishes by symmetry."""
+    parameters = PRESETS[name].initial(VEHICLE)
+    vector = parameters.to_vector()
+    rng = np.random.default_rng(2)
+    return parameters.with_vector(vector * (1 + 0.05 * rng.normal(size=len(vector))) + 1e-3)
+
+
+@pytest.mark.parametrize("frame", ["body", "world"])
+@pytest.mark.parametrize("name", ["M3", "M4", "quadratic"])
+def test_equals_the_plain_jacobian(windows, name, frame):
+    parameters, encoder = moved(name), PaperEncoder()
+    result = PredictionLoss(windows, VEHICLE, encoder, WEIGHTS, frame).quadratic(parameters)
+    with jax.enable_x64(True):
+
+        def residuals(vector):
+            return plain_residuals(
+                jnp, parameters.with_vector(vector), windows, encoder, frame
+            ).reshape(-1)
+
+        vector = jnp.asarray(parameters.to_vector())
+        residual = np.asarray(residuals(vector))
+        jacobian = np.asarray(jax.jacfwd(residuals)(vector))
+    count = len(residual)
+    assert result.loss == pytest.approx(residual @ residual / count, rel=1e-12)
+    scale = np.abs(result.hessian).max()
+    np.testing.assert_allclose(
+        result.gradient, 2 * jacobian.T @ residual / count, rtol=1e-9, atol=1e-12 * scale
+    )
+    np.testing.assert_allclose(
+        result.hessian, 2 * jacobian.T @ jacobian / count, rtol=1e-9, atol=1e-12 * scale
+    )
+
+
+@pytest.mark.parametrize("name", ["M0", "M2"])
+@pytest.mark.parametrize("indexing", ["start", "end"])
+def test_gradient_by_finite_differences(windows, name, indexing):
+    parameters, encoder = PRESETS[name].initial(VEHICLE), PaperEncoder(indexing=indexing)
+    loss = PredictionLoss(windows, VEHICLE, encoder, WEIGHTS)
+    gradient = loss.quadratic(parameters).gradient
+    vector = parameters.to_vector()
+
+    def plain(vector):
+        residual = plain_residuals(np, parameters.with_vector(vector), windows, encoder, "body")
+        return np.mean(residual**2)
+
+    for entry in np.flatnonzero(PRESETS[name].mask(parameters)):
+        step = np.zeros_like(vector)
+        step[entry] = 1e-5 * max(abs(vector[entry]), 1e-2)
+        difference = (plain(vector + step) - plain(vector - step)) / (2 * step[entry])
+        assert gradient[entry] == pytest.approx(difference, rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 3, 255, 257])
+def test_padding_of_batches_does_not_count(windows, count):
+    starts = np.resize(windows.starts, count)
+    some = replace(windows, starts=starts)
+    parameters = moved("M3")
+    result = PredictionLoss(some, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters)
+    expected = plain_residuals(np, parameters, some, PaperEncoder(), "body")
+    assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-12)
+
+
+def test_one_window_over_the_whole_flight():
+    windows = make_windows(fly(published_model("M3"), duration=3.0), 20, None)
+    parameters = moved("M3")
+    result = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters)
+    expected = plain_residuals(np, parameters, windows, PaperEncoder(), "body")
+    assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-9)
+
+
+def test_leaves_jax_as_it_was(windows):
+    before = jax.config.read("jax_enable_x64")
+    result = PredictionLoss(windows, VEHICLE, PaperEncoder()).quadratic(moved("M3"))
+    assert result.hessian.dtype == np.float64
+    assert jax.config.read("jax_enable_x64") == before
+    assert jnp.ones(1).dtype == (jnp.float64 if before else jnp.float32)
