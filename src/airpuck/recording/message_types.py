@@ -81,6 +81,7 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
     }
 )
 
+_UNIT = 1e-3
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
@@ -121,8 +122,10 @@ def definitions(msgtype: str, text: str = "", *, idl: bool = False) -> Types:
             # Several IDL files in a row, each under a line that names it.
             for part in text.split(separator) if text.startswith(separator) else [text]:
                 body = part.partition("\n")[2] if part.startswith("IDL: ") else part
-                if body.strip():
-                    types.update(get_types_from_idl(body))
+                # rosbags' parser knows no #include; the files included follow anyway.
+                plain = "\n".join(line for line in body.splitlines() if line[:1] != "#")
+                if plain.strip():
+                    types.update(get_types_from_idl(plain))
             return types
         if text:
             return get_types_from_msg(text, msgtype)
@@ -215,7 +218,7 @@ def yaw_of(
     z: Float[np.ndarray, " N"],
     w: Float[np.ndarray, " N"],
 ) -> Float[np.ndarray, " N"]:
-    """Return the rotation about the vertical axis of unit quaternions.
+    """Return the rotation about the vertical axis of quaternions.
 
     Parameters
     ----------
@@ -225,11 +228,14 @@ def yaw_of(
     Returns
     -------
     array of float64, shape (N,)
-        Yaw of the yaw-pitch-roll sequence, in (-π, π] [rad].
+        Yaw of the yaw-pitch-roll sequence, in (-π, π] [rad]; NaN where there is no rotation, which
+        is how some trackers say that they see nothing.
     """
-    # An infinite component makes inf - inf here; the NaN that results is what should be reported.
-    with np.errstate(invalid="ignore"):
-        return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        square = x * x + y * y + z * z + w * w
+        # Unit up to single precision: taken as it is, as the authors' conversion does.
+        double = np.where(np.abs(square - 1) < _UNIT, 2.0, 2.0 / square)
+        return np.arctan2(double * (w * z + x * y), 1 - double * (y * y + z * z))
 
 
 def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:

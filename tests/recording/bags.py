@@ -1,0 +1,145 @@
+"""Recordings, and bags that were not written by airpuck."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from airpuck.recording.stream import COLUMNS, Recording, Stream
+
+SIX = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
+START_NS = 1_709_651_570_000_000_123
+
+HEADER = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+POSE_TYPE = "geometry_msgs/msg/PoseStamped"
+POSE_TEXT = (
+    "std_msgs/Header header\ngeometry_msgs/Pose pose"
+    + HEADER
+    + """================================================================================
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+)
+COMMAND_TYPE = "holohover_msgs/msg/HolohoverControlStamped"
+COMMAND_TEXT = "std_msgs/Header header\n" + "".join(f"float64 {name}\n" for name in SIX) + HEADER
+
+
+def stamped(stamp_ns: int, frame: str, numbers: Iterable[float]) -> bytes:
+    """A header and float64 fields in CDR, by hand."""
+    text = frame.encode() + b"\0"
+    body = struct.pack("<iII", *divmod(stamp_ns, 10**9), len(text)) + text
+    body += b"\0" * (-len(body) % 8)
+    numbers = list(numbers)
+    return b"\x00\x01\x00\x00" + body + struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+def pose_message(stamp_ns: int, x: float, y: float, yaw: float, frame: str = "") -> bytes:
+    return stamped(stamp_ns, frame, (x, y, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)))
+
+
+def stream(
+    n: int, rate: float, columns: tuple[str, ...], seed: int, latency: int = 3_000_000
+) -> Stream:
+    """Random numbers, so that every one has all its digits."""
+    rng = np.random.default_rng(seed)
+    stamp = START_NS + (np.arange(n) * (1e9 / rate)).astype(np.int64)
+    return Stream(
+        stamp_ns=stamp,
+        received_ns=stamp + latency + rng.integers(0, 500_000, n),
+        values=rng.uniform(0, 1, (n, len(columns))),
+        columns=columns,
+    )
+
+
+def flight() -> Recording:
+    """Ten seconds with every stream; numbers have all their digits."""
+    streams = {
+        "pose": stream(2400, 240, COLUMNS["pose"], 1),
+        "command": stream(1000, 100, SIX, 2),
+        "reference": stream(4, 0.5, COLUMNS["reference"], 3, latency=0),
+        "estimate": stream(2000, 200, COLUMNS["estimate"], 4),
+        "imu": stream(1000, 100, COLUMNS["imu"], 5),
+        "mouse": stream(1000, 100, COLUMNS["mouse"], 6),
+    }
+    reference = streams["reference"]
+    streams["reference"] = Stream(
+        reference.stamp_ns, reference.stamp_ns, reference.values, reference.columns
+    )
+    return Recording(streams, "made up")
+
+
+Topic = tuple[str, str, list[tuple[int, bytes]]]
+
+
+def write_mcap(
+    path: Path, topics: dict[str, Topic], *, encoding: str = "ros2msg", **options
+) -> Path:
+    """Write a file with the mcap package: topic -> (type, definition, [(time, message)])."""
+    from mcap.writer import CompressionType, Writer
+
+    options.setdefault("compression", CompressionType.ZSTD)
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start("ros2", "not airpuck")
+        events = []
+        for name, (msgtype, text, messages) in topics.items():
+            schema = writer.register_schema(msgtype, encoding, text.encode())
+            channel = writer.register_channel(name, "cdr", schema)
+            events += [(time, channel, message) for time, message in messages]
+        for time, channel, message in sorted(events, key=lambda event: event[0]):
+            writer.add_message(channel, time, message, time)
+        writer.finish()
+    return path
+
+
+def foreign_topics() -> dict[str, Topic]:
+    """Four seconds of poses and commands as another recorder would have them."""
+    rng = np.random.default_rng(7)
+    poses, commands = rng.uniform(-1, 1, (960, 3)), rng.uniform(0, 1, (400, 6))
+    return {
+        "/optitrack/drone/pose": (
+            POSE_TYPE,
+            POSE_TEXT,
+            [
+                (START_NS + i * 4_166_667 + 1_000_000, pose_message(START_NS + i * 4_166_667, *row))
+                for i, row in enumerate(poses.tolist())
+            ],
+        ),
+        "/drone/control": (
+            COMMAND_TYPE,
+            COMMAND_TEXT,
+            [
+                (START_NS + i * 10**7 + 500_000, stamped(START_NS + i * 10**7, "body", row))
+                for i, row in enumerate(commands.tolist())
+            ],
+        ),
+        "/rosout": (
+            "std_msgs/msg/String",
+            "string data",
+            [(START_NS + i * 10**8, b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00") for i in range(40)],
+        ),
+    }

@@ -1,0 +1,447 @@
+from __future__ import annotations
+
+import itertools
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from airpuck.errors import InputError
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import COLUMNS
+from airpuck.recording.topics import Topics
+
+from .bags import (
+    COMMAND_TEXT,
+    COMMAND_TYPE,
+    HEADER,
+    POSE_TEXT,
+    POSE_TYPE,
+    SIX,
+    START_NS,
+    foreign_topics,
+    pose_message,
+    stamped,
+    write_mcap,
+)
+
+
+@pytest.fixture
+def topics():
+    return foreign_topics()
+
+
+def assert_is_foreign(recording, topics):
+    poses = topics["/optitrack/drone/pose"][2]
+    assert recording["pose"].received_ns.tolist() == [received for received, _ in poses]
+    assert recording["pose"].stamp_ns.tolist() == [
+        START_NS + i * 4_166_667 for i in range(len(poses))
+    ]
+    numbers = np.array([np.frombuffer(message[-56:], "<f8") for _, message in poses])
+    assert np.array_equal(recording["pose"].values[:, :2], numbers[:, :2])
+    yaw = 2 * np.arctan2(numbers[:, 5], numbers[:, 6])
+    assert np.abs(recording["pose"].values[:, 2] - yaw).max() < 1e-15
+    commands = topics["/drone/control"][2]
+    assert recording["command"].columns == SIX
+    assert np.array_equal(
+        recording["command"].values,
+        [np.frombuffer(message[-48:], "<f8") for _, message in commands],
+    )
+    assert recording["command"].stamp_ns[3] == START_NS + 3 * 10**7
+
+
+def test_a_bare_mcap_of_another_writer(tmp_path: Path, topics):
+    path = write_mcap(tmp_path / "flight.mcap", topics)
+    recording = read_recording(path)
+    assert_is_foreign(recording, topics)
+    assert set(recording.streams) == {"pose", "command"}
+    assert recording.warnings == ()
+    assert recording.source == str(path)
+    assert set(recording.hashes) == {"flight.mcap"}
+
+
+@pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
+def test_every_compression(tmp_path: Path, topics, compression: str):
+    from mcap.writer import CompressionType
+
+    path = write_mcap(tmp_path / "a.mcap", topics, compression=CompressionType[compression])
+    assert_is_foreign(read_recording(path), topics)
+
+
+def test_without_chunks_or_summary(tmp_path: Path, topics):
+    path = write_mcap(
+        tmp_path / "a.mcap",
+        topics,
+        use_chunking=False,
+        use_statistics=False,
+        use_summary_offsets=False,
+        repeat_channels=False,
+        repeat_schemas=False,
+    )
+    recording = read_recording(path)
+    assert_is_foreign(recording, topics)
+    assert recording.warnings == ()
+
+
+def test_a_folder_without_metadata_and_with_split_files(tmp_path: Path, topics):
+    whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    # Twelve files, so that sorting by name would put 10 before 2.
+    edges = np.linspace(START_NS, START_NS + 5 * 10**9, 13)
+    for index, (first, last) in enumerate(itertools.pairwise(edges)):
+        part = {
+            name: (msgtype, text, [item for item in messages if first <= item[0] < last])
+            for name, (msgtype, text, messages) in topics.items()
+        }
+        write_mcap(folder / f"flight_{index}.mcap", part)
+    recording = read_recording(folder)
+    assert recording.streams == whole.streams
+    assert len(recording.hashes) == 12
+
+
+def rosbags_folder(path: Path, *, plugin=StoragePlugin.SQLITE3, version=8, compress=None) -> None:
+    """A folder by rosbags' own writer and serialiser."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(COMMAND_TEXT, COMMAND_TYPE))
+    t = store.types
+    writer = Writer(path, version=version, storage_plugin=plugin)
+    if compress is not None:
+        writer.set_compression(*compress)
+    with writer:
+        pose = writer.add_connection("/optitrack/drone/pose", POSE_TYPE, typestore=store)
+        command = writer.add_connection("/drone/control", COMMAND_TYPE, typestore=store)
+        for i in range(5):
+            header = t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](100 + i, 5), "w")
+            message = t[POSE_TYPE](
+                header,
+                t["geometry_msgs/msg/Pose"](
+                    t["geometry_msgs/msg/Point"](0.5 * i, -0.25, 0.0),
+                    t["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(0.15), np.cos(0.15)),
+                ),
+            )
+            writer.write(pose, 10**9 * (200 + i), store.serialize_cdr(message, POSE_TYPE))
+            message = t[COMMAND_TYPE](header, *(0.1 * np.arange(6)))
+            writer.write(command, 10**9 * (200 + i), store.serialize_cdr(message, COMMAND_TYPE))
+
+
+def assert_is_rosbags(recording):
+    assert recording["pose"].stamp_ns.tolist() == [10**9 * (100 + i) + 5 for i in range(5)]
+    assert recording["pose"].received_ns.tolist() == [10**9 * (200 + i) for i in range(5)]
+    assert recording["pose"].values[:, 0].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+    assert recording["pose"].values[:, 2] == pytest.approx(0.3, abs=1e-15)
+    assert np.array_equal(recording["command"].values, np.tile(0.1 * np.arange(6), (5, 1)))
+
+
+@pytest.mark.parametrize("version", [8, 9])
+def test_a_sqlite_folder(tmp_path: Path, version: int):
+    rosbags_folder(tmp_path / "bag", version=version)
+    recording = read_recording(tmp_path / "bag")
+    assert_is_rosbags(recording)
+    assert set(recording.hashes) == {"bag.db3", "metadata.yaml"}
+    assert_is_rosbags(read_recording(tmp_path / "bag" / "bag.db3"))
+
+
+def test_a_sqlite_file_without_definitions(tmp_path: Path):
+    import sqlite3
+
+    rosbags_folder(tmp_path / "bag")
+    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
+        database.execute("DELETE FROM message_definitions")
+    assert_is_rosbags(read_recording(tmp_path / "bag"))
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_compressed_sqlite_folders(tmp_path: Path, mode: str):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+    rosbags_folder(tmp_path / "bag", compress=(CompressionMode[mode], CompressionFormat.ZSTD))
+    assert_is_rosbags(read_recording(tmp_path / "bag"))
+
+
+def test_folders_can_be_moved_and_renamed(tmp_path: Path):
+    rosbags_folder(tmp_path / "bag", plugin=StoragePlugin.MCAP)
+    shutil.move(tmp_path / "bag", tmp_path / "elsewhere")
+    assert_is_rosbags(read_recording(tmp_path / "elsewhere"))
+
+
+def test_other_topics_by_name(tmp_path: Path, topics):
+    moved = {
+        {"/drone/control": "/craft/motors"}.get(name, name): topic for name, topic in topics.items()
+    }
+    path = write_mcap(tmp_path / "a.mcap", moved)
+    with pytest.raises(InputError) as caught:
+        read_recording(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.field == "/drone/control"
+    assert "/craft/motors" in str(caught.value)
+    assert_is_foreign(read_recording(path, topics=Topics(command="/craft/motors")), topics)
+
+
+def test_an_optional_topic_may_be_missing_unless_it_was_named(tmp_path: Path, topics):
+    path = write_mcap(tmp_path / "a.mcap", topics)
+    read_recording(path)
+    with pytest.raises(InputError, match="/drone/imu2: there is no such topic"):
+        read_recording(path, topics=Topics(imu="/drone/imu2"))
+
+
+@pytest.mark.parametrize("stream", ["pose", "command", "imu"])
+def test_a_wrong_type_names_file_topic_found_and_wanted(tmp_path: Path, topics, stream: str):
+    path = write_mcap(tmp_path / "a.mcap", topics)
+    with pytest.raises(InputError) as caught:
+        read_recording(path, topics=Topics(**{stream: "/rosout"}))
+    message = str(caught.value)
+    assert "\n" not in message
+    wanted = {"pose": POSE_TYPE, "command": "float64 for each motor", "imu": "IMUStamped"}[stream]
+    for part in (str(path), "/rosout", "std_msgs/msg/String", wanted):
+        assert part in message
+
+
+def test_a_command_must_be_numbers_only(tmp_path: Path, topics):
+    text = "std_msgs/Header header\nfloat64 motor_1\nint32 mode\n" + HEADER
+    topics["/drone/control"] = ("my_msgs/msg/Command", text, [])
+    with pytest.raises(InputError, match="my_msgs/msg/Command, but a command is"):
+        read_recording(write_mcap(tmp_path / "a.mcap", topics))
+
+
+def test_any_number_of_motors_named_by_the_embedded_definition(tmp_path: Path, topics):
+    text = "std_msgs/Header header\nfloat64 left\nfloat64 right\nfloat64 lift\n" + HEADER
+    messages = [(START_NS + i, stamped(START_NS + i, "b", (0.1, 0.2, 0.3))) for i in range(3)]
+    topics["/drone/control"] = ("my_msgs/msg/Command", text, messages)
+    command = read_recording(write_mcap(tmp_path / "a.mcap", topics))["command"]
+    assert command.columns == ("left", "right", "lift")
+    assert command.values.tolist() == [[0.1, 0.2, 0.3]] * 3
+
+
+def test_a_definition_in_idl(tmp_path: Path, topics):
+    line = "=" * 80
+    idl = f"""{line}
+IDL: my_msgs/msg/Command
+#include "std_msgs/msg/Header.idl"
+module my_msgs {{ module msg {{ struct Command {{
+  std_msgs::msg::Header header;
+  double left;
+  double right;
+}}; }}; }};
+{line}
+IDL: std_msgs/msg/Header
+#include "builtin_interfaces/msg/Time.idl"
+module std_msgs {{ module msg {{ struct Header {{
+  builtin_interfaces::msg::Time stamp;
+  string frame_id;
+}}; }}; }};
+{line}
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {{ module msg {{ struct Time {{
+  int32 sec;
+  uint32 nanosec;
+}}; }}; }};
+"""
+    messages = [(START_NS, stamped(START_NS, "b", (0.25, 0.5)))]
+    pose = {"/optitrack/drone/pose": topics["/optitrack/drone/pose"]}
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    write_mcap(folder / "a_0.mcap", pose)
+    write_mcap(
+        folder / "a_1.mcap",
+        {"/drone/control": ("my_msgs/msg/Command", idl, messages)},
+        encoding="ros2idl",
+    )
+    command = read_recording(folder)["command"]
+    assert command.columns == ("left", "right")
+    assert command.values.tolist() == [[0.25, 0.5]]
+
+
+@pytest.mark.parametrize("text", ["garbage {{{", "std_msgs/Header header\nfloat64 a", "\0\0"])
+def test_a_broken_definition_is_one_clear_line(tmp_path: Path, topics, text: str):
+    topics["/drone/control"] = ("my_msgs/msg/Command", text, [])
+    with pytest.raises(InputError) as caught:
+        read_recording(write_mcap(tmp_path / "a.mcap", topics))
+    assert caught.value.field == "/drone/control"
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "msgtype",
+    [
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "nav_msgs/msg/Odometry",
+        "geometry_msgs/msg/TransformStamped",
+    ],
+)
+def test_other_stamped_poses(tmp_path: Path, topics, msgtype: str):
+    from .test_cdr import serialise
+
+    position, turn = {"x": 0.5, "y": -0.5}, {"z": np.sin(-1.2), "w": np.cos(-1.2)}
+    fields = {
+        "geometry_msgs/msg/TransformStamped": {
+            "transform": {"translation": position, "rotation": turn}
+        }
+    }.get(msgtype, {"pose": {"pose": {"position": position, "orientation": turn}}})
+    header = {"stamp": {"sec": 9, "nanosec": 1}, "frame_id": "map"}
+    message = serialise(msgtype, {"header": header, **fields})
+    text, _ = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(msgtype, ros_version=2)
+    topics["/optitrack/drone/pose"] = (msgtype, text, [(START_NS, message)])
+    pose = read_recording(write_mcap(tmp_path / "a.mcap", topics))["pose"]
+    assert pose.stamp_ns.tolist() == [9 * 10**9 + 1]
+    assert pose.values[0] == pytest.approx([0.5, -0.5, -2.4], abs=1e-15)
+
+
+def test_a_tilted_craft_has_the_yaw_of_its_heading(tmp_path: Path, topics):
+    # Yaw 0.7, then pitch 0.2, then roll -0.1, multiplied out by hand as rotations.
+    def turn(axis: int, angle: float) -> np.ndarray:
+        c, s = np.cos(angle), np.sin(angle)
+        i, j = [(1, 2), (2, 0), (0, 1)][axis]
+        matrix = np.eye(3)
+        matrix[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
+        return matrix
+
+    m = turn(2, 0.7) @ turn(1, 0.2) @ turn(0, -0.1)
+    w = np.sqrt(1 + np.trace(m)) / 2
+    x, y, z = (m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]) / (4 * w)
+    message = stamped(START_NS, "", (0, 0, 0, x, y, z, w))
+    topics["/optitrack/drone/pose"] = (POSE_TYPE, POSE_TEXT, [(START_NS, message)])
+    pose = read_recording(write_mcap(tmp_path / "a.mcap", topics))["pose"]
+    assert pose.values[0, 2] == pytest.approx(0.7, abs=1e-15)
+
+
+def test_nothing_is_judged_sorted_or_left_out(tmp_path: Path, topics):
+    stamps = [5, 3, 3, 9]
+    numbers = [np.nan, np.inf, 1e300, -0.0]
+    messages = [
+        (START_NS + i, stamped(stamp, "", (x, 0, 0, 0, 0, 0, 1)))
+        for i, (stamp, x) in enumerate(zip(stamps, numbers, strict=True))
+    ]
+    topics["/optitrack/drone/pose"] = (POSE_TYPE, POSE_TEXT, messages)
+    pose = read_recording(write_mcap(tmp_path / "a.mcap", topics))["pose"]
+    assert pose.stamp_ns.tolist() == stamps
+    assert np.array_equal(pose.values[:, 0], numbers, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    "quaternion",
+    [
+        (0, 0, np.inf, -np.inf),
+        (0, 0, 0, 0),
+        (0, 0.1, 0, np.inf),
+        (np.inf, 0, 0, 0),
+        (0, 0, np.nan, 1),
+    ],
+)
+def test_what_is_no_rotation_has_no_yaw(tmp_path: Path, topics, quaternion):
+    messages = [(START_NS, stamped(0, "", (0, 0, 0, *quaternion)))]
+    topics["/optitrack/drone/pose"] = (POSE_TYPE, POSE_TEXT, messages)
+    pose = read_recording(write_mcap(tmp_path / "a.mcap", topics))["pose"]
+    assert np.isnan(pose.values[0, 2])
+
+
+def test_a_quaternion_that_is_not_unit_still_has_its_direction(tmp_path: Path, topics):
+    messages = [(START_NS, stamped(0, "", (0, 0, 0, 0, 0, 3 * np.sin(0.6), 3 * np.cos(0.6))))]
+    topics["/optitrack/drone/pose"] = (POSE_TYPE, POSE_TEXT, messages)
+    pose = read_recording(write_mcap(tmp_path / "a.mcap", topics))["pose"]
+    assert pose.values[0, 2] == pytest.approx(1.2, abs=1e-15)
+
+
+def test_a_topic_without_messages_is_an_empty_stream(tmp_path: Path, topics):
+    topics["/drone/control"] = (COMMAND_TYPE, COMMAND_TEXT, [])
+    recording = read_recording(write_mcap(tmp_path / "a.mcap", topics))
+    assert recording.streams["command"].columns == SIX
+    with pytest.raises(InputError, match="the command stream is empty"):
+        recording["command"]
+
+
+def test_a_message_that_does_not_fit_its_type(tmp_path: Path, topics):
+    messages = topics["/drone/control"][2]
+    messages[7] = (messages[7][0], b"\x00\x01\x00\x00\x01\x00")
+    path = write_mcap(tmp_path / "a.mcap", topics)
+    with pytest.raises(InputError, match="message 8 cannot be decoded") as caught:
+        read_recording(path)
+    assert caught.value.field == "/drone/control"
+
+
+def test_references_without_a_header_take_the_recorders_time(tmp_path: Path, topics):
+    text = "float64 x\nfloat64 y\nfloat64 v_x\nfloat64 v_y\nfloat64 yaw\nfloat64 w_z"
+    message = b"\x00\x01\x00\x00" + np.arange(6.0).tobytes()
+    topics["/control/state_ref"] = ("holohover_msgs/msg/HolohoverState", text, [(77, message)])
+    reference = read_recording(write_mcap(tmp_path / "a.mcap", topics))["reference"]
+    assert reference.columns == COLUMNS["reference"]
+    assert reference.values.tolist() == [[0, 1, 4, 2, 3, 5]]
+    assert reference.stamp_ns.tolist() == reference.received_ns.tolist() == [77]
+
+
+def test_two_streams_of_one_topic_are_refused():
+    with pytest.raises(ValueError, match="named for two streams"):
+        Topics(pose="/a", command="/a")
+
+
+def test_metadata_that_promises_more_than_there_is(tmp_path: Path):
+    rosbags_folder(tmp_path / "bag", plugin=StoragePlugin.MCAP)
+    file = tmp_path / "bag" / "metadata.yaml"
+    file.write_text(file.read_text().replace("message_count: 10\n", "message_count: 12\n"))
+    (warning,) = read_recording(tmp_path / "bag").warnings
+    assert "2 messages are missing" in warning
+
+
+@pytest.mark.parametrize("text", ["", "{", "a: b", "- 1", "rosbag2_bagfile_information: 7", "\0"])
+def test_damaged_metadata_does_not_keep_a_whole_file_from_being_read(tmp_path: Path, text: str):
+    rosbags_folder(tmp_path / "bag", plugin=StoragePlugin.MCAP)
+    (tmp_path / "bag" / "metadata.yaml").write_text(text)
+    assert_is_rosbags(read_recording(tmp_path / "bag"))
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.mcap.zstd"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\0" * 100, b"\x89MCAP0\r\n", b"SQLite format 3\0" + b"\1" * 200, b"text\n"]
+)
+def test_junk_under_a_bags_name(tmp_path: Path, name: str, content: bytes):
+    (tmp_path / name).write_bytes(content)
+    for path in (tmp_path / name, tmp_path):
+        with pytest.raises(InputError) as caught:
+            read_recording(path)
+        assert name in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_minute_of_flight_among_other_topics_reads_in_time(tmp_path: Path):
+    filler = b"\x00\x01\x00\x00\xc4\x00\x00\x00" + b"x" * 195 + b"\0"
+    topics = {
+        "/optitrack/drone/pose": (
+            POSE_TYPE,
+            POSE_TEXT,
+            [
+                (START_NS + i * 4_166_667, pose_message(START_NS + i * 4_166_667, i, i, 0.3))
+                for i in range(15000)
+            ],
+        ),
+        "/drone/control": (
+            COMMAND_TYPE,
+            COMMAND_TEXT,
+            [(START_NS + i * 10**7, stamped(START_NS + i, "body", [0.5] * 6)) for i in range(6000)],
+        ),
+        "/rosout": (
+            "std_msgs/msg/String",
+            "string data",
+            [(START_NS + i * 1_500_000, filler) for i in range(40000)],
+        ),
+    }
+    path = write_mcap(tmp_path / "a.mcap", topics)
+    code = (
+        "import sys; from airpuck.recording import read_recording;"
+        "print(len(read_recording(sys.argv[1])['pose']))"
+    )
+    walls = []
+    # The best of three, because other tests may run beside this one.
+    for _ in range(3):
+        start = time.perf_counter()
+        out = subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
+        )
+        walls.append(time.perf_counter() - start)
+    assert out.stdout.strip() == "15000"
+    assert min(walls) < 1.5

@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from airpuck.recording.cdr import Field, decode, encode, flatten
+
+from .bags import pose_message, stamped
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+POSE = "geometry_msgs/msg/PoseStamped"
+
+
+def serialise(msgtype: str, fields: dict, *, little_endian: bool = True) -> bytes:
+    """Serialise through rosbags; nested messages as dictionaries, all else zero."""
+
+    def build(name: str, given: dict):
+        values = []
+        for field, (node, description) in STORE.fielddefs[name][1]:
+            if node == 2:
+                values.append(build(description, given.get(field, {})))
+            elif node == 3:
+                values.append(np.zeros(description[1]))
+            else:
+                values.append(given.get(field, "" if description[0] == "string" else 0))
+        return STORE.types[name](*values)
+
+    return bytes(STORE.serialize_cdr(build(msgtype, fields), msgtype, little_endian=little_endian))
+
+
+def odometry(frame: str, child: str, x: float, sec: int = 5) -> bytes:
+    header = {"stamp": {"sec": sec, "nanosec": 7}, "frame_id": frame}
+    pose = {"pose": {"position": {"x": x}}}
+    return serialise(
+        "nav_msgs/msg/Odometry", {"header": header, "child_frame_id": child, "pose": pose}
+    )
+
+
+def test_leaves_come_in_the_order_of_the_wire():
+    leaves = flatten(STORE.fielddefs, POSE)
+    assert [leaf.path for leaf in leaves[:4]] == [
+        "header.stamp.sec",
+        "header.stamp.nanosec",
+        "header.frame_id",
+        "pose.position.x",
+    ]
+    covariance = flatten(STORE.fielddefs, "nav_msgs/msg/Odometry")[-1]
+    assert covariance == Field("twist.covariance", "float64", 36)
+
+
+def test_a_missing_or_recursive_definition_is_a_value_error():
+    with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
+        flatten(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
+    with pytest.raises(ValueError, match="nested too deeply"):
+        flatten(get_types_from_msg("a/A again", "a/msg/A"), "a/msg/A")
+
+
+@given(frame=st.text(max_size=12), count=st.integers(1, 5))
+def test_poses_of_any_frame_are_read_as_rosbags_reads_them(frame: str, count: int):
+    messages = [pose_message(10**9 * i + 17, 0.1 * i, -3.0, 0.5, frame) for i in range(count)]
+    paths = ["header.stamp.sec", "header.stamp.nanosec", "pose.position.x", "pose.orientation.w"]
+    read = decode(messages, STORE.fielddefs, POSE, paths)
+    by_rosbags = [STORE.deserialize_cdr(message, POSE) for message in messages]
+    assert read["header.stamp.sec"].tolist() == [m.header.stamp.sec for m in by_rosbags]
+    assert read["header.stamp.nanosec"].tolist() == [17] * count
+    assert read["pose.position.x"].tolist() == [m.pose.position.x for m in by_rosbags]
+    assert read["pose.orientation.w"].tolist() == [m.pose.orientation.w for m in by_rosbags]
+
+
+@pytest.mark.parametrize(
+    ("frames", "children"),
+    [
+        (["map", "map"], ["base", "base"]),
+        # Equal sizes, but a shift between the strings; and different sizes.
+        (["ab", "abc"], ["abc", "ab"]),
+        (["a", "abcdefghijkl"], ["", "x"]),
+    ],
+)
+def test_layouts_that_change_from_message_to_message(frames: list[str], children: list[str]):
+    messages = [
+        odometry(frame, child, x)
+        for frame, child, x in zip(frames, children, (1.5, 2.5), strict=True)
+    ]
+    paths = ["header.stamp.sec", "pose.pose.position.x"]
+    read = decode(messages, STORE.fielddefs, "nav_msgs/msg/Odometry", paths)
+    assert read["pose.pose.position.x"].tolist() == [1.5, 2.5]
+    assert read["header.stamp.sec"].tolist() == [5, 5]
+    assert read["header.stamp.sec"].dtype == np.int32
+
+
+def test_big_endian_messages_are_read():
+    fields = {"header": {"stamp": {"sec": 3}}, "pose": {"position": {"y": 0.25}}}
+    messages = [serialise(POSE, fields, little_endian=False)] * 2
+    read = decode(messages, STORE.fielddefs, POSE, ["header.stamp.sec", "pose.position.y"])
+    assert read["header.stamp.sec"].tolist() == [3, 3]
+    assert read["pose.position.y"].tolist() == [0.25, 0.25]
+
+
+def test_sequences_before_the_wanted_field_are_read():
+    types = get_types_from_msg("float64[] many\nfloat64 x", "a/msg/A")
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
+    messages = [
+        bytes(store.serialize_cdr(store.types["a/msg/A"](np.ones(n), x), "a/msg/A"))
+        for n, x in ((3, 0.5), (1, 0.75))
+    ]
+    assert decode(messages, types, "a/msg/A", ["x"])["x"].tolist() == [0.5, 0.75]
+
+
+@pytest.mark.parametrize("cut", [0, 2, 4, 9, 15, 20, 40, 70])
+def test_a_message_cut_short_is_a_value_error(cut: int):
+    message = pose_message(1, 0, 0, 0, "world")
+    for messages in ([message[:cut]], [message, message[:cut]], [message[:cut], message[:cut]]):
+        with pytest.raises(ValueError, match="cannot be decoded"):
+            decode(messages, STORE.fielddefs, POSE, ["pose.position.x"])
+
+
+def test_a_message_with_more_than_its_type_is_a_value_error():
+    message = stamped(1, "", [1, 2, 3, 0, 0, 0, 1, 99])
+    with pytest.raises(ValueError, match="message 1 cannot be decoded"):
+        decode([message], STORE.fielddefs, POSE, ["pose.position.x"])
+
+
+def test_no_messages_are_empty_columns():
+    read = decode([], STORE.fielddefs, POSE, ["header.stamp.sec", "pose.position.x"])
+    assert [len(column) for column in read.values()] == [0, 0]
+
+
+@given(frame=st.text(alphabet="abcäö", max_size=9))
+def test_what_is_encoded_is_what_rosbags_serialises(frame: str):
+    x = np.array([0.1, -0.2])
+    values = {"header.stamp.sec": np.array([1, 2]), "pose.position.x": x}
+    messages = encode(STORE.fielddefs, POSE, values, {"header.frame_id": frame})
+    expected = [
+        serialise(
+            POSE,
+            {
+                "header": {"stamp": {"sec": i + 1}, "frame_id": frame},
+                "pose": {"position": {"x": x[i]}},
+            },
+        )
+        for i in range(2)
+    ]
+    assert messages == expected

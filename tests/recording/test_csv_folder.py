@@ -1,0 +1,310 @@
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.errors import InputError
+from airpuck.recording.csv_folder import write_csv
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.topics import Topics
+
+from .bags import SIX, flight
+
+POSE = "optitrack_drone_pose.csv"
+COMMAND = "drone_control.csv"
+POSE_LINES = [
+    "log_time_ns,header.stamp.sec,header.stamp.nanosec,"
+    "pose.orientation.yaw,pose.position.x,pose.position.y",
+    "1709651570790106321,1709651570,788520097,-0.4870394931199614,-0.0370602607,0.0019214153",
+    "1709651570793755081,1709651570,792686700,-0.48612218209846003,-0.0371639728,0.0018630027",
+]
+COMMAND_LINES = [
+    "log_time_ns,header.stamp.nanosec,header.stamp.sec,motor_1,motor_2",
+    "1709651571230207968,230122873,1709651571,0.1311,0.03",
+    "1709651571240210144,240126811,1709651571,0.1413,1",
+    "1709651571250210144,250126811,1709651571,nan,-inf",
+]
+
+
+def folder(path: Path, pose=POSE_LINES, command=COMMAND_LINES, end: str = "\n") -> Path:
+    (path / POSE).write_text("\n".join(pose) + end)
+    (path / COMMAND).write_text("\n".join(command) + end)
+    return path
+
+
+def test_columns_by_name_and_times_to_the_nanosecond(tmp_path: Path):
+    recording = read_recording(folder(tmp_path))
+    pose, command = recording["pose"], recording["command"]
+    # These differ in digits that a float64 of seconds or nanoseconds does not hold.
+    assert pose.stamp_ns.tolist() == [1709651570788520097, 1709651570792686700]
+    assert pose.received_ns.tolist() == [1709651570790106321, 1709651570793755081]
+    assert pose.values[0].tolist() == [-0.0370602607, 0.0019214153, -0.4870394931199614]
+    assert command.columns == ("motor_1", "motor_2")
+    assert command.values[:2].tolist() == [[0.1311, 0.03], [0.1413, 1]]
+    assert np.isnan(command.values[2, 0])
+    assert command.values[2, 1] == -np.inf
+    assert set(recording.hashes) == {POSE, COMMAND}
+    assert recording.warnings == ()
+
+
+def test_any_order_of_columns_and_extra_ones(tmp_path: Path):
+    rows = [line.split(",") for line in POSE_LINES]
+    shuffled = [",".join(["text" if i else "note", *row[::-1]]) for i, row in enumerate(rows)]
+    expected = read_recording(folder(tmp_path))
+    assert read_recording(folder(tmp_path, pose=shuffled))["pose"] == expected["pose"]
+
+
+@pytest.mark.parametrize("end", ["", "\n\n", "\r\n"])
+def test_other_ends_of_file(tmp_path: Path, end: str):
+    expected = read_recording(folder(tmp_path)).streams
+    assert read_recording(folder(tmp_path, end=end)).streams == expected
+
+
+def test_a_byte_order_mark_and_windows_lines(tmp_path: Path):
+    expected = read_recording(folder(tmp_path)).streams
+    for name in (POSE, COMMAND):
+        text = (tmp_path / name).read_text().replace("\n", "\r\n")
+        (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert read_recording(tmp_path).streams == expected
+
+
+def test_columns_that_are_not_called_motor(tmp_path: Path):
+    lines = [COMMAND_LINES[0].replace("motor_1", "left").replace("motor_2", "lift.fan")]
+    command = read_recording(folder(tmp_path, command=lines + COMMAND_LINES[1:]))["command"]
+    assert command.columns == ("left", "lift.fan")
+
+
+def test_motor_columns_leave_others_out(tmp_path: Path):
+    lines = [
+        f"{line},{extra}"
+        for line, extra in zip(COMMAND_LINES, ("mode", "auto", "auto", "off"), strict=True)
+    ]
+    command = read_recording(folder(tmp_path, command=lines))["command"]
+    assert command.columns == ("motor_1", "motor_2")
+
+
+def test_references_without_stamps(tmp_path: Path):
+    lines = ["log_time_ns,v_x,v_y,w_z,x,y,yaw", "1700589581517869741,0.1,0.2,0.3,1.0,0.5,1.5"]
+    (folder(tmp_path) / "control_state_ref.csv").write_text("\n".join(lines))
+    reference = read_recording(tmp_path)["reference"]
+    assert reference.values.tolist() == [[1.0, 0.5, 1.5, 0.1, 0.2, 0.3]]
+    assert reference.stamp_ns.tolist() == reference.received_ns.tolist() == [1700589581517869741]
+
+
+def test_a_quaternion_where_there_is_no_yaw(tmp_path: Path):
+    header = POSE_LINES[0].replace("pose.orientation.yaw", "pose.orientation.w")
+    pose = [
+        f"{header},pose.orientation.x,pose.orientation.y,pose.orientation.z",
+        f"1,2,3,{np.cos(1.1)!r},0.25,0.75,0,0,{np.sin(1.1)!r}".replace("np.float64", ""),
+    ]
+    pose[1] = pose[1].replace("(", "").replace(")", "")
+    values = read_recording(folder(tmp_path, pose=pose))["pose"].values
+    assert values[0] == pytest.approx([0.25, 0.75, 2.2], abs=1e-15)
+
+
+def test_files_named_after_other_topics(tmp_path: Path):
+    folder(tmp_path)
+    expected = read_recording(tmp_path).streams
+    (tmp_path / POSE).rename(tmp_path / "mocap_puck.csv")
+    with pytest.raises(InputError, match="has no pose file"):
+        read_recording(tmp_path)
+    assert read_recording(tmp_path, topics=Topics(pose="/mocap/puck")).streams == expected
+    (tmp_path / "mocap_puck.csv").rename(tmp_path / "my_pose_2.csv")
+    assert read_recording(tmp_path).streams == expected
+
+
+def test_several_files_that_may_be_the_pose(tmp_path: Path):
+    folder(tmp_path)
+    for name in ("pose_a.csv", "pose_b.csv"):
+        (tmp_path / name).write_bytes((tmp_path / POSE).read_bytes())
+    read_recording(tmp_path)
+    (tmp_path / POSE).unlink()
+    with pytest.raises(InputError, match=r"pose_a\.csv, pose_b\.csv"):
+        read_recording(tmp_path)
+
+
+def test_out_of_order_and_duplicated_rows_stay_as_they_are(tmp_path: Path):
+    pose = [POSE_LINES[0], POSE_LINES[2], POSE_LINES[1], POSE_LINES[1]]
+    stamps = read_recording(folder(tmp_path, pose=pose))["pose"].stamp_ns.tolist()
+    assert stamps == [1709651570792686700, 1709651570788520097, 1709651570788520097]
+
+
+def test_a_header_alone_is_an_empty_stream(tmp_path: Path):
+    recording = read_recording(folder(tmp_path, pose=POSE_LINES[:1]))
+    with pytest.raises(InputError, match="the pose stream is empty"):
+        recording["pose"]
+
+
+def test_half_a_line_at_the_end_is_left_out_with_a_warning(tmp_path: Path):
+    pose = [*POSE_LINES, POSE_LINES[1][:40]]
+    recording = read_recording(folder(tmp_path, pose=pose, end=""))
+    assert len(recording["pose"]) == 2
+    (warning,) = recording.warnings
+    assert POSE in warning
+    assert "(4)" in warning
+
+
+def change(line: int, column: str, text: str) -> list[str]:
+    rows = [row.split(",") for row in POSE_LINES]
+    rows[line][rows[0].index(column)] = text
+    return [",".join(row) for row in rows]
+
+
+X, SEC, LOG = "pose.position.x", "header.stamp.sec", "log_time_ns"
+
+
+@pytest.mark.parametrize(
+    ("pose", "field", "says"),
+    [
+        (change(0, X, "x"), X, "there is no such column"),
+        (change(0, "header.stamp.nanosec", "ns"), "header.stamp.nanosec", "no such column"),
+        (change(2, X, "fast"), X, "line 3: 'fast' is not a number"),
+        (change(1, X, ""), X, "line 2: '' is not a number"),
+        (change(2, SEC, "1709651570.0"), SEC, "line 3: '1709651570.0' is not a whole number"),
+        (change(2, SEC, "nan"), SEC, "line 3: 'nan' is not a whole number"),
+        (change(2, LOG, "1.7e18"), LOG, "is not a whole number"),
+        (change(2, LOG, "9" * 30), LOG, "beyond 64 bits"),
+        (change(2, SEC, "1709651570788520097"), SEC, "are they nanoseconds?"),
+        (change(0, X, SEC), SEC, "two columns of this name"),
+        ([*POSE_LINES[:2], POSE_LINES[2] + ",1"], None, "line 3 has 7 fields, the header has 6"),
+        ([*POSE_LINES[:2], "1,2,3", POSE_LINES[2]], None, "line 3 has 3 fields"),
+        ([""], None, "is empty"),
+        (["", "", ""], None, "is empty"),
+        ([line.replace(",", ";") for line in POSE_LINES], "header.stamp.sec", "no such column"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_column_and_line(
+    tmp_path: Path, pose: list[str], field: str | None, says: str
+):
+    with pytest.raises(InputError) as caught:
+        read_recording(folder(tmp_path, pose=pose))
+    assert caught.value.file == str(tmp_path / POSE)
+    assert caught.value.field == field
+    assert says in caught.value.problem
+    assert "\n" not in str(caught.value)
+
+
+def test_a_command_without_motors(tmp_path: Path):
+    command = [",".join(line.split(",")[:3]) for line in COMMAND_LINES]
+    with pytest.raises(InputError, match="has no column of a motor"):
+        read_recording(folder(tmp_path, command=command))
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\x89MCAP0\r\n" + bytes(range(256)), b""])
+def test_what_is_no_text(tmp_path: Path, content: bytes):
+    (folder(tmp_path) / POSE).write_bytes(content)
+    with pytest.raises(InputError, match=r"is not a text file|is empty"):
+        read_recording(tmp_path)
+
+
+def test_a_folder_where_a_file_should_be(tmp_path: Path):
+    (folder(tmp_path) / POSE).unlink()
+    (tmp_path / POSE).mkdir()
+    with pytest.raises(InputError, match="has no pose file"):
+        read_recording(tmp_path)
+
+
+@settings(max_examples=200, deadline=None)
+@given(cut=st.integers(0, len("\n".join(POSE_LINES))), junk=st.binary(max_size=6))
+def test_cut_anywhere(cut: int, junk: bytes):
+    with tempfile.TemporaryDirectory() as name:
+        path = folder(Path(name))
+        (path / POSE).write_bytes("\n".join(POSE_LINES).encode()[:cut] + junk)
+        try:
+            recording = read_recording(path)
+        except InputError as error:
+            assert "\n" not in str(error)
+        else:
+            assert len(recording.streams["pose"]) <= 2 + junk.count(b"\n") + junk.count(b"\r")
+
+
+def test_what_is_written_is_read_back_bit_equal(tmp_path: Path):
+    made = flight()
+    write_csv(made, tmp_path / "csv")
+    recording = read_recording(tmp_path / "csv")
+    assert recording.streams == made.streams
+    assert (tmp_path / "csv" / POSE).is_file()
+    assert (tmp_path / "csv" / "control_state_ref.csv").is_file()
+
+
+def test_references_with_stamps_of_their_own_keep_them(tmp_path: Path):
+    made = flight()
+    given = made["reference"]
+    moved = Stream(given.stamp_ns - 5, given.received_ns, given.values, given.columns)
+    made = Recording({**made.streams, "reference": moved}, "made up")
+    write_csv(made, tmp_path / "csv")
+    assert read_recording(tmp_path / "csv").streams == made.streams
+
+
+def test_numbers_that_are_not_finite_are_written_too(tmp_path: Path):
+    made = flight()
+    values = made["command"].values.copy()
+    values[3] = [np.nan, np.inf, -np.inf, -0.0, 5e-324, 1e308]
+    command = Stream(made["command"].stamp_ns, made["command"].received_ns, values, SIX)
+    made = Recording({"pose": made["pose"], "command": command}, "made up")
+    write_csv(made, tmp_path / "csv")
+    assert read_recording(tmp_path / "csv").streams == made.streams
+
+
+def test_an_existing_folder_is_never_written_to(tmp_path: Path):
+    with pytest.raises(InputError, match="exists already"):
+        write_csv(flight(), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_authors_files(experiments: Path):
+    path = experiments / "2024_03_05-16_12_50_sysid_h1_blue"
+    start = time.perf_counter()
+    recording = read_recording(path)
+    # Both files; checked signatures included.
+    assert time.perf_counter() - start < 0.5
+    pose, command = recording["pose"], recording["command"]
+    assert recording.source == str(path / path.name)
+    assert len(pose) == 14623
+    assert len(command) == 6066
+    assert command.columns == SIX
+    assert pose.stamp_ns[0] == 1709651570788520097
+    assert pose.received_ns[0] == 1709651570790106321
+    assert pose.values[0].tolist() == [
+        -0.03706026077270508,
+        0.0019214153289794922,
+        -0.4870394931199614,
+    ]
+    assert command.values[1].tolist() == [
+        0.141373410820961,
+        0.03,
+        0.03,
+        0.19099931418895721,
+        0.17826981842517853,
+        0.03,
+    ]
+    # An independent reader for every number.
+    table = np.genfromtxt(
+        path / path.name / POSE, delimiter=",", skip_header=1, usecols=(11, 12, 6)
+    )
+    assert np.array_equal(pose.values, table)
+
+
+def test_the_authors_closed_loop_flights(data: Path):
+    recording = read_recording(data / "control_experiment" / "data_M4")
+    reference = recording["reference"]
+    assert reference.values[:, :3].tolist() == [
+        [0, 0, 0],
+        [1.0, 0.3, 1.5],
+        [0.5, -0.3, -1.0],
+        [0, 0, 0],
+    ]
+    assert np.diff(reference.received_ns[1:]) / 1e9 == pytest.approx([2, 2], abs=0.01)
+
+
+def test_the_authors_files_again_through_ours(tmp_path: Path, experiments: Path):
+    recording = read_recording(experiments / "2024_03_05-16_12_50_sysid_h1_blue")
+    write_csv(recording, tmp_path / "csv")
+    assert read_recording(tmp_path / "csv").streams == recording.streams

@@ -1,0 +1,244 @@
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.errors import InputError
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.write_bag import write_bag
+
+from .bags import START_NS, flight, foreign_topics, write_mcap
+
+
+def is_prefix(part: Stream, whole: Stream) -> bool:
+    n = len(part)
+    return (
+        part.columns == whole.columns
+        and np.array_equal(part.received_ns, whole.received_ns[:n])
+        and np.array_equal(part.stamp_ns, whole.stamp_ns[:n])
+        and np.array_equal(part.values, whole.values[:n])
+    )
+
+
+def chunks_of(path: Path) -> list:
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of many chunks by another writer."""
+    folder = tmp_path_factory.mktemp("whole")
+    return write_mcap(folder / "flight.mcap", foreign_topics(), chunk_size=10_000)
+
+
+@pytest.fixture(scope="module")
+def complete(whole: Path) -> Recording:
+    return read_recording(whole)
+
+
+def test_every_whole_chunk_before_the_cut_is_there(tmp_path: Path, whole: Path, complete):
+    chunks = chunks_of(whole)
+    assert len(chunks) > 8
+    content = whole.read_bytes()
+    for count, chunk in enumerate(chunks[:-1], start=1):
+        after = chunks[count]
+        expected = sum(
+            chunk.message_end_time >= time for time in complete["pose"].received_ns.tolist()
+        )
+        # Cut at the chunk's very end, and in the middle of the next one.
+        ends = chunk.chunk_start_offset + chunk.chunk_length
+        for cut in (ends, after.chunk_start_offset + after.chunk_length // 2):
+            path = tmp_path / "cut.mcap"
+            path.write_bytes(content[:cut])
+            recording = read_recording(path)
+            assert len(recording["pose"]) == expected
+            assert is_prefix(recording["pose"], complete["pose"])
+            assert is_prefix(recording["command"], complete["command"])
+            (warning,) = recording.warnings
+            assert f"cut.mcap is damaged: it is cut short after {cut} bytes" in warning
+
+
+def test_the_warning_gives_the_last_readable_time(tmp_path: Path, whole: Path):
+    chunks = chunks_of(whole)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[: chunks[3].chunk_start_offset + 5])
+    (warning,) = read_recording(path).warnings
+    last = max(chunk.message_end_time for chunk in chunks[:3])
+    first = min(chunk.message_start_time for chunk in chunks)
+    match = re.search(r"read up to (\d+\.\d{3}) s .*\((\S+Z)\)", warning)
+    assert match is not None
+    assert float(match[1]) == pytest.approx((last - first) / 1e9, abs=5e-4)
+    assert np.datetime64(match[2][:-1], "ms").astype(int) == last // 10**6
+    assert "missing" not in warning
+
+
+def test_metadata_tells_what_is_missing(tmp_path: Path):
+    made = flight()
+    write_bag(made, tmp_path / "bag")
+    file = tmp_path / "bag" / "bag.mcap"
+    whole = read_recording(tmp_path / "bag")
+    n_messages = sum(map(len, whole.streams.values()))
+    # One flight fits into one of rosbags' chunks; the same messages in smaller ones.
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    content = file.read_bytes()
+    with (tmp_path / "bag.mcap").open("wb") as output, file.open("rb") as source:
+        writer = Writer(output, chunk_size=20_000)
+        writer.start("ros2", "not airpuck")
+        ids: dict[str, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            assert schema is not None
+            if channel.topic not in ids:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id, channel.metadata
+                )
+            writer.add_message(
+                ids[channel.topic], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()
+    content = (tmp_path / "bag.mcap").read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    cut = read_recording(tmp_path / "bag")
+    read = sum(map(len, cut.streams.values()))
+    assert 0 < read < n_messages
+    assert all(is_prefix(cut.streams[name], whole.streams[name]) for name in cut.streams)
+    last = max(stream.received_ns.max() for stream in cut.streams.values())
+    end = max(stream.received_ns.max() for stream in whole.streams.values())
+    (warning,) = cut.warnings
+    assert f"{n_messages - read} messages are missing" in warning
+    match = re.search(r"the last (\d+\.\d{3}) s and", warning)
+    assert match is not None
+    assert float(match[1]) == pytest.approx((end - last) / 1e9, abs=1e-3)
+    # And without it.
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    without = read_recording(tmp_path / "bag")
+    assert without.streams == cut.streams
+    assert "missing" not in without.warnings[0]
+
+
+def test_a_damaged_chunk_inside_costs_only_itself(tmp_path: Path, whole: Path, complete):
+    chunks = chunks_of(whole)
+    content = bytearray(whole.read_bytes())
+    lost = chunks[4]
+    middle = lost.chunk_start_offset + lost.chunk_length // 2
+    content[middle : middle + 50] = bytes(50)
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content)
+    recording = read_recording(path)
+    received = complete["pose"].received_ns
+    kept = (received < lost.message_start_time) | (received > lost.message_end_time)
+    assert 0 < kept.sum() < len(received)
+    assert np.array_equal(recording["pose"].received_ns, received[kept])
+    assert np.array_equal(recording["pose"].values, complete["pose"].values[kept])
+    assert "1 damaged chunk within" in recording.warnings[0]
+    assert "cut short" not in recording.warnings[0]
+
+
+def test_a_wrong_checksum_is_noticed(tmp_path: Path):
+    from mcap.writer import CompressionType
+
+    path = write_mcap(
+        tmp_path / "a.mcap",
+        foreign_topics(),
+        chunk_size=10_000,
+        compression=CompressionType.NONE,
+    )
+    whole = read_recording(path)
+    content = bytearray(path.read_bytes())
+    lost = chunks_of(path)[2]
+    # A bit of one number: only the checksum can tell.
+    content[lost.chunk_start_offset + lost.chunk_length - 3] ^= 1
+    path.write_bytes(content)
+    recording = read_recording(path)
+    assert recording.warnings
+    assert len(recording["pose"]) + len(recording["command"]) < len(whole["pose"]) + len(
+        whole["command"]
+    )
+
+
+def test_messages_without_chunks_are_salvaged_one_by_one(tmp_path: Path):
+    path = write_mcap(tmp_path / "a.mcap", foreign_topics(), use_chunking=False)
+    whole = read_recording(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 3])
+    recording = read_recording(path)
+    assert 100 < len(recording["pose"]) < len(whole["pose"])
+    assert is_prefix(recording["pose"], whole["pose"])
+    assert recording.warnings
+
+
+def test_only_the_last_file_of_a_split_bag_is_cut(tmp_path: Path):
+    topics = foreign_topics()
+    half = START_NS + 2 * 10**9
+    for index, keep in enumerate((lambda time: time < half, lambda time: time >= half)):
+        part = {
+            name: (msgtype, text, [item for item in messages if keep(item[0])])
+            for name, (msgtype, text, messages) in topics.items()
+        }
+        write_mcap(tmp_path / f"part_{index}.mcap", part, chunk_size=10_000)
+    whole = read_recording(tmp_path)
+    last = tmp_path / "part_1.mcap"
+    last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
+    recording = read_recording(tmp_path)
+    assert is_prefix(recording["pose"], whole["pose"])
+    assert recording["pose"].received_ns[-1] > half
+    (warning,) = recording.warnings
+    assert warning.startswith("part_1.mcap is damaged")
+
+
+def read_damaged(content: bytes) -> Recording | None:
+    """Read a damaged file; None where it says in one line that it cannot."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "damaged.mcap"
+        path.write_bytes(content)
+        try:
+            return read_recording(path)
+        except InputError as error:
+            assert "\n" not in str(error)
+            assert "damaged.mcap" in str(error)
+            return None
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_cut_anywhere(whole: Path, complete: Recording, data: st.DataObject):
+    content = whole.read_bytes()
+    cut = data.draw(st.integers(0, len(content) - 1))
+    recording = read_damaged(content[:cut])
+    first = chunks_of(whole)[0]
+    if cut >= first.chunk_start_offset + first.chunk_length:
+        assert recording is not None
+        assert is_prefix(recording["pose"], complete["pose"])
+        assert recording.warnings
+    else:
+        assert recording is None
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_bytes_changed_anywhere(whole: Path, data: st.DataObject):
+    content = bytearray(whole.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] = data.draw(st.integers(0, 255))
+    read_damaged(bytes(content))
+
+
+@settings(max_examples=100, deadline=None)
+@given(junk=st.binary(max_size=400))
+def test_junk_after_the_magic(junk: bytes):
+    assert read_damaged(b"\x89MCAP0\r\n" + junk) is None
