@@ -13,32 +13,45 @@ RATE = 240.0
 EPOCH = 1_700_000_000
 
 
-def random_commands(model: Model, duration: float, seed: int, hold: int = 20):
-    """Random commands at 100 Hz, each held `hold` periods; one motor of each pair at a time."""
+#: Each random signal is held this long: a whole number of samples at 240 Hz and at 100 Hz [s].
+HOLD = 0.1
+
+
+def fly(model: Model, duration: float = 6.0, seed: int = 0) -> Trajectory:
+    """Integrate the model from rest under random signals; exact states, no smoothing.
+
+    One motor of each pair at a time gets a random signal. Of six random ones the one that brings
+    the craft nearest to rest in the middle is flown: a poor controller, but one that keeps speeds
+    realistic.
+    """
     rng = np.random.default_rng(seed)
-    n = model.vehicle.n_propellers
-    time = np.arange(round(duration * 100)) / 100
-    held = rng.uniform(-1, 1, (len(time) // hold + 1, (n + 1) // 2)).repeat(hold, axis=0)
-    signal = np.stack([held, -held], axis=2).reshape(len(held), -1)[: len(time), :n]
-    return time, np.clip(signal, 0.03, 1)
-
-
-def fly(model: Model, duration: float = 6.0, seed: int = 0, delay: float = 0.0) -> Trajectory:
-    """Integrate the model from rest; exact states, no smoothing. Commands change on the grid."""
-    command_time, command = random_commands(model, duration, seed, hold=24)
-    time = np.arange(round(duration * RATE)) / RATE
-    index = np.clip(np.searchsorted(command_time, time - delay + 1e-9, side="right") - 1, 0, None)
-    held = command[index]
-    n = model.vehicle.n_propellers
-    start = np.concatenate([np.zeros(6), held[0]])
-    steps = rollout(np, model.dynamics, start, held[:-1], np.diff(time))
-    states = np.concatenate([start[None], steps])
+    n, samples = model.vehicle.n_propellers, round(HOLD * RATE)
+    durations = np.full((samples, 6), 1 / RATE)
+    state = np.concatenate([np.zeros(6), np.full(n, 0.03)])
+    states, held = [state[None]], []
+    for _ in range(round(duration / HOLD)):
+        signal = rng.uniform(-1, 1, ((n + 1) // 2, 6))
+        commands = np.clip(np.stack([signal, -signal], axis=1).reshape(-1, 6)[:n], 0.03, 1)
+        ahead = rollout(
+            np,
+            model.dynamics,
+            np.repeat(state[:, None], 6, axis=1),
+            np.repeat(commands[None], samples, axis=0),
+            durations,
+        )
+        x, y, _, vx, vy, spin = ahead[-1, :6]
+        best = int(np.argmin((x + vx) ** 2 + (y + vy) ** 2 + (0.03 * spin) ** 2))
+        states.append(ahead[:, :, best])
+        held.append(np.repeat(commands[None, :, best], samples, axis=0))
+        state = ahead[-1, :, best]
+    state, command = np.concatenate(states)[:-1, :6], np.concatenate(held)
+    time = np.arange(len(state)) / RATE
     return Trajectory(
         time=time,
-        state=states[:, :6],
-        acceleration=np.gradient(states[:, 3:6], time, axis=0),
+        state=state,
+        acceleration=np.gradient(state[:, 3:], time, axis=0),
         command_time=time,
-        command=held,
+        command=command,
         propellers=model.vehicle.propeller_names,
         source=f"synthetic flight {seed}",
         hashes={"synthetic": f"{n}-{seed}"},
@@ -52,23 +65,27 @@ def record(
     delay: float = 5 / RATE,
     noise: float = 0.0,
 ) -> Recording:
-    """Record a synthetic flight as a lab would: wrapped yaw, stamps in nanoseconds."""
+    """Record a synthetic flight as a lab would: wrapped yaw, stamps in nanoseconds.
+
+    Commands come at 100 Hz and act `delay` after their stamp.
+    """
     model = model or published_model("M3")
-    flight = fly(model, duration, seed, delay)
+    flight = fly(model, duration, seed)
     rng = np.random.default_rng(seed + 1000)
     pose = flight.state[:, :3] + noise * rng.normal(size=(len(flight), 3))
     pose[:, 2] = (pose[:, 2] + np.pi) % (2 * np.pi) - np.pi
-    command_time, command = random_commands(model, duration, seed, hold=24)
+    command_time = np.arange(round(duration * 100)) / 100
+    command = flight.command[(command_time * RATE + 1e-6).astype(int)]
     names = model.vehicle.propeller_names
 
     def stream(time, values, columns, latency_ns):
-        stamp = EPOCH * 10**9 + np.rint(time * 1e9).astype(np.int64)
+        stamp = (EPOCH + 1) * 10**9 + np.rint(time * 1e9).astype(np.int64)
         return Stream(stamp, stamp + latency_ns, np.ascontiguousarray(values), columns)
 
     return Recording(
         streams={
             "pose": stream(flight.time, pose, COLUMNS["pose"], 1_000_000),
-            "command": stream(command_time, command, names, 100_000),
+            "command": stream(command_time - delay, command, names, 100_000),
         },
         source="synthetic",
         hashes={"synthetic": "0"},

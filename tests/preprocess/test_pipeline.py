@@ -1,0 +1,247 @@
+"""`preprocess`: against the authors' own file, and on everything that a lab can do wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.errors import InputError
+from airpuck.evaluate.evaluation import evaluate
+from airpuck.identify.fit import identify
+from airpuck.model_file import published_model
+from airpuck.preprocess.pipeline import preprocess
+from airpuck.recording.stream import Recording, Stream
+from airpuck.windows import make_windows
+
+from ..conftest import BLUE
+from ..synthetic import RATE, fly, record
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return record(duration=6.0, noise=1e-5)
+
+
+def edited(recording: Recording, stream: str, edit) -> Recording:
+    """Change the rows of a stream: `edit` takes and returns (stamp_ns, received_ns, values)."""
+    old = recording[stream]
+    stamp, received, values = edit(old.stamp_ns, old.received_ns, old.values.copy())
+    new = Stream(stamp, received, np.ascontiguousarray(values), old.columns)
+    return replace(recording, streams={**recording.streams, stream: new})
+
+
+def test_recovers_a_synthetic_flight(recording):
+    trajectory = preprocess(recording)
+    assert trajectory.delay == pytest.approx(5 / RATE, rel=1e-3)
+    assert not trajectory.excluded
+    assert not trajectory.warnings
+    truth = fly(published_model("M3"), 6.0)
+    # The recording's first command is stamped before its first pose: few poses are cropped.
+    first = int(np.argmin(np.abs(truth.state[:100, :2] - trajectory.state[0, :2]).sum(axis=1)))
+    inner = slice(first + 10, first + len(trajectory) - 10)
+    np.testing.assert_array_equal(trajectory.input[10:-10], truth.input[inner])
+    error = trajectory.state[10:-10] - truth.state[inner]
+    assert np.abs(error[:, :3]).max() < 1e-4
+    assert np.abs(error[:, 3:5]).max() < 0.02
+    assert np.abs(error[:, 5]).max() < 1.0
+
+
+def test_the_whole_way_from_recording_to_parameters():
+    trajectory = preprocess(record(duration=20.0, noise=5e-5))
+    fit = identify(trajectory)
+    truth = published_model("M3").parameters
+    assert fit.model.parameters.inertia == pytest.approx(truth.inertia, rel=0.01)
+    assert fit.model.parameters.angle_offset == pytest.approx(truth.angle_offset, abs=0.003)
+    assert fit.model.transport_delay == trajectory.delay
+    unseen = preprocess(record(duration=8.0, seed=9, noise=5e-5))
+    assert evaluate(fit.model, unseen).rmse[0] < 1e-3
+
+
+def test_a_gap_is_found_and_no_window_spans_it(recording):
+    gap = (3.0, 3.1)
+
+    def edit(stamp, received, values):
+        time = (stamp - stamp[0]) / 1e9
+        keep = (time < gap[0]) | (time > gap[1])
+        return stamp[keep], received[keep], values[keep]
+
+    trajectory = preprocess(edited(recording, "pose", edit))
+    (span,) = trajectory.excluded
+    assert span.cause == "gap"
+    assert span.stop - span.start == pytest.approx(0.1, abs=0.01)
+    for start in make_windows(trajectory, 20, 50).starts:
+        assert np.diff(trajectory.time[start : start + 70]).max() < 1.5 / RATE
+    # Derivatives beside the gap do not look across it.
+    truth = preprocess(recording)
+    far = np.abs(trajectory.state[:, 3]).max()
+    assert far < 1.5 * np.abs(truth.state[:, 3]).max()
+
+
+def test_duplicates_and_backward_stamps_are_dropped_and_said(recording):
+    def edit(stamp, received, values):
+        stamp = stamp.copy()
+        stamp[500] = stamp[499]
+        stamp[700] = stamp[600]
+        return stamp, received, values
+
+    trajectory = preprocess(edited(recording, "pose", edit))
+    assert (np.diff(trajectory.time) > 0).all()
+    assert any("1 pose samples with a duplicated stamp" in w for w in trajectory.warnings)
+    assert any("1 pose samples with a stamp that goes back" in w for w in trajectory.warnings)
+    assert [span.cause for span in trajectory.excluded] == ["gap", "gap"]
+
+
+def test_rows_in_any_order_never_crash(recording):
+    def edit(stamp, received, values):
+        order = np.random.default_rng(0).permutation(len(stamp))
+        return stamp[order], received[order], values[order]
+
+    with pytest.raises(InputError):
+        make_windows(preprocess(edited(recording, "pose", edit)))
+
+
+def test_a_frozen_pose_is_found(recording):
+    def edit(stamp, received, values):
+        values[600:630] = values[600]
+        return stamp, received, values
+
+    trajectory = preprocess(edited(recording, "pose", edit))
+    (span,) = trajectory.excluded
+    assert span.cause == "frozen pose"
+    assert span.stop - span.start == pytest.approx(29 / RATE, rel=1e-3)
+
+
+def test_a_pause_of_the_commands_is_excluded(recording):
+    def edit(stamp, received, values):
+        time = (stamp - stamp[0]) / 1e9
+        keep = (time < 2.0) | (time > 2.5)
+        return stamp[keep], received[keep], values[keep]
+
+    trajectory = preprocess(edited(recording, "command", edit))
+    assert "no commands" in {span.cause for span in trajectory.excluded}
+
+
+def test_clocks_that_differ_are_aligned(recording):
+    def edit(stamp, received, values):
+        return stamp - 7_300_000_000, received, values
+
+    trajectory = preprocess(edited(recording, "command", edit))
+    assert any("clocks" in warning for warning in trajectory.warnings)
+    # What is left is the difference of the two latencies: 1 ms against 0.1 ms.
+    straight = preprocess(recording)
+    assert trajectory.delay == pytest.approx(straight.delay, abs=2 / RATE)
+
+
+def test_motors_in_another_order_are_matched_by_name(recording):
+    old = recording["command"]
+    order = [3, 1, 0, 2, 5, 4]
+    shuffled = Stream(
+        old.stamp_ns,
+        old.received_ns,
+        np.ascontiguousarray(old.values[:, order]),
+        tuple(old.columns[k] for k in order),
+    )
+    other = replace(recording, streams={**recording.streams, "command": shuffled})
+    np.testing.assert_array_equal(preprocess(other).command, preprocess(recording).command)
+
+
+def test_a_given_delay_is_used(recording):
+    trajectory = preprocess(recording, delay=0.03)
+    assert trajectory.delay == 0.03
+    assert trajectory.time[0] == 0
+
+
+def bad_value(row, column, value):
+    def edit(stamp, received, values):
+        values[row, column] = value
+        return stamp, received, values
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("stream", "edit", "message"),
+    [
+        ("pose", bad_value(100, 0, np.nan), "x_m: 1 of .* not finite"),
+        ("pose", bad_value(100, 2, np.inf), "yaw_rad: 1 of .* not finite"),
+        ("command", bad_value(100, 1, np.nan), "motor_a_2: 1 of .* not finite"),
+        ("command", bad_value(100, 1, 1.5), r"motor_a_2: command 1.5 at .* outside \[0, 1\]"),
+        ("command", bad_value(100, 1, -0.1), r"outside \[0, 1\]"),
+        ("pose", lambda s, r, v: (s, r, v * [1000, 1000, 1]), "convert millimetres"),
+        ("pose", lambda s, r, v: (s, r, v * [1, 1, 180 / np.pi]), "looks like degrees"),
+        ("pose", lambda s, r, v: (s[:50], r[:50], v[:50]), "too short"),
+        ("pose", lambda s, r, v: (s[:0], r[:0], v[:0]), "pose stream is empty"),
+        ("command", lambda s, r, v: (s, r, v * 0), "never told to move"),
+        ("pose", lambda s, r, v: (s + 10**12, r + 10**12, v), "do not overlap"),
+    ],
+)
+def test_bad_input_is_one_clear_line(recording, stream, edit, message):
+    with pytest.raises(InputError, match=message) as error:
+        make_windows(preprocess(edited(recording, stream, edit)))
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_stream_is_named(recording):
+    with pytest.raises(InputError, match="no command stream"):
+        preprocess(replace(recording, streams={"pose": recording["pose"]}))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data())
+def test_any_damage_gives_a_trajectory_or_a_clear_error(recording, data):
+    """Delete, repeat, freeze, swap or shift random rows of random streams."""
+    damaged = recording
+    for _ in range(data.draw(st.integers(1, 3))):
+        stream = data.draw(st.sampled_from(["pose", "command"]))
+        count = len(damaged[stream])
+        first = data.draw(st.integers(0, count - 2))
+        width = data.draw(st.integers(1, 200))
+        kind = data.draw(st.sampled_from(["delete", "repeat", "freeze", "reverse", "shift"]))
+
+        def edit(stamp, received, values, kind=kind, first=first, width=width):
+            rows = np.arange(len(stamp))
+            inside = (rows >= first) & (rows < first + width)
+            if kind == "delete":
+                rows = rows[~inside]
+            elif kind == "repeat":
+                rows = np.sort(np.concatenate([rows, rows[inside]]))
+            elif kind == "reverse":
+                rows[inside] = rows[inside][::-1]
+            elif kind == "freeze":
+                values[inside] = values[inside][0]
+            else:
+                stamp = stamp + 50_000_000 * inside
+            return stamp[rows], received[rows], values[rows]
+
+        damaged = edited(damaged, stream, edit)
+    try:
+        trajectory = preprocess(damaged)
+    except InputError:
+        return
+    assert (np.diff(trajectory.time) > 0).all()
+    assert np.isfinite(trajectory.state).all()
+    assert np.isfinite(trajectory.acceleration).all()
+    for start in trajectory.window_starts(70):
+        assert np.diff(trajectory.time[start : start + 70]).max() < 2 / RATE
+
+
+@pytest.mark.data
+def test_agrees_with_the_authors_preprocessing(experiments):
+    from airpuck.recording.read import read_recording
+    from airpuck.recording.torch_archive import read_authors_experiment
+
+    mine = preprocess(read_recording(experiments / BLUE / BLUE))
+    theirs = read_authors_experiment(experiments / BLUE / "data.pt")
+    assert mine.delay / mine.sample_period == pytest.approx(4, abs=1e-6)
+    assert len(mine) == len(theirs)
+    np.testing.assert_allclose(mine.time, theirs.time, atol=1e-9)
+    np.testing.assert_allclose(mine.state[:, :3], theirs.state[:, :3], atol=1e-9)
+    np.testing.assert_allclose(mine.input, theirs.input, atol=1e-9)
+    for ours, reference in (
+        (mine.state[:, 3:], theirs.state[:, 3:]),
+        (mine.acceleration, theirs.acceleration),
+    ):
+        error = np.sqrt(np.mean((ours - reference) ** 2, axis=0))
+        assert (error <= 1e-9 * np.sqrt(np.mean(reference**2, axis=0))).all()
