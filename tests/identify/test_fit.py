@@ -27,8 +27,8 @@ TABLE_2 = {
 }
 
 
-#: The encoder starts its motors at the first command of a window. After this many samples they have
-#: forgotten it; after the paper's 20 they have not, which biases the thrust curves by a few percent.
+#: The encoder starts its motors at the first command of a window. After this many samples they
+#: have forgotten it; after the paper's 20 they have not, which biases thrust by a few percent.
 LONG = PaperEncoder(length=200)
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 
 def motor_step(xp: Any, speed: Any, command: Any, duration: Any, time_constant: Any) -> Any:
     """Advance the motor speeds under a constant command, exactly.
@@ -52,3 +55,30 @@ def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
     lagging = time_constant > 0
     divisor = xp.where(lagging, time_constant, 1.0)
     return xp.where(lagging, xp.exp(-duration / divisor), 0.0)
+
+
+def motor_speeds(
+    time: Float[np.ndarray, " N"], command: Float[np.ndarray, "N n"], time_constant: float
+) -> Float[np.ndarray, "N n"]:
+    """Let motors follow held commands.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Sample times [s].
+    command : array, shape (N, n)
+        Command in force from each sample to the next.
+    time_constant : float
+        Lag τ ≥ 0 [s].
+
+    Returns
+    -------
+    array, shape (N, n)
+        Normalised motor speeds, at the first sample equal to the command.
+    """
+    decay = lag_decay(np, np.diff(time), time_constant)
+    speed = np.empty_like(command)
+    speed[0] = command[0]
+    for k, left in enumerate(decay):
+        speed[k + 1] = command[k] + (speed[k] - command[k]) * left
+    return speed

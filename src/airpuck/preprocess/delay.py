@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.model.motor import motor_step
+from airpuck.model.motor import motor_speeds
 from airpuck.model.rigid_body import Dynamics
 from airpuck.model.rigid_body import acceleration as model_acceleration
 
@@ -69,7 +69,7 @@ def estimate_delay(
         Negative samples mean that the motion precedes the commands.
     """
     usable = np.ones(len(time), dtype=bool) if usable is None else usable
-    speed = _motor_speeds(time, command, dynamics)
+    speed = motor_speeds(time, command, dynamics.motor_time_constant)
     limit = round(LONGEST / float(np.median(np.diff(time))))
     shift, passes, peak = 0, 0, 0.0
     visited: set[int] = set()
@@ -91,17 +91,6 @@ def estimate_delay(
         peak = float(np.mean(peaks))
         shift = int(np.clip(shift + np.rint(np.mean(lags)), -limit, limit))
     return DelayEstimate(samples=shift, correlation=peak, passes=passes)
-
-
-def _motor_speeds(
-    time: Float[np.ndarray, " N"], command: Float[np.ndarray, "N n"], dynamics: Dynamics
-) -> Float[np.ndarray, "N n"]:
-    """Let the motors of a nominal model follow the commands, from rest at the first one."""
-    speed = np.empty_like(command)
-    speed[0] = command[0]
-    for k, duration in enumerate(np.diff(time)):
-        speed[k + 1] = motor_step(np, speed[k], command[k], duration, dynamics.motor_time_constant)
-    return speed
 
 
 def _best_lag(
