@@ -79,6 +79,17 @@ def _refuse(message: str) -> int:
     return 2
 
 
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Identify, simulate and control propeller-driven hovercraft."""
+    if version:
+        from airpuck import __version__
+
+        print(f"airpuck {__version__}")
+
+
 @app.command()
 def fetch(
     all: Annotated[
@@ -364,7 +375,9 @@ def _print_table(names: list[str], evaluations: list[Evaluation]) -> None:
         title_justify="left",
     )
     for heading in ("model", "x mm", "y mm", "yaw rad", "median x", "median y", "median yaw"):
-        table.add_column(heading, justify="left" if heading == "model" else "right")
+        table.add_column(
+            heading, justify="left" if heading == "model" else "right", overflow="fold"
+        )
     for name, evaluation in zip(names, evaluations, strict=True):
         row = [
             f"{factor * value:.{digits}f}"
@@ -372,7 +385,8 @@ def _print_table(names: list[str], evaluations: list[Evaluation]) -> None:
             for value, factor, digits in zip(values, (1e3, 1e3, 1), (2, 2, 4), strict=True)
         ]
         table.add_row(name, *row)
-    Console().print(table)
+    # What is not a terminal has no width: let rows be as long as they are.
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
 
 
 def _progress(quiet: bool) -> Any:

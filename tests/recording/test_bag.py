@@ -445,3 +445,31 @@ def test_a_minute_of_flight_among_other_topics_reads_in_time(tmp_path: Path):
         walls.append(time.perf_counter() - start)
     assert out.stdout.strip() == "15000"
     assert min(walls) < 1.5
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE messages SET timestamp = NULL",
+        "UPDATE messages SET timestamp = 'noon'",
+        "UPDATE messages SET timestamp = -5",
+        "UPDATE messages SET data = 7",
+        "UPDATE topics SET name = x'00ff'",
+        "DROP TABLE messages",
+        "DELETE FROM topics",
+    ],
+)
+def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
+    import sqlite3
+
+    rosbags_folder(tmp_path / "bag")
+    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
+        # The names of SQLite's own columns are the file's business, their content anyone's.
+        database.execute("PRAGMA ignore_check_constraints = ON")
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '')")
+    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
+        database.execute(damage)
+    with pytest.raises(InputError) as caught:
+        read_recording(tmp_path / "bag")
+    assert str(caught.value).isprintable()

@@ -1,0 +1,115 @@
+"""The rules of the house: who may import whom, and what loads when."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import airpuck
+
+ROOT = Path(airpuck.__file__).parent
+
+#: Rooms from the ground up: each may import itself and the ones before it.
+ORDER = (
+    ("errors", "files"),
+    ("vehicle",),
+    ("model",),
+    ("model_file",),
+    ("trajectory", "windows", "recording"),
+    ("preprocess",),
+    ("estimate",),
+    ("identify",),
+    ("evaluate",),
+    ("control",),
+    ("flight",),
+    ("twin", "live"),
+    ("report",),
+    ("demo", "cli"),
+)
+LEVEL = {room: level for level, rooms in enumerate(ORDER) for room in rooms}
+MODULES = sorted(ROOT.rglob("*.py"))
+
+
+def imports(path: Path) -> set[str]:
+    """Every module that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+    return found
+
+
+def room(module: str) -> str:
+    """`airpuck.model.thrust` -> `model`."""
+    return module.split(".")[1] if module.count(".") else ""
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_downwards(path):
+    own = path.relative_to(ROOT).parts[0].removesuffix(".py")
+    if own == "__init__":
+        return
+    for module in imports(path):
+        if module.startswith("airpuck.") and room(module) != own:
+            assert LEVEL[room(module)] <= LEVEL[own], f"{own} imports {module}"
+
+
+@pytest.mark.parametrize(
+    ("package", "rooms"),
+    [
+        ("matplotlib", {"report"}),
+        ("jax", {"model", "identify"}),
+        ("optax", {"identify"}),
+        ("typer", {"cli.py"}),
+        ("rosbags", {"recording"}),
+        ("mcap", {"recording"}),
+    ],
+)
+def test_heavy_packages_stay_in_their_rooms(package, rooms):
+    users = {
+        path.relative_to(ROOT).parts[0]
+        for path in MODULES
+        for module in imports(path)
+        if module.split(".")[0] == package
+    }
+    assert users <= rooms
+
+
+def test_the_physics_computes_and_nothing_else():
+    for path in (ROOT / "model").glob("*.py"):
+        outside = {m.split(".")[0] for m in imports(path)} - {
+            "__future__",
+            "airpuck",
+            "collections",
+            "dataclasses",
+            "jax",
+            "jaxtyping",
+            "numpy",
+            "typing",
+        }
+        assert not outside, f"{path.name} imports {outside}"
+
+
+def test_no_module_is_two_concepts():
+    long = {p.name: n for p in MODULES if (n := len(p.read_text().splitlines())) > 500}
+    assert not long
+
+
+@pytest.mark.parametrize("module", ["airpuck", "airpuck.cli", "airpuck.model_file"])
+def test_importing_stays_light(module):
+    code = f"import sys, {module}; print(*sorted(m for m in sys.modules if '.' not in m))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert not {"jax", "matplotlib", "scipy", "rosbags", "optax"} & set(loaded)
+
+
+def test_every_public_name_can_be_imported():
+    for name in airpuck.__all__:
+        assert getattr(airpuck, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = airpuck.nonsense

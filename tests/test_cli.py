@@ -1,0 +1,253 @@
+"""The command line, as a user meets it: in a process of its own."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from airpuck.model_file import read_model
+from airpuck.recording import write_bag, write_csv
+
+from .conftest import TRAINING, VALIDATION
+from .synthetic import record
+
+
+def airpuck(*arguments, cwd=None):
+    """Run the command; returns the finished process."""
+    return subprocess.run(
+        [sys.executable, "-c", "from airpuck.cli import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+    )
+
+
+def refused(process, *words):
+    """Bad input: status 2, one line, no traceback, the words in it."""
+    assert process.returncode == 2, process.stderr
+    lines = process.stderr.strip().splitlines()
+    assert len(lines) == 1, process.stderr
+    for word in words:
+        assert word in lines[0]
+    return True
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("bags") / "flight"
+    write_bag(record(duration=8.0, noise=1e-4), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def identified(bag) -> Path:
+    path = bag.parent / "model.toml"
+    process = airpuck("identify", bag, "-o", path, "--json", bag.parent / "fit.json")
+    assert process.returncode == 0, process.stderr
+    return path
+
+
+def test_help_lists_the_commands():
+    process = airpuck("--help")
+    assert process.returncode == 0
+    for command in ("fetch", "preprocess", "identify", "evaluate", "compare", "reproduce", "demo"):
+        assert command in process.stdout
+
+
+def test_version():
+    assert airpuck("--version").stdout.strip().startswith("airpuck 0.")
+
+
+def test_identify_writes_a_model_and_figures(bag, identified):
+    assert read_model(identified).name == "M3"
+    figures = json.loads((bag.parent / "fit.json").read_text())
+    assert {"model", "loss", "iterations", "wall_s"} <= set(figures)
+    assert figures["model"] == "M3"
+
+
+def test_preprocess_writes_the_arrays(bag, tmp_path):
+    process = airpuck("preprocess", bag, "-o", tmp_path / "traj.npz", "--json", "-")
+    assert process.returncode == 0, process.stderr
+    assert json.loads(process.stdout)["samples"] > 1800
+    with np.load(tmp_path / "traj.npz") as archive:
+        assert archive["state"].shape == (len(archive["t"]), 6)
+        assert archive["input"].shape == (len(archive["t"]), 6)
+
+
+def test_evaluate_prints_json_and_nothing_else(bag, identified):
+    process = airpuck("evaluate", identified, bag, "--json", "-")
+    figures = json.loads(process.stdout)
+    assert {"protocol", "horizon_s", "windows", "rmse", "median_abs"} <= set(figures)
+    assert set(figures["rmse"]) == {"x_m", "y_m", "yaw_rad"}
+    assert figures["rmse"]["x_m"] < 2e-3
+
+
+def test_a_preprocessed_file_serves_as_recording(bag, identified, tmp_path):
+    airpuck("preprocess", bag, "-o", tmp_path / "traj.npz")
+    direct, saved = (
+        json.loads(airpuck("evaluate", identified, path, "--json", "-").stdout)
+        for path in (bag, tmp_path / "traj.npz")
+    )
+    assert direct == saved
+
+
+def test_span_takes_a_part(bag, identified):
+    whole, part = (
+        json.loads(airpuck("evaluate", identified, bag, "--json", "-", *span).stdout)
+        for span in ((), ("--span", "0.5", "1"))
+    )
+    assert part["windows"] == pytest.approx(whole["windows"] / 2, abs=1)
+
+
+def test_compare_prints_a_table(bag, identified):
+    process = airpuck("compare", "paper:M0", identified, bag)
+    assert process.returncode == 0
+    assert "paper:M0" in process.stdout
+    assert "model.toml" in process.stdout
+
+
+def test_check_agrees_and_disagrees(bag, tmp_path):
+    assert airpuck("check", bag).returncode == 0
+    from airpuck.vehicle import default_vehicle
+
+    vehicle = default_vehicle()
+    names = list(vehicle.propeller_names)
+    names[0], names[3] = names[3], names[0]
+    swapped = [
+        propeller.model_copy(update={"name": name})
+        for name, propeller in zip(names, vehicle.propellers, strict=True)
+    ]
+    vehicle.model_copy(update={"propellers": tuple(swapped)}).save(tmp_path / "swapped.toml")
+    process = airpuck("check", bag, "--vehicle", tmp_path / "swapped.toml")
+    assert process.returncode == 2
+    assert "swapped" in process.stdout
+    assert "motor_b_2, motor_a_1" in process.stderr.splitlines()[-1]
+
+
+def test_adam(bag, tmp_path):
+    process = airpuck(
+        "identify",
+        bag,
+        "--method",
+        "adam",
+        "--epochs",
+        "1",
+        "-o",
+        tmp_path / "m.toml",
+        "--json",
+        "-",
+    )
+    assert json.loads(process.stdout)["iterations"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["evaluate"], ["MODEL"]),
+        (["evaluate", "paper:M9", "{bag}"], ["paper:M0"]),
+        (["evaluate", "none.toml", "{bag}"], ["none.toml", "no such file"]),
+        (["evaluate", "paper:M3", "nowhere"], ["nowhere"]),
+        (["evaluate", "paper:M3", "{bag}", "--span", "0.9", "0.1"], ["span"]),
+        (["evaluate", "paper:M3", "{bag}", "--span", "0", "0.001"], ["too short"]),
+        (["evaluate", "paper:M3", "{bag}", "--span", "0", "0.01"], ["70 samples"]),
+        (["evaluate", "paper:M3", "{bag}", "--protocol", "nonsense"], ["--protocol"]),
+        (["identify", "{bag}", "--model", "M77"], ["M77"]),
+        (["identify", "{bag}", "--method", "magic"], ["--method"]),
+        (["identify", "{bag}", "--vehicle", "none.toml"], ["none.toml"]),
+        (["identify"], ["RECORDING"]),
+        (["compare", "paper:M3"], ["RECORDING"]),
+        (["preprocess", "{bag}", "-o", "x.txt"], [".npz"]),
+        (["nonsense"], ["nonsense"]),
+        (["evaluate", "paper:M3", "{bag}", "--wrong"], ["--wrong"]),
+    ],
+)
+def test_bad_usage_is_one_line(bag, tmp_path, arguments, words):
+    before = set(tmp_path.iterdir())
+    process = airpuck(*[a.format(bag=bag) for a in arguments], cwd=tmp_path)
+    assert refused(process, *words)
+    assert set(tmp_path.iterdir()) == before
+
+
+def csv_pair(folder: Path) -> Path:
+    write_csv(record(duration=4.0), folder)
+    return folder
+
+
+def damage(folder: Path, name: str, edit) -> Path:
+    (path,) = folder.glob(f"*{name}*.csv")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(edit(lines)) + "\n")
+    return folder
+
+
+def set_cell(row: int, column: str, value: str):
+    def edit(lines):
+        header = lines[0].split(",")
+        cells = lines[row].split(",")
+        cells[header.index(column)] = value
+        return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
+
+    return edit
+
+
+def without_column(column: str):
+    def edit(lines):
+        index = lines[0].split(",").index(column)
+        return [",".join(c for k, c in enumerate(line.split(",")) if k != index) for line in lines]
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "words"),
+    [
+        ("pose", without_column("pose.position.x"), ["pose.position.x"]),
+        ("control", without_column("motor_b_1"), ["5 motors"]),
+        ("pose", lambda lines: [], ["empty"]),
+        ("pose", lambda lines: lines[:1], ["empty"]),
+        ("pose", lambda lines: lines[:40], ["too short"]),
+        ("pose", set_cell(10, "pose.position.x", "nan"), ["not finite", "row"]),
+        ("pose", set_cell(10, "pose.position.x", "abc"), ["abc"]),
+        ("control", set_cell(10, "motor_a_1", "1.2"), ["motor_a_1", "outside [0, 1]"]),
+    ],
+)
+def test_bad_recordings_are_one_line_and_nothing_is_written(tmp_path, name, edit, words):
+    folder = damage(csv_pair(tmp_path / "flight"), name, edit)
+    (tmp_path / "model.toml").write_text("old")
+    process = airpuck("identify", folder, "-o", tmp_path / "model.toml")
+    assert refused(process, str(folder), *words)
+    assert (tmp_path / "model.toml").read_text() == "old"
+
+
+def test_a_hostile_pickle_runs_nothing(tmp_path):
+    import pickle
+    import zipfile
+
+    class Hostile:
+        def __reduce__(self):
+            return (Path(tmp_path / "ran").touch, ())
+
+    with zipfile.ZipFile(tmp_path / "data.pt", "w") as archive:
+        archive.writestr("data/data.pkl", pickle.dumps(Hostile()))
+    assert refused(airpuck("evaluate", "paper:M3", tmp_path / "data.pt"), "data.pt")
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.data
+def test_table_2_from_the_command_line(experiments):
+    process = airpuck("evaluate", "paper:M3", experiments / VALIDATION / "data.pt", "--json", "-")
+    figures = json.loads(process.stdout)
+    assert figures["windows"] == 334
+    assert round(1e3 * figures["rmse"]["x_m"], 2) == 10.84
+    assert figures["horizon_s"] == pytest.approx(0.2, abs=1e-4)
+
+
+@pytest.mark.data
+def test_identify_on_the_training_experiment(experiments, tmp_path):
+    process = airpuck("identify", experiments / TRAINING / "data.pt", "-o", tmp_path / "m.toml")
+    assert process.returncode == 0
+    assert read_model(tmp_path / "m.toml").data
