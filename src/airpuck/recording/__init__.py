@@ -6,13 +6,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from airpuck.recording.bag_writer import write_bag
     from airpuck.recording.csv_folder import write_csv
     from airpuck.recording.dataset import dataset_folder, fetch, verify
     from airpuck.recording.read import read_recording
     from airpuck.recording.stream import Recording, Stream
     from airpuck.recording.topics import Topics, read_topics
     from airpuck.recording.torch_archive import read_authors_experiment
-    from airpuck.recording.write_bag import write_bag
 
 #: Public name -> the module that defines it.
 _HOME = {
@@ -25,7 +25,7 @@ _HOME = {
     "read_recording": "read",
     "read_topics": "topics",
     "verify": "dataset",
-    "write_bag": "write_bag",
+    "write_bag": "bag_writer",
     "write_csv": "csv_folder",
 }
 

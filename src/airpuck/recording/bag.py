@@ -13,6 +13,7 @@ import numpy as np
 from airpuck.errors import InputError
 from airpuck.recording.cdr import decode, flatten
 from airpuck.recording.fingerprint import sha256
+from airpuck.recording.listing import listing, one_line
 from airpuck.recording.message_types import (
     PATHS,
     accepted,
@@ -30,7 +31,6 @@ METADATA = "metadata.yaml"
 #: Endings of storage files, compressed ones included.
 STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _SECOND = 10**9
-_TOPICS_SHOWN = 12
 
 
 @dataclass
@@ -182,6 +182,8 @@ def _read_whole(path: Path, wanted: Collection[str]) -> _Log:
     try:
         with Reader(path) as reader:
             for connection in reader.connections:
+                if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
+                    raise ValueError("a topic has no name or no type")
                 log.topics.setdefault(
                     connection.topic,
                     TopicLog(
@@ -193,6 +195,9 @@ def _read_whole(path: Path, wanted: Collection[str]) -> _Log:
             connections = [item for item in reader.connections if item.topic in wanted]
             if connections:
                 for connection, time, message in reader.messages(connections):
+                    # SQLite checks no types, so that a damaged file can hold anything anywhere.
+                    if type(time) is not int or not 0 <= time < 2**63 or type(message) is not bytes:
+                        raise ValueError("a message has no time or no content")
                     topic = log.topics[connection.topic]
                     topic.received_ns.append(time)
                     topic.messages.append(message)
@@ -201,7 +206,7 @@ def _read_whole(path: Path, wanted: Collection[str]) -> _Log:
                 log.first_ns, log.last_ns = reader.start_time, reader.end_time - 1
     # rosbags checks little, so that a damaged file can make it fail in any way.
     except Exception as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
+        reason = one_line(str(error).rstrip(".") or type(error).__name__)
         raise InputError(f"is not a readable recording ({reason})", file=path) from error
     return log
 
@@ -253,7 +258,7 @@ def _streams(log: _Log, topics: Topics, source: Path) -> dict[str, Stream]:
             except InputError as error:
                 raise InputError(error.problem, file=source, field=name) from error
             except (ValueError, OverflowError) as error:
-                raise InputError(str(error), file=source, field=name) from error
+                raise InputError(one_line(str(error)), file=source, field=name) from error
         elif topics.required(stream):
             raise InputError(_no_topic(stream, log), file=source, field=name)
     return streams
@@ -266,31 +271,29 @@ def _no_topic(stream: str, log: _Log) -> str:
         for name, topic in log.topics.items()
         if stream == "command" or topic.msgtype in PATHS[stream]
     } or {name: topic.msgtype for name, topic in log.topics.items()}
-    shown = [f"{name} ({msgtype})" for name, msgtype in sorted(fitting.items())][:_TOPICS_SHOWN]
-    if len(fitting) > _TOPICS_SHOWN:
-        shown.append(f"{len(fitting) - _TOPICS_SHOWN} more")
+    shown = listing(f"{name} ({msgtype})" for name, msgtype in sorted(fitting.items()))
     damage = f" ({'; '.join(log.damage)})" if log.damage else ""
     return (
         f"there is no such topic{damage}; name the {stream} topic, [topics] {stream} = "
-        f'"/...", out of {", ".join(shown) or "none"}'
+        f'"/...", out of {shown}'
     )
 
 
 def _stream(stream: str, topic: TopicLog) -> Stream:
     """Decode one topic."""
-    unknown = stream != "command" and topic.msgtype not in PATHS[stream]
-    if unknown:
-        raise InputError(f"holds {topic.msgtype}, but a {stream} is {accepted(stream)}")
+    wrong = f"holds {one_line(topic.msgtype)}, but a {stream} is {accepted(stream)}"
+    if stream != "command" and topic.msgtype not in PATHS[stream]:
+        raise InputError(wrong)
     types = definitions(topic.msgtype, topic.definition, idl=topic.idl)
     if topic.msgtype not in types:
-        raise InputError(f"the recording does not say what {topic.msgtype} holds")
+        raise InputError(f"the recording does not say what {one_line(topic.msgtype)} holds")
     fields = flatten(types, topic.msgtype)
     if stream == "command":
         paths = columns = motors_of(fields)
     else:
         paths, columns = PATHS[stream][topic.msgtype], COLUMNS[stream]
     if not paths:
-        raise InputError(f"holds {topic.msgtype}, but a {stream} is {accepted(stream)}")
+        raise InputError(wrong)
     absent = set(paths) - {field.path for field in fields if field.count == 1}
     if absent:
         raise InputError(f"{topic.msgtype} is defined without the field {min(absent)}")

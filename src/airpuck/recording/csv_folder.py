@@ -18,6 +18,7 @@ from jaxtyping import Float, Int64
 
 from airpuck.errors import InputError
 from airpuck.recording.fingerprint import sha256
+from airpuck.recording.listing import listing, one_line
 from airpuck.recording.message_types import PATHS, columns_of
 from airpuck.recording.new_folder import new_folder
 from airpuck.recording.stream import COLUMNS, Recording, Stream
@@ -87,7 +88,7 @@ def read_csv_folder(folder: Path, topics: Topics) -> Recording:
         if not path.is_file():
             candidates = found.get(stream, [])
             if len(candidates) > 1:
-                names = ", ".join(file.name for file in candidates)
+                names = listing(file.name for file in candidates)
                 raise InputError(
                     f"holds several files that may be the {stream} ({names}); keep one", file=folder
                 )
@@ -149,7 +150,7 @@ class _Table:
         if name in self.columns:
             return self.columns[name]
         raise InputError(
-            f"there is no such column (there are {', '.join(self.columns)})",
+            f"there is no such column (there are {listing(self.columns)})",
             file=self.path,
             field=name,
         )
@@ -159,9 +160,10 @@ class _Table:
             try:
                 kind(text)
             except ValueError:
-                shown = text if len(text) <= 40 else f"{text[:40]}..."
                 return InputError(
-                    f"line {line}: {shown!r} is not a {noun}", file=self.path, field=name
+                    f"line {line}: {one_line(repr(text))} is not a {noun}",
+                    file=self.path,
+                    field=one_line(name),
                 )
         raise AssertionError("every text is a number after all")
 
@@ -193,7 +195,9 @@ def _read_table(path: Path) -> _Table:
         raise InputError("is empty", file=path)
     twice = [name for name in header if header.count(name) > 1]
     if twice:
-        raise InputError("there are two columns of this name", file=path, field=twice[0] or None)
+        raise InputError(
+            "there are two columns of this name", file=path, field=one_line(twice[0]) or None
+        )
     warnings: tuple[str, ...] = ()
     # A recorder that was killed leaves half a line at the end.
     if rows and len(rows[-1]) < len(header) and not text.endswith("\n"):
@@ -240,7 +244,7 @@ def _motors(table: _Table) -> tuple[str, ...]:
     ]
     if not others:
         raise InputError(
-            f"has no column of a motor (it has {', '.join(table.columns)})", file=table.path
+            f"has no column of a motor (it has {listing(table.columns)})", file=table.path
         )
     return tuple(motors or others)
 

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from airpuck.recording.listing import one_line
+
 # Limits far above what such files need, so that a hostile one cannot ask for much memory.
 _LONGEST = 10**5
 _DEEPEST = 1000
@@ -189,8 +191,7 @@ def _build(machine: _Machine, _: Any) -> None:
 def _global(machine: _Machine, argument: str) -> None:
     name = argument.replace(" ", ".").replace("numpy._core.", "numpy.core.")
     if name not in _REDUCTIONS and name not in _MENTIONED:
-        shown = name if len(name) <= 60 else f"{name[:60]}..."
-        raise Refused(f"it names {shown!r}")
+        raise Refused(f"it names {one_line(name)}")
     machine.push(Name(name))
 
 

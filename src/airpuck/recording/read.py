@@ -8,6 +8,7 @@ from pathlib import Path
 from airpuck.errors import InputError
 from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import is_csv_folder, read_csv_folder
+from airpuck.recording.listing import listing
 from airpuck.recording.stream import Recording
 from airpuck.recording.topics import Topics
 
@@ -74,7 +75,7 @@ def _resolve(folder: Path) -> Path:
     if len(candidates) == 1:
         return candidates[0]
     if candidates:
-        names = ", ".join(entry.name for entry in candidates)
+        names = listing(entry.name for entry in candidates)
         raise InputError(f"holds several recordings; give one of {names}", file=folder)
     if (folder / METADATA).is_file():
         raise InputError(

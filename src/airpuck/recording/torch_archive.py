@@ -15,6 +15,7 @@ from jaxtyping import Float
 from airpuck.errors import InputError
 from airpuck.recording.fingerprint import sha256
 from airpuck.recording.inert_pickle import Refused, Tensor, read_inert
+from airpuck.recording.listing import listing
 from airpuck.recording.message_types import HOLOHOVER_MOTORS
 from airpuck.trajectory import Trajectory
 
@@ -120,7 +121,7 @@ def _choose(content: Any, name: str | None) -> dict[str, Tensor]:
         if key != "exps" and not isinstance(content[key], dict):
             raise Refused(f"{key!r} is not a dictionary of experiments")
     names = list(content["T"])
-    shown = ", ".join(item[:100] for item in names[:10])
+    shown = listing(names)
     if any(set(content[key]) != set(names) for key in _TENSORS):
         raise Refused("its tensors are not of the same experiments")
     if name is None and len(names) != 1:

@@ -6,25 +6,26 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from ruamel.yaml import YAML
 
 from airpuck.errors import InputError
+from airpuck.recording.bag import METADATA
 from airpuck.recording.cdr import Types, encode, flatten
 from airpuck.recording.message_types import PATHS, command_type, definitions, stamp_paths
 from airpuck.recording.new_folder import new_folder
 from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topics import Topics
 
-if TYPE_CHECKING:
-    from rosbags.interfaces import Qos
-
 _SECOND = 10**9
 #: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
 _ROSBAG2_VERSION = 8
 #: What a sender set before the recorder subscribed: the table's sensors and commands do not resend.
 _BEST_EFFORT = ("pose", "command", "imu", "mouse")
+#: Half a second to some seconds of a flight: as much as a file that is cut short loses.
+_CHUNK_BYTES = 2**17
 _FRAMES = {"pose": "world", "command": "body", "imu": "body", "mouse": "body"}
 
 
@@ -35,6 +36,7 @@ class _Topic:
     name: str
     msgtype: str
     types: Types
+    stamp_ns: list[int]
     received_ns: list[int]
     messages: list[bytes]
     best_effort: bool
@@ -47,7 +49,7 @@ def write_bag(
 
     Every message definition is embedded. A command with the authors' six motors becomes a
     ``holohover_msgs/msg/HolohoverControlStamped``; for other columns a type of the same form is
-    made. The same recording under the same folder name gives the same bytes.
+    made. The same recording gives the same bytes.
 
     Parameters
     ----------
@@ -104,6 +106,7 @@ def _prepare(name: str, stream: Stream, names: Mapping[str, str], source: str) -
         names[name],
         msgtype,
         types,
+        stream.stamp_ns.tolist(),
         stream.received_ns.tolist(),
         encode(types, msgtype, values, frames),
         name in _BEST_EFFORT,
@@ -132,33 +135,87 @@ def _message(name: str, stream: Stream) -> tuple[str, Types, dict[str, np.ndarra
 
 
 def _write(prepared: Sequence[_Topic], folder: Path) -> None:
-    """Merge the topics by the recorder's time and write them."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    """Write the storage file and its summary."""
+    folder.mkdir()
+    file = f"{folder.name}_0.mcap"
+    hashes = _write_storage(prepared, folder / file)
+    # Quoted text breaks no line, so that the profiles stay as they are.
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.width = 2**20
+    with (folder / METADATA).open("w", encoding="utf-8", newline="\n") as output:
+        yaml.dump({"rosbag2_bagfile_information": _summary(prepared, hashes, file)}, output)
+
+
+def _write_storage(prepared: Sequence[_Topic], path: Path) -> list[str]:
+    """Merge the topics by the recorder's time; return the hash of each one's message type."""
+    from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    writer = Writer(folder, version=_ROSBAG2_VERSION, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    writer.set_custom_data("written_by", "airpuck")
-    with writer:
-        connections = []
-        for topic in prepared:
+    hashes = []
+    events = []
+    # Through mcap rather than rosbags: it writes checksums, and chunks of a chosen size.
+    with path.open("wb") as output:
+        writer = Writer(output, chunk_size=_CHUNK_BYTES)
+        writer.start("ros2", "airpuck")
+        channels = []
+        for index, topic in enumerate(prepared):
             store = get_typestore(Stores.EMPTY)
             store.register(_within(topic.types, topic.msgtype))
-            connections.append(
-                writer.add_connection(
-                    topic.name,
-                    topic.msgtype,
-                    typestore=store,
-                    offered_qos_profiles=[_quality(best_effort=topic.best_effort)],
-                )
+            definition, _ = store.generate_msgdef(topic.msgtype, ros_version=2)
+            schema = writer.register_schema(topic.msgtype, "ros2msg", definition.encode())
+            hashes.append(store.hash_rihs01(topic.msgtype))
+            about = {"offered_qos_profiles": _profiles(topic), "topic_type_hash": hashes[-1]}
+            channels.append(writer.register_channel(topic.name, "cdr", schema, about))
+            events += [(time, index, place) for place, time in enumerate(topic.received_ns)]
+        for time, index, place in sorted(events):
+            topic = prepared[index]
+            writer.add_message(
+                channels[index], time, topic.messages[place], topic.stamp_ns[place], place
             )
-        events = [
-            (time, index, position)
-            for index, topic in enumerate(prepared)
-            for position, time in enumerate(topic.received_ns)
-        ]
-        for time, index, position in sorted(events):
-            writer.write(connections[index], time, prepared[index].messages[position])
+        writer.finish()
+    return hashes
+
+
+def _summary(prepared: Sequence[_Topic], hashes: Sequence[str], file: str) -> dict[str, Any]:
+    """Return what rosbag2 notes beside its storage file."""
+    times = [time for topic in prepared for time in topic.received_ns]
+    start, stop = min(times, default=0), max(times, default=0)
+
+    # A new one for each place: YAML would write the second as a reference to the first.
+    def span() -> dict[str, Any]:
+        return {
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "duration": {"nanoseconds": stop - start},
+            "message_count": len(times),
+        }
+
+    topics = [
+        {
+            "topic_metadata": {
+                "name": topic.name,
+                "type": topic.msgtype,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": _profiles(topic),
+                "type_description_hash": digest,
+            },
+            "message_count": len(topic.messages),
+        }
+        for topic, digest in zip(prepared, hashes, strict=True)
+    ]
+    return {
+        "version": _ROSBAG2_VERSION,
+        "storage_identifier": "mcap",
+        **span(),
+        "topics_with_message_count": topics,
+        # Of rosbag2's own compression; MCAP compresses its chunks by itself.
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file],
+        "files": [{"path": file, **span()}],
+        "custom_data": {"written_by": "airpuck"},
+        "ros_distro": "unknown",
+    }
 
 
 def _within(types: Types, msgtype: str) -> dict:
@@ -174,26 +231,11 @@ def _within(types: Types, msgtype: str) -> dict:
     return needed
 
 
-def _quality(*, best_effort: bool) -> Qos:
+def _profiles(topic: _Topic) -> str:
     """Return the quality of service as the table's recorder notes it."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
-
-    never = QosTime(9223372036, 854775807)
-    return Qos(
-        history=QosHistory.UNKNOWN,
-        depth=0,
-        reliability=QosReliability.BEST_EFFORT if best_effort else QosReliability.RELIABLE,
-        durability=QosDurability.VOLATILE,
-        deadline=never,
-        lifespan=never,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=never,
-        avoid_ros_namespace_conventions=False,
+    never = "\n    sec: 9223372036\n    nsec: 854775807\n"
+    return (
+        f"- history: 3\n  depth: 0\n  reliability: {2 if topic.best_effort else 1}\n"
+        f"  durability: 2\n  deadline:{never}  lifespan:{never}  liveliness: 1\n"
+        f"  liveliness_lease_duration:{never}  avoid_ros_namespace_conventions: false"
     )

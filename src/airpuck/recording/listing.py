@@ -1,0 +1,46 @@
+"""Names out of a file, fit to be shown in an error's one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import islice
+
+_LONGEST = 80
+
+
+def one_line(text: str) -> str:
+    """Return a text from a file such that it stays on one line, and short.
+
+    Parameters
+    ----------
+    text : str
+        Anything.
+
+    Returns
+    -------
+    str
+        The same where that is short and printable.
+    """
+    short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    return short if short.isprintable() else repr(short)
+
+
+def listing(names: Iterable[str], most: int = 12) -> str:
+    """List names from a file.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Anything.
+    most : int, default 12
+        How many to show; the rest is counted.
+
+    Returns
+    -------
+    str
+        Separated by commas; "none" for none.
+    """
+    rest = iter(names)
+    shown = [one_line(name) for name in islice(rest, most)]
+    more = sum(1 for _ in rest)
+    return ", ".join([*shown, f"{more} more"] if more else shown) or "none"

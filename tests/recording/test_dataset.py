@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import hashlib
+import http.server
+import os
+import shutil
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import airpuck.recording.dataset as module
+from airpuck.errors import InputError
+from airpuck.recording.dataset import (
+    BASE_URL,
+    dataset_files,
+    dataset_folder,
+    fetch,
+    verify,
+)
+
+CONTENT = {
+    "models/paper/M0/params.json": b"{}",
+    "control_experiment/data_M0/drone_control.csv": b"a,b\n1,2\n",
+    "experiments/other/data.pt": b"not of the study",
+}
+
+
+@pytest.fixture(autouse=True)
+def no_copy(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("AIRPUCK_DATA", raising=False)
+
+
+@pytest.fixture
+def published(monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
+    """A small dataset in place of the real one."""
+    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in CONTENT.items()}
+    monkeypatch.setattr(module, "_registry", lambda: hashes)
+    return CONTENT
+
+
+class Server:
+    def __init__(self, root: Path) -> None:
+        self.asked: list[str] = []
+        self.cut = False
+        outer = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                outer.asked.append(self.path)
+                file = root / self.path.lstrip("/")
+                if not file.is_file():
+                    self.send_error(404)
+                    return
+                content = file.read_bytes()
+                self.send_response(200)
+                self.send_header("Content-Length", str(len(content)))
+                self.end_headers()
+                self.wfile.write(content[: len(content) // 2] if outer.cut else content)
+
+            def log_message(self, format: str, *args: object) -> None:
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self.server.server_address[1]}/"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+
+@pytest.fixture
+def server(tmp_path: Path, published: dict[str, bytes]) -> Iterator[Server]:
+    root = tmp_path / "served"
+    for name, content in published.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(content)
+    server = Server(root)
+    yield server
+    server.server.shutdown()
+    server.server.server_close()
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {
+        file.relative_to(folder).as_posix(): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file()
+    }
+
+
+def test_the_study_is_downloaded_once(tmp_path: Path, server: Server):
+    target = tmp_path / "copy"
+    assert fetch(folder=target, base_url=server.url) == target
+    study = {name: CONTENT[name] for name in CONTENT if "other" not in name}
+    assert files_in(target) == study
+    assert len(server.asked) == 2
+    fetch(folder=target, base_url=server.url)
+    assert len(server.asked) == 2
+
+
+def test_all_of_it(tmp_path: Path, server: Server):
+    seen = []
+    fetch(
+        all=True,
+        folder=tmp_path / "copy",
+        base_url=server.url,
+        progress=lambda done, total, name: seen.append((done, total, name)),
+    )
+    assert files_in(tmp_path / "copy") == CONTENT
+    assert seen == [*((i, 3, name) for i, name in enumerate(CONTENT)), (3, 3, "")]
+
+
+def test_a_damaged_copy_is_downloaded_again(tmp_path: Path, server: Server):
+    target = tmp_path / "copy"
+    fetch(folder=target, base_url=server.url)
+    (target / "models/paper/M0/params.json").write_bytes(b"{ }")
+    assert dict(verify(target)) == {
+        "models/paper/M0/params.json": "has another content than published"
+    }
+    fetch(folder=target, base_url=server.url)
+    assert verify(target) == {}
+
+
+def test_another_content_is_refused_and_not_kept(tmp_path: Path, server: Server):
+    (tmp_path / "served" / "models/paper/M0/params.json").write_bytes(b"{'evil': 1}")
+    with pytest.raises(InputError, match="another content than expected") as caught:
+        fetch(folder=tmp_path / "copy", base_url=server.url)
+    assert "params.json" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert files_in(tmp_path / "copy") == {}
+
+
+def test_a_broken_connection_keeps_nothing(tmp_path: Path, server: Server):
+    server.cut = True
+    with pytest.raises(InputError) as caught:
+        fetch(folder=tmp_path / "copy", base_url=server.url)
+    assert "\n" not in str(caught.value)
+    assert files_in(tmp_path / "copy") == {}
+
+
+def test_a_file_that_the_server_does_not_have(tmp_path: Path, server: Server):
+    (tmp_path / "served" / "models/paper/M0/params.json").unlink()
+    with pytest.raises(InputError, match="the server answers 404"):
+        fetch(folder=tmp_path / "copy", base_url=server.url)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "no-such-host.invalid"])
+def test_offline_is_one_clear_line(tmp_path: Path, published, host: str):
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+    url = f"http://{host}:{port}/"
+    with pytest.raises(InputError, match="cannot be downloaded") as caught:
+        fetch(folder=tmp_path / "copy", base_url=url)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert url in message
+    assert "AIRPUCK_DATA" in message
+    assert files_in(tmp_path / "copy") == {}
+
+
+def test_a_place_that_cannot_be_written(tmp_path: Path, server: Server):
+    (tmp_path / "copy").write_text("a file")
+    with pytest.raises(InputError, match="cannot be written"):
+        fetch(folder=tmp_path / "copy", base_url=server.url)
+
+
+def test_the_variable_names_a_copy_that_is_checked(
+    tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch
+):
+    target = fetch(folder=tmp_path / "copy", base_url=server.url)
+    asked = len(server.asked)
+    monkeypatch.setenv("AIRPUCK_DATA", str(target))
+    assert fetch(base_url=server.url) == target
+    assert dataset_folder() == target
+    with pytest.raises(InputError, match=r"experiments/other/data\.pt: is missing"):
+        fetch(all=True, base_url=server.url)
+    (target / "models/paper/M0/params.json").unlink()
+    (target / "control_experiment/data_M0/drone_control.csv").write_text("")
+    with pytest.raises(InputError, match="and 1 more files are wrong"):
+        fetch(base_url=server.url)
+    assert len(server.asked) == asked
+
+
+@pytest.mark.parametrize("call", [fetch, dataset_folder])
+def test_the_variable_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call):
+    monkeypatch.setenv("AIRPUCK_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="AIRPUCK_DATA: is not a folder"):
+        call()
+
+
+def test_without_the_variable_the_cache_is_filled(
+    tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "fetch", lambda: fetch(base_url=server.url))
+    assert dataset_folder().is_relative_to(tmp_path)
+    assert verify(dataset_folder()) == {}
+
+
+def test_the_registry_is_pinned():
+    assert BASE_URL.endswith("/holohover-sysid/3a257e77d1fdefe445f5d180900015d55013cd9a/")
+    study, everything = dataset_files(), dataset_files(all=True)
+    assert len(everything) == 28
+    assert len(study) == 18
+    assert study.items() <= everything.items()
+    assert all(len(digest) == 64 and int(digest, 16) for digest in everything.values())
+    assert sum(name.endswith("params.json") for name in study) == 5
+
+
+def test_the_registry_is_the_published_one(data: Path):
+    lines = (data / "SHA256SUMS").read_text().split("\n")
+    expected = {name: digest for digest, name in (line.split() for line in lines if line)}
+    assert dict(dataset_files(all=True)) == expected
+
+
+def test_the_real_copy_is_whole(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    assert verify(data) == {}
+    missing = verify(data, all=True)
+    assert set(missing.values()) <= {"is missing"}
+    damaged = tmp_path / "copy"
+    shutil.copytree(data / "models", damaged / "models")
+    file = damaged / "models" / "paper" / "M3" / "params.json"
+    os.chmod(file, 0o644)  # noqa: PTH101
+    file.write_bytes(file.read_bytes()[:-1])
+    problems = verify(damaged)
+    assert problems["models/paper/M3/params.json"] == "has another content than published"
+    assert "models/paper/M2/params.json" not in problems
+    monkeypatch.setenv("AIRPUCK_DATA", str(data))
+    assert fetch() == data

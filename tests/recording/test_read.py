@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.csv_folder import write_csv
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import Recording
+
+from .bags import flight
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    write_bag(flight(), tmp_path / "bag")
+    return tmp_path / "bag"
+
+
+def test_a_folder_stands_for_the_only_recording_inside(tmp_path: Path, bag: Path):
+    (tmp_path / "plots").mkdir()
+    (tmp_path / "data.pt").write_bytes(b"preprocessed")
+    recording = read_recording(tmp_path)
+    assert recording.source == str(bag)
+    assert recording.streams == read_recording(bag).streams
+
+
+def test_several_recordings_are_not_guessed_at(tmp_path: Path, bag: Path):
+    write_csv(flight(), tmp_path / "csv")
+    with pytest.raises(InputError, match="holds several recordings; give one of bag, csv"):
+        read_recording(tmp_path)
+
+
+def test_a_bag_comes_before_the_csv_files_made_from_it(tmp_path: Path, bag: Path):
+    made = flight()
+    write_csv(Recording({"pose": made["pose"], "command": made["command"]}, ""), tmp_path / "csv")
+    for file in (tmp_path / "csv").iterdir():
+        shutil.move(file, bag)
+    assert set(read_recording(bag).streams) == set(made.streams)
+
+
+def test_metadata_without_its_storage_file(bag: Path):
+    (bag / "bag_0.mcap").unlink()
+    with pytest.raises(InputError, match="storage file is missing"):
+        read_recording(bag)
+
+
+def test_csv_files_beside_metadata_of_a_bag_that_is_elsewhere(tmp_path: Path, bag: Path):
+    write_csv(flight(), tmp_path / "csv")
+    shutil.copy(bag / "metadata.yaml", tmp_path / "csv")
+    recording = read_recording(tmp_path / "csv")
+    assert recording.streams == flight().streams
+    assert recording.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("nowhere", "no such file or folder"),
+        ("empty", "holds no recording"),
+        ("file.csv", "give the folder"),
+        ("traj.npz", "is preprocessed already"),
+        ("data.pt", "is preprocessed already"),
+        ("notes.txt", "is no recording"),
+        ("pipe", "no regular file"),
+    ],
+)
+def test_what_is_no_recording(tmp_path: Path, name: str, says: str):
+    (tmp_path / "empty").mkdir()
+    for file in ("file.csv", "traj.npz", "data.pt", "notes.txt"):
+        (tmp_path / file).write_text("1,2\n")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=says) as caught:
+        read_recording(tmp_path / name)
+    assert caught.value.file == str(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_hostile_names_stay_on_one_line(tmp_path: Path):
+    from .bags import write_mcap
+
+    path = write_mcap(
+        tmp_path / "a.mcap", {f"/a\nb{i}": ("x\x1b[31m", "\n", []) for i in range(50)}
+    )
+    with pytest.raises(InputError) as caught:
+        read_recording(path)
+    assert str(caught.value).isprintable()
+    assert "38 more" in str(caught.value)
+
+
+def test_importing_the_room_is_quick():
+    code = (
+        "import sys, airpuck.recording;"
+        "print([name for name in ('numpy', 'rosbags', 'mcap', 'pooch') if name in sys.modules]);"
+        "airpuck.recording.read_recording;"
+        "print([name for name in ('rosbags', 'mcap', 'pooch', 'jax') if name in sys.modules])"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert out.splitlines() == ["[]", "[]"]
+
+
+def test_every_public_name_is_there():
+    import airpuck.recording as room
+
+    # A module of the same name would take the function's place once it is imported.
+    assert all(callable(getattr(room, name)) for name in room.__all__)
+    assert set(dir(room)) == set(room.__all__)
+    with pytest.raises(AttributeError):
+        room.nothing  # noqa: B018

@@ -1,0 +1,277 @@
+from __future__ import annotations
+
+import pickle
+import struct
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.errors import InputError
+from airpuck.recording.torch_archive import read_authors_experiment
+
+NAME = "experiments/sysid_h1"
+
+
+def text(value: str) -> bytes:
+    data = value.encode()
+    return b"X" + struct.pack("<I", len(data)) + data
+
+
+def integer(value: int) -> bytes:
+    raw = value.to_bytes(9, "little", signed=True)
+    return b"\x8a" + bytes([len(raw)]) + raw
+
+
+def integers(values) -> bytes:
+    return b"(" + b"".join(integer(value) for value in values) + b"t"
+
+
+def tensor(key: str, n: int, shape, stride=None, *, offset: int = 0, kind: str = "Double") -> bytes:
+    """A tensor as torch pickles it, instruction by instruction."""
+    if stride is None:
+        stride = [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
+    storage = b"(" + text("storage") + f"ctorch\n{kind}Storage\n".encode() + text(key)
+    storage += text("cpu") + integer(n) + b"tQ"
+    arguments = b"(" + storage + integer(offset) + integers(shape) + integers(stride)
+    arguments += b"\x89ccollections\nOrderedDict\n)Rt"
+    return b"ctorch._utils\n_rebuild_tensor_v2\n" + arguments + b"R"
+
+
+def dictionary(items: Mapping[str, bytes]) -> bytes:
+    return b"}(" + b"".join(text(key) + value for key, value in items.items()) + b"u"
+
+
+def good_arrays(n: int = 50) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return {
+        "T": 0.004166 * np.arange(n),
+        "X": rng.uniform(-1, 1, (n, 6)),
+        "U": rng.uniform(0, 1, (n, 6)),
+        "dX": rng.normal(size=(n, 6)),
+    }
+
+
+def archive(
+    path: Path,
+    arrays: Mapping[str, np.ndarray] | None = None,
+    *,
+    tensors: Mapping[str, bytes] | None = None,
+    without: str = "",
+    members: Mapping[str, bytes] | None = None,
+    data_pickle: bytes | None = None,
+    compression: int = zipfile.ZIP_STORED,
+    names: tuple[str, ...] = (NAME,),
+) -> Path:
+    """A file as torch writes it, without torch; any part of it can be replaced."""
+    arrays = good_arrays() if arrays is None else arrays
+    parts = {
+        key: tensor(str(index), array.size, array.shape)
+        for index, (key, array) in enumerate(arrays.items())
+    }
+    parts.update(tensors or {})
+    content = {"exps": text("names")}
+    content |= {key: dictionary(dict.fromkeys(names, part)) for key, part in parts.items()}
+    content.pop(without, None)
+    files = {"data/data.pkl": b"\x80\x02" + dictionary(content) + b"."}
+    if data_pickle is not None:
+        files["data/data.pkl"] = data_pickle
+    files["data/byteorder"] = b"little"
+    for index, array in enumerate(arrays.values()):
+        files[f"data/data/{index}"] = array.astype("<f8").tobytes()
+    files |= members or {}
+    with zipfile.ZipFile(path, "w", compression) as target:
+        for name, data in files.items():
+            target.writestr(name, data)
+    return path
+
+
+def test_a_good_archive(tmp_path: Path):
+    arrays = good_arrays()
+    trajectory = read_authors_experiment(archive(tmp_path / "data.pt", arrays))
+    assert np.array_equal(trajectory.time, arrays["T"])
+    assert np.array_equal(trajectory.state, arrays["X"])
+    assert np.array_equal(trajectory.command, arrays["U"])
+    assert np.array_equal(trajectory.command_time, arrays["T"])
+    assert np.array_equal(trajectory.acceleration, arrays["dX"][:, 3:])
+    assert trajectory.delay == 0
+    assert not trajectory.delay_known
+    assert trajectory.propellers[0] == "motor_a_1"
+    assert set(trajectory.hashes) == {"data.pt"}
+    assert trajectory.source == str(tmp_path / "data.pt")
+
+
+def test_the_folder_stands_for_its_file(tmp_path: Path):
+    archive(tmp_path / "data.pt")
+    assert len(read_authors_experiment(tmp_path)) == 50
+
+
+def test_wrapped_yaw_is_unwrapped_and_other_yaw_left_alone(tmp_path: Path):
+    arrays = good_arrays()
+    yaw = np.linspace(3, 9, 50)
+    arrays["X"][:, 2] = np.arctan2(np.sin(yaw), np.cos(yaw))
+    state = read_authors_experiment(archive(tmp_path / "data.pt", arrays)).state
+    assert state[:, 2] == pytest.approx(yaw, abs=1e-12)
+
+
+def test_strides_and_offsets(tmp_path: Path):
+    arrays = good_arrays()
+    n = 50
+    stored = {**arrays, "X": np.concatenate([[np.nan] * 7, arrays["X"].T.ravel()])}
+    moved = {"X": tensor("1", 7 + 6 * n, (n, 6), (1, n), offset=7)}
+    path = archive(tmp_path / "data.pt", stored, tensors=moved)
+    assert np.array_equal(read_authors_experiment(path).state, arrays["X"])
+
+
+def test_big_endian_storages(tmp_path: Path):
+    arrays = good_arrays()
+    members = {
+        f"data/data/{index}": array.astype(">f8").tobytes()
+        for index, array in enumerate(arrays.values())
+    }
+    path = archive(tmp_path / "data.pt", arrays, members={**members, "data/byteorder": b"big"})
+    assert np.array_equal(read_authors_experiment(path).state, arrays["X"])
+
+
+def test_several_experiments_are_chosen_by_name(tmp_path: Path):
+    path = archive(tmp_path / "data.pt", names=("first", "second"))
+    with pytest.raises(InputError, match=r"holds 2 experiments.*\(first, second\)"):
+        read_authors_experiment(path)
+    assert len(read_authors_experiment(path, name="second")) == 50
+    with pytest.raises(InputError, match="no experiment 'third'"):
+        read_authors_experiment(path, name="third")
+
+
+def changed(key: str, change) -> dict[str, np.ndarray]:
+    arrays = good_arrays()
+    arrays[key] = change(arrays[key])
+    return arrays
+
+
+def with_value(value: float):
+    def change(array: np.ndarray) -> np.ndarray:
+        array = array.copy()
+        array[(17, *[0] * (array.ndim - 1))] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"without": "exps"}, "has no 'exps'"),
+        ({"without": "dX"}, "has no 'dX'"),
+        ({"arrays": changed("X", lambda x: x[:, :5])}, r"X: has the shape \(50, 5\)"),
+        ({"arrays": changed("U", lambda u: u[:-1])}, r"U: has the shape \(49, 6\)"),
+        ({"arrays": changed("T", lambda t: t[:, None])}, r"T: has the shape \(50, 1\)"),
+        ({"arrays": {key: a[:1] for key, a in good_arrays().items()}}, r"T: has the shape \(1,\)"),
+        ({"arrays": {key: a[:0] for key, a in good_arrays().items()}}, "is empty"),
+        ({"arrays": changed("X", with_value(np.nan))}, "X: row 17 is not a finite number"),
+        ({"arrays": changed("dX", with_value(np.inf))}, "dX: row 17 is not a finite number"),
+        ({"arrays": changed("T", with_value(0.0))}, "T: time does not increase at row 17"),
+        ({"arrays": changed("T", lambda t: t * 0)}, "T: time does not increase at row 1"),
+        ({"arrays": changed("U", with_value(1.2))}, "U: commands reach from"),
+        ({"arrays": changed("U", with_value(-0.2))}, "U: commands reach from"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), kind="Float")}}, "torch.FloatStorage"),
+        ({"tensors": {"X": tensor("1", 299, (50, 6))}}, "wrong length"),
+        ({"tensors": {"X": tensor("9", 300, (50, 6))}}, "is missing"),
+        ({"tensors": {"X": tensor("../0", 300, (50, 6))}}, "wrong name"),
+        ({"tensors": {"X": tensor("1", -1, (50, 6))}}, "wrong name or size"),
+        ({"tensors": {"X": tensor("1", 2**62, (50, 6))}}, "wrong length"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), (6, 2))}}, "beyond its storage"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), (2**60, 1))}}, "beyond its storage"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), (-6, 1))}}, "wrong shape or stride"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), offset=1)}}, "beyond its storage"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), offset=-1)}}, "has no storage"),
+        ({"tensors": {"X": tensor("1", 300, (2**40, 6), (0, 1))}}, "beyond its storage"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), (6,))}}, "wrong shape or stride"),
+        ({"tensors": {"X": tensor("1", 300, (1,) * 100)}}, "is it damaged"),
+        ({"tensors": {"X": tensor("1", 300, (1, 1), (2**66, 1))}}, "is it damaged"),
+        ({"tensors": {"X": text("no tensor")}}, "something else than a tensor"),
+        ({"names": ()}, "holds 0 experiments"),
+        ({"members": {"data/byteorder": b"middle"}}, "byte order is unknown"),
+        ({"members": {"other/data.pkl": b"}."}}, "one data.pkl"),
+        ({"compression": zipfile.ZIP_DEFLATED}, "compressed"),
+        ({"data_pickle": b"}."}, "has no 'exps'"),
+        ({"data_pickle": b"K\x01."}, "has no 'exps'"),
+        ({"data_pickle": b""}, "is damaged"),
+        ({"data_pickle": pickle.dumps(print)}, "not an experiment of the authors: it"),
+        ({"data_pickle": b"cos\nsystem\n" + text("true") + b"\x85R."}, "os.system"),
+    ],
+)
+def test_what_is_wrong_is_one_clear_line(tmp_path: Path, options: dict, says: str):
+    path = archive(tmp_path / "data.pt", **options)
+    with pytest.raises(InputError, match=says) as caught:
+        read_authors_experiment(path)
+    assert caught.value.file == str(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_zip_bomb_is_not_unpacked(tmp_path: Path):
+    path = archive(
+        tmp_path / "data.pt",
+        members={"data/data/1": bytes(200_000_000)},
+        tensors={"X": tensor("1", 25_000_000, (50, 6))},
+        compression=zipfile.ZIP_DEFLATED,
+    )
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(InputError, match="compressed"):
+        read_authors_experiment(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\0" * 500, pickle.dumps({"T": 1})])
+def test_what_is_no_archive(tmp_path: Path, content: bytes):
+    path = tmp_path / "data.pt"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not a readable torch file"):
+        read_authors_experiment(path)
+
+
+def test_no_such_file(tmp_path: Path):
+    for path in (tmp_path / "data.pt", tmp_path):
+        with pytest.raises(InputError, match="no such file"):
+            read_authors_experiment(path)
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_damage_anywhere(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject):
+    path = tmp_path_factory.mktemp("damage") / "data.pt"
+    content = bytearray(archive(path, good_arrays(4)).read_bytes())
+    if data.draw(st.booleans()):
+        content = content[: data.draw(st.integers(0, len(content) - 1))]
+    else:
+        for _ in range(data.draw(st.integers(1, 4))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(content)
+    try:
+        read_authors_experiment(path)
+    except InputError as error:
+        assert str(error).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("name", "n"),
+    [
+        ("2023_10_18-11_28_12_sysid_h1_old", 20083),
+        ("2023_11_22-11_57_44_sysid_h1_old", 23417),
+        ("2024_03_05-16_12_50_sysid_h1_blue", 14549),
+    ],
+)
+def test_the_authors_files(experiments: Path, name: str, n: int):
+    path = experiments / name / "data.pt"
+    trajectory = read_authors_experiment(path)
+    with zipfile.ZipFile(path) as members:
+        t, x, u, dx = (np.frombuffer(members.read(f"data/data/{i}")) for i in range(4))
+    assert len(trajectory) == n
+    assert np.array_equal(trajectory.time, t)
+    assert np.array_equal(trajectory.state, x.reshape(n, 6))
+    assert np.array_equal(trajectory.command, u.reshape(n, 6))
+    assert np.array_equal(trajectory.acceleration, dx.reshape(n, 6)[:, 3:])
+    # The held input of each sample is the authors' own row.
+    assert np.array_equal(trajectory.input, trajectory.command)
