@@ -18,10 +18,10 @@ ORDER = (
     ("model",),
     ("model_file",),
     ("trajectory", "windows", "recording"),
-    ("preprocess",),
+    ("preprocessing",),
     ("estimate",),
-    ("identify",),
-    ("evaluate",),
+    ("identification",),
+    ("evaluation",),
     ("control",),
     ("flight",),
     ("twin", "live"),
@@ -62,8 +62,8 @@ def test_imports_go_downwards(path):
     ("package", "rooms"),
     [
         ("matplotlib", {"report"}),
-        ("jax", {"model", "identify"}),
-        ("optax", {"identify"}),
+        ("jax", {"model", "identification"}),
+        ("optax", {"identification"}),
         ("typer", {"cli.py"}),
         ("rosbags", {"recording"}),
         ("mcap", {"recording"}),
@@ -113,3 +113,9 @@ def test_every_public_name_can_be_imported():
         assert getattr(airpuck, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = airpuck.nonsense
+
+
+def test_no_room_takes_a_verbs_name():
+    # Importing airpuck.x makes the module an attribute of airpuck, over any function of that name.
+    rooms = {path.stem if path.is_file() else path.name for path in ROOT.iterdir()}
+    assert not rooms & set(airpuck.__all__)

@@ -16,33 +16,80 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from airpuck.errors import InputError
+    from airpuck.estimate.encoder import PaperEncoder
+    from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
+    from airpuck.identification.adam import Adam
+    from airpuck.identification.fit import Fit, identify
+    from airpuck.identification.layout_check import check_layout
+    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.model.parameters import Parameters
+    from airpuck.model_file import Model, read_model
+    from airpuck.preprocessing.load import load_trajectory
+    from airpuck.preprocessing.pipeline import preprocess
+    from airpuck.recording.bag_writer import write_bag
+    from airpuck.recording.csv_folder import write_csv
+    from airpuck.recording.read import read_recording
     from airpuck.recording.stream import Recording, Stream
     from airpuck.trajectory import Span, Trajectory, read_trajectory
     from airpuck.vehicle import Vehicle, default_vehicle, read_vehicle
 
 #: Public name -> the module that defines it.
 _HOME = {
+    "Adam": "airpuck.identification.adam",
+    "Evaluation": "airpuck.evaluation.evaluate",
+    "Fit": "airpuck.identification.fit",
     "InputError": "airpuck.errors",
+    "LevenbergMarquardt": "airpuck.identification.levenberg_marquardt",
+    "Model": "airpuck.model_file",
+    "PaperEncoder": "airpuck.estimate.encoder",
+    "Parameters": "airpuck.model.parameters",
     "Recording": "airpuck.recording.stream",
-    "Stream": "airpuck.recording.stream",
     "Span": "airpuck.trajectory",
+    "Stream": "airpuck.recording.stream",
     "Trajectory": "airpuck.trajectory",
-    "read_trajectory": "airpuck.trajectory",
     "Vehicle": "airpuck.vehicle",
+    "check_layout": "airpuck.identification.layout_check",
+    "compare": "airpuck.evaluation.evaluate",
     "default_vehicle": "airpuck.vehicle",
+    "evaluate": "airpuck.evaluation.evaluate",
+    "identify": "airpuck.identification.fit",
+    "load_trajectory": "airpuck.preprocessing.load",
+    "preprocess": "airpuck.preprocessing.pipeline",
+    "read_model": "airpuck.model_file",
+    "read_recording": "airpuck.recording.read",
+    "read_trajectory": "airpuck.trajectory",
     "read_vehicle": "airpuck.vehicle",
+    "write_bag": "airpuck.recording.bag_writer",
+    "write_csv": "airpuck.recording.csv_folder",
 }
 
 __all__ = [
+    "Adam",
+    "Evaluation",
+    "Fit",
     "InputError",
+    "LevenbergMarquardt",
+    "Model",
+    "PaperEncoder",
+    "Parameters",
     "Recording",
     "Span",
     "Stream",
     "Trajectory",
     "Vehicle",
+    "check_layout",
+    "compare",
     "default_vehicle",
+    "evaluate",
+    "identify",
+    "load_trajectory",
+    "preprocess",
+    "read_model",
+    "read_recording",
     "read_trajectory",
     "read_vehicle",
+    "write_bag",
+    "write_csv",
 ]
 
 

@@ -11,8 +11,8 @@ import typer
 from typer.exceptions import TyperException
 
 if TYPE_CHECKING:
-    from airpuck.evaluate.evaluation import Evaluation
-    from airpuck.identify.method import Iteration
+    from airpuck.evaluation.evaluate import Evaluation
+    from airpuck.identification.method import Iteration
     from airpuck.trajectory import Trajectory
     from airpuck.vehicle import Vehicle
 
@@ -170,9 +170,9 @@ def identify(
     quiet: Quiet = False,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
-    from airpuck.identify.adam import Adam
-    from airpuck.identify.fit import identify
-    from airpuck.identify.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.identification.adam import Adam
+    from airpuck.identification.fit import identify
+    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
     from airpuck.model.presets import preset
 
     preset(model)
@@ -248,7 +248,7 @@ def check(
     json_file: Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
-    from airpuck.identify.layout_check import check_layout
+    from airpuck.identification.layout_check import check_layout
     from airpuck.vehicle import default_vehicle
 
     craft = _vehicle(vehicle) or default_vehicle()
@@ -313,7 +313,7 @@ def _load(
     recording: Path, vehicle: Vehicle | None, topics: Path | None, delay: float | None = None
 ) -> Trajectory:
     """Load and preprocess a recording."""
-    from airpuck.preprocess.load import load_trajectory
+    from airpuck.preprocessing.load import load_trajectory
     from airpuck.recording.topics import read_topics
 
     names = None if topics is None else read_topics(topics)
@@ -345,7 +345,7 @@ def _compare(
     single: bool,
 ) -> None:
     """Evaluate models on a recording and print a table."""
-    from airpuck.evaluate.evaluation import PROTOCOLS, compare
+    from airpuck.evaluation.evaluate import PROTOCOLS, compare
     from airpuck.model_file import read_model
 
     _choose("--protocol", protocol, tuple(PROTOCOLS))

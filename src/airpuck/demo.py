@@ -32,9 +32,9 @@ def demo(out: str | os.PathLike[str], *, progress: Callable[[str], None] = lambd
     Path
         The report.
     """
-    from airpuck.evaluate.evaluation import compare
-    from airpuck.identify.fit import identify
-    from airpuck.preprocess.pipeline import preprocess
+    from airpuck.evaluation.evaluate import compare
+    from airpuck.identification.fit import identify
+    from airpuck.preprocessing.pipeline import preprocess
     from airpuck.recording import read_recording, write_bag
     from airpuck.report.fit_report import fit_report
     from airpuck.twin.random_flight import random_recording

@@ -49,7 +49,7 @@ def load_trajectory(
         from airpuck.recording.torch_archive import read_authors_experiment
 
         return read_authors_experiment(archive)
-    from airpuck.preprocess.pipeline import preprocess
+    from airpuck.preprocessing.pipeline import preprocess
     from airpuck.recording.read import read_recording
 
     return preprocess(read_recording(path, topics=topics), vehicle, delay=delay)

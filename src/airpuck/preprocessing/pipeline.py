@@ -11,15 +11,15 @@ from jaxtyping import Float
 from airpuck.errors import InputError
 from airpuck.model.parameters import nominal_parameters
 from airpuck.model.rigid_body import Dynamics
-from airpuck.preprocess.clock import align_clocks
-from airpuck.preprocess.delay import DelayEstimate, estimate_delay
-from airpuck.preprocess.derivative import (
+from airpuck.preprocessing.clock import align_clocks
+from airpuck.preprocessing.delay import DelayEstimate, estimate_delay
+from airpuck.preprocessing.derivative import (
     ACCELERATION_WINDOW,
     acceleration,
     unwrap_yaw,
     velocity,
 )
-from airpuck.preprocess.quality import (
+from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
     check_commands,
     check_poses,

@@ -12,9 +12,9 @@ import numpy as np
 import optax
 from jaxtyping import Bool
 
-from airpuck.identify.method import Iteration, Outcome
-from airpuck.identify.monotone import monotone_penalty
-from airpuck.identify.objective import PredictionLoss
+from airpuck.identification.method import Iteration, Outcome
+from airpuck.identification.monotone import monotone_penalty
+from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
 from airpuck.model.rollout import rollout
 from airpuck.windows import gather_past

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identify.adam import Adam
-from airpuck.identify.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identify.objective import PredictionLoss
+from airpuck.identification.adam import Adam
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.objective import PredictionLoss
 from airpuck.model.presets import PRESETS
 from airpuck.model_file import published_model
 from airpuck.vehicle import default_vehicle

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identify.objective import PredictionLoss
+from airpuck.identification.objective import PredictionLoss
 from airpuck.model.presets import PRESETS
 from airpuck.model.rollout import rollout
 from airpuck.model_file import published_model

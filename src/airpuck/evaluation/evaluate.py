@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.evaluate.prediction import prediction_errors
+from airpuck.evaluation.prediction import prediction_errors
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory
 from airpuck.windows import make_windows

@@ -12,9 +12,9 @@ import numpy as np
 from airpuck import __version__
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identify.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identify.method import Iteration, Method
-from airpuck.identify.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.method import Iteration, Method
+from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
 from airpuck.model.rigid_body import CenterOfMassFrame

@@ -5,7 +5,7 @@ import pytest
 
 from airpuck.model.parameters import nominal_parameters
 from airpuck.model_file import published_model
-from airpuck.preprocess.delay import estimate_delay
+from airpuck.preprocessing.delay import estimate_delay
 from airpuck.vehicle import default_vehicle
 
 from ..synthetic import fly

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.preprocess.derivative import acceleration, unwrap_yaw, velocity
+from airpuck.preprocessing.derivative import acceleration, unwrap_yaw, velocity
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=50), st.floats(-20, 20))

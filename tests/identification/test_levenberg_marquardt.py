@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identify.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identify.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.model.presets import PRESETS
 from airpuck.model.rollout import rollout
 from airpuck.model.thrust import is_monotone

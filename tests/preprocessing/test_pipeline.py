@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airpuck.errors import InputError
-from airpuck.evaluate.evaluation import evaluate
-from airpuck.identify.fit import identify
+from airpuck.evaluation.evaluate import evaluate
+from airpuck.identification.fit import identify
 from airpuck.model_file import published_model
-from airpuck.preprocess.pipeline import preprocess
+from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording, Stream
 from airpuck.windows import make_windows
 

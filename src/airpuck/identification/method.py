@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool
 
-from airpuck.identify.objective import PredictionLoss
+from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from airpuck.errors import InputError
-from airpuck.evaluate.evaluation import Protocol, compare, evaluate
+from airpuck.evaluation.evaluate import Protocol, compare, evaluate
 from airpuck.model_file import published_model, read_model
 from airpuck.trajectory import Span
 
 from ..conftest import VALIDATION
-from ..identify.test_fit import TABLE_2, four_propellers
+from ..identification.test_fit import TABLE_2, four_propellers
 from ..synthetic import fly
 
 

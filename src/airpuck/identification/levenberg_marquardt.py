@@ -9,9 +9,9 @@ import numpy as np
 import piqp
 from jaxtyping import Bool, Float
 
-from airpuck.identify.method import Iteration, Outcome
-from airpuck.identify.monotone import SlopeConstraints
-from airpuck.identify.objective import PredictionLoss, Quadratic
+from airpuck.identification.method import Iteration, Outcome
+from airpuck.identification.monotone import SlopeConstraints
+from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.parameters import Parameters
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.evaluate.evaluation import evaluate
-from airpuck.identify.fit import identify
+from airpuck.evaluation.evaluate import evaluate
+from airpuck.identification.fit import identify
 from airpuck.model.parameters import Parameters
 from airpuck.model.thrust import is_monotone
 from airpuck.model_file import Model, published_model, read_model
@@ -123,7 +123,7 @@ def test_other_motors_are_refused():
 
 
 def test_warns_when_not_converged():
-    from airpuck.identify.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 
     fit = identify(
         fly(published_model("M3"), duration=3.0), method=LevenbergMarquardt(max_iterations=1)
