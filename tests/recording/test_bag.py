@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import itertools
+import resource
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +94,7 @@ def test_a_folder_without_metadata_and_with_split_files(tmp_path: Path, topics):
     folder = tmp_path / "bag"
     folder.mkdir()
     # Twelve files, so that sorting by name would put 10 before 2.
-    edges = np.linspace(START_NS, START_NS + 5 * 10**9, 13)
+    edges = np.linspace(START_NS, START_NS + 4 * 10**9 + 10**8, 13)
     for index, (first, last) in enumerate(itertools.pairwise(edges)):
         part = {
             name: (msgtype, text, [item for item in messages if first <= item[0] < last])
@@ -104,6 +104,23 @@ def test_a_folder_without_metadata_and_with_split_files(tmp_path: Path, topics):
     recording = read_recording(folder)
     assert recording.streams == whole.streams
     assert len(recording.hashes) == 12
+
+
+def test_metadata_gives_the_order_of_the_files(tmp_path: Path, topics):
+    whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    half = START_NS + 2 * 10**9
+    for name, keep in (("late", lambda time: time < half), ("early", lambda time: time >= half)):
+        part = {
+            topic: (msgtype, text, [item for item in messages if keep(item[0])])
+            for topic, (msgtype, text, messages) in topics.items()
+        }
+        write_mcap(folder / f"{name}.mcap", part)
+    (folder / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  relative_file_paths: [old/late.mcap, old/early.mcap]\n"
+    )
+    assert read_recording(folder).streams == whole.streams
 
 
 def rosbags_folder(path: Path, *, plugin=StoragePlugin.SQLITE3, version=8, compress=None) -> None:
@@ -435,16 +452,17 @@ def test_a_minute_of_flight_among_other_topics_reads_in_time(tmp_path: Path):
         "import sys; from airpuck.recording import read_recording;"
         "print(len(read_recording(sys.argv[1])['pose']))"
     )
-    walls = []
-    # The best of three, because other tests may run beside this one.
-    for _ in range(3):
-        start = time.perf_counter()
+    spent = []
+    # Processor time and the best of five, because other tests may run beside this one.
+    while len(spent) < 5 and min(spent, default=2) >= 1.5:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         out = subprocess.run(
             [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
         )
-        walls.append(time.perf_counter() - start)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert out.stdout.strip() == "15000"
-    assert min(walls) < 1.5
+    assert min(spent) < 1.5
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,9 @@ def test_independent_reading_of_the_bytes(tmp_path: Path):
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     reader = make_reader(io.BytesIO(content), validate_crcs=True)
     assert reader.get_header().profile == "ros2"
+    # In the order of the file, which tools that stream it rely on.
+    times = [message.log_time for *_, message in reader.iter_messages(log_time_order=False)]
+    assert times == sorted(times)
     by_topic: dict[str, list] = {}
     schemas = {}
     for schema, channel, message in reader.iter_messages():

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -89,6 +91,30 @@ def test_layouts_that_change_from_message_to_message(frames: list[str], children
     assert read["pose.pose.position.x"].tolist() == [1.5, 2.5]
     assert read["header.stamp.sec"].tolist() == [5, 5]
     assert read["header.stamp.sec"].dtype == np.int32
+
+
+def test_numbers_between_strings_that_change():
+    types = get_types_from_msg("string a\nfloat64 x\nstring b", "a/msg/A")
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
+    messages = [
+        bytes(store.serialize_cdr(store.types["a/msg/A"](a, x, b), "a/msg/A"))
+        for a, x, b in (("", 0.5, "abcdefgh"), ("abcdefghijk", 0.75, ""))
+    ]
+    assert len(messages[0]) == len(messages[1])
+    assert decode(messages, types, "a/msg/A", ["x"])["x"].tolist() == [0.5, 0.75]
+
+
+def test_messages_of_both_byte_orders():
+    fields = {"header": {"stamp": {"sec": 3}}, "pose": {"position": {"y": 0.25}}}
+    messages = [serialise(POSE, fields, little_endian=order) for order in (True, False)]
+    # Without a string's length to give it away.
+    types = get_types_from_msg("float64 x", "a/msg/A")
+    plain = [b"\x00\x01\x00\x00" + struct.pack("<d", 1.5), bytes(4) + struct.pack(">d", 2.5)]
+    assert decode(messages, STORE.fielddefs, POSE, ["pose.position.y"])[
+        "pose.position.y"
+    ].tolist() == [0.25, 0.25]
+    assert decode(plain, types, "a/msg/A", ["x"])["x"].tolist() == [1.5, 2.5]
 
 
 def test_big_endian_messages_are_read():

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from airpuck.errors import InputError
 from airpuck.recording.csv_folder import write_csv
+from airpuck.recording.message_types import yaw_of
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topics import Topics
@@ -117,6 +118,13 @@ def test_files_named_after_other_topics(tmp_path: Path):
         read_recording(tmp_path)
     assert read_recording(tmp_path, topics=Topics(pose="/mocap/puck")).streams == expected
     (tmp_path / "mocap_puck.csv").rename(tmp_path / "my_pose_2.csv")
+    assert read_recording(tmp_path).streams == expected
+
+
+def test_references_are_not_taken_for_commands(tmp_path: Path):
+    expected = read_recording(folder(tmp_path)).streams
+    (tmp_path / COMMAND).rename(tmp_path / "puck_control.csv")
+    (tmp_path / "puck_control_state_ref.csv").write_text("log_time_ns,x\n")
     assert read_recording(tmp_path).streams == expected
 
 
@@ -261,10 +269,13 @@ def test_an_existing_folder_is_never_written_to(tmp_path: Path):
 
 def test_the_authors_files(experiments: Path):
     path = experiments / "2024_03_05-16_12_50_sysid_h1_blue"
-    start = time.perf_counter()
-    recording = read_recording(path)
-    # Both files; checked signatures included.
-    assert time.perf_counter() - start < 0.5
+    spent = []
+    # Processor time and the best of three, because other tests may run beside this one.
+    for _ in range(3):
+        start = time.process_time()
+        recording = read_recording(path)
+        spent.append(time.process_time() - start)
+    assert min(spent) < 0.4
     pose, command = recording["pose"], recording["command"]
     assert recording.source == str(path / path.name)
     assert len(pose) == 14623
@@ -285,6 +296,11 @@ def test_the_authors_files(experiments: Path):
         0.17826981842517853,
         0.03,
     ]
+    # The authors' yaw is the one of their quaternions, which have single precision.
+    quaternion = np.genfromtxt(
+        path / path.name / POSE, delimiter=",", skip_header=1, usecols=(8, 9, 10, 7)
+    )
+    assert np.abs(yaw_of(*quaternion.T) - pose.values[:, 2]).max() < 1e-15
     # An independent reader for every number.
     table = np.genfromtxt(
         path / path.name / POSE, delimiter=",", skip_header=1, usecols=(11, 12, 6)
