@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
+import hypothesis
 import pytest
 from jaxtyping import install_import_hook
 
 from . import typechecker  # noqa: F401  (the hook names it)
+
+# Compiled programs are kept from test to test and from process to process; they are found again by
+# their content, so an old one is never used for new code.
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "airpuck-tests-compiled")
+)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+
+# The same examples in every run, so that a failure is always somebody's change; HYPOTHESIS_PROFILE
+# =default looks for new ones.
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 _hook = install_import_hook("airpuck", "tests.typechecker.check")
 
