@@ -96,7 +96,12 @@ Topic = tuple[str, str, list[tuple[int, bytes]]]
 
 
 def write_mcap(
-    path: Path, topics: dict[str, Topic], *, encoding: str = "ros2msg", **options
+    path: Path,
+    topics: dict[str, Topic],
+    *,
+    encoding: str = "ros2msg",
+    in_order: bool = True,
+    **options,
 ) -> Path:
     """Write a file with the mcap package: topic -> (type, definition, [(time, message)])."""
     from mcap.writer import CompressionType, Writer
@@ -110,7 +115,9 @@ def write_mcap(
             schema = writer.register_schema(msgtype, encoding, text.encode())
             channel = writer.register_channel(name, "cdr", schema)
             events += [(time, channel, message) for time, message in messages]
-        for time, channel, message in sorted(events, key=lambda event: event[0]):
+        if in_order:
+            events.sort(key=lambda event: event[0])
+        for time, channel, message in events:
             writer.add_message(channel, time, message, time)
         writer.finish()
     return path

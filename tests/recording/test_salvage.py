@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from airpuck.errors import InputError
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording
+from airpuck.recording.salvage import salvage_mcap
 from airpuck.recording.stream import Recording, Stream
 
 from .bags import START_NS, flight, foreign_topics, write_mcap
@@ -159,6 +160,30 @@ def test_messages_without_chunks_are_salvaged_one_by_one(tmp_path: Path):
     assert 100 < len(recording["pose"]) < len(whole["pose"])
     assert is_prefix(recording["pose"], whole["pose"])
     assert recording.warnings
+
+
+def test_messages_that_the_recorder_wrote_late(tmp_path: Path, complete: Recording):
+    """They are put where readers of whole files put them."""
+    topics = foreign_topics()
+    messages = topics["/optitrack/drone/pose"][2]
+    messages[10], messages[30] = messages[30], messages[10]
+    path = write_mcap(tmp_path / "a.mcap", topics, in_order=False, chunk_size=10_000)
+    assert read_recording(path).streams == complete.streams
+    path.write_bytes(path.read_bytes()[:-20])
+    recording = read_recording(path)
+    assert recording.warnings
+    assert recording.streams == complete.streams
+
+
+def test_other_topics_are_counted_but_not_kept(whole: Path):
+    rest = salvage_mcap(whole, {"/drone/control"})
+    assert rest.damage == []
+    assert rest.n_messages == 960 + 400 + 40
+    assert {name: len(topic.messages) for name, topic in rest.topics.items()} == {
+        "/optitrack/drone/pose": 0,
+        "/drone/control": 400,
+        "/rosout": 0,
+    }
 
 
 def test_only_the_last_file_of_a_split_bag_is_cut(tmp_path: Path):

@@ -212,6 +212,17 @@ def test_what_is_wrong_is_one_clear_line(tmp_path: Path, options: dict, says: st
     assert "\n" not in str(caught.value)
 
 
+def test_tensors_of_different_experiments(tmp_path: Path):
+    parts = {
+        key: tensor(str(i), a.size, a.shape) for i, (key, a) in enumerate(good_arrays().items())
+    }
+    content = {key: dictionary({f"flight of {key}": part}) for key, part in parts.items()}
+    content["exps"] = text("names")
+    path = archive(tmp_path / "data.pt", data_pickle=dictionary(content) + b".")
+    with pytest.raises(InputError, match="not of the same experiments"):
+        read_authors_experiment(path)
+
+
 def test_a_zip_bomb_is_not_unpacked(tmp_path: Path):
     path = archive(
         tmp_path / "data.pt",
