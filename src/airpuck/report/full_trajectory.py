@@ -1,0 +1,162 @@
+"""The loss over the whole recording, and why the paper predicts over short windows instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.fit import Fit, identify
+from airpuck.identification.objective import PredictionLoss
+from airpuck.report.trial import Trial, judge
+from airpuck.trajectory import Trajectory
+from airpuck.windows import make_windows
+
+
+@dataclass(frozen=True, eq=False)
+class Landscape:
+    """The loss along one parameter, for one length of prediction.
+
+    Attributes
+    ----------
+    horizon : float
+        Length of a prediction [s].
+    windows : int
+        Predictions in the loss.
+    factor : array, shape (K,)
+        The parameter, relative to its value in the batched optimum.
+    loss : array, shape (K,)
+        The loss there.
+    """
+
+    horizon: float
+    windows: int
+    factor: Float[np.ndarray, " K"]
+    loss: Float[np.ndarray, " K"]
+
+    @property
+    def minima(self) -> Float[np.ndarray, " M"]:
+        """Factors at the local minima inside the range; as many as the sampling resolves."""
+        inside = self.loss[1:-1]
+        return self.factor[1:-1][(inside < self.loss[:-2]) & (inside < self.loss[2:])]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``horizon_s, windows, local_minima, factor, loss``.
+        """
+        return {
+            "horizon_s": self.horizon,
+            "windows": self.windows,
+            "local_minima": len(self.minima),
+            "factor": self.factor.tolist(),
+            "loss": self.loss.tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class FullTrajectory:
+    """What becomes of the loss when predictions span the whole recording (eq. loss_full).
+
+    Attributes
+    ----------
+    landscapes : tuple of Landscape
+        The loss along the inertia of M3, from the shortest to the longest prediction.
+    batched : Trial
+        Learned with short predictions.
+    nominal, refined : Trial
+        Learned with the full-trajectory loss, from the nominal values and from `batched`.
+    """
+
+    landscapes: tuple[Landscape, ...]
+    batched: Trial
+    nominal: Trial
+    refined: Trial
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``landscapes, batched, full_from_nominal, full_from_batched``.
+        """
+        return {
+            "landscapes": [landscape.to_json() for landscape in self.landscapes],
+            "batched": self.batched.to_json(),
+            "full_from_nominal": self.nominal.to_json(),
+            "full_from_batched": self.refined.to_json(),
+        }
+
+
+def predict_whole_trajectory(
+    training: Trajectory,
+    validation: Trajectory,
+    batched: Fit,
+    *,
+    horizons: Sequence[int | None] = (50, 500, 5000, None),
+    span: float = 0.12,
+    points: int = 121,
+    say: Callable[[str], None] = lambda _: None,
+) -> FullTrajectory:
+    """Compare the batched loss with the loss over the whole recording.
+
+    The paper: predicting over the whole dataset "can be rather non-smooth and sensitive to local
+    minima", hence its batches. Here the loss is sampled along the inertia, all other parameters
+    at the batched optimum, and minimised from two starting points.
+
+    Parameters
+    ----------
+    training, validation : Trajectory
+        To learn from, and to judge on.
+    batched : Fit
+        M3, learned with short predictions.
+    horizons : sequence of int or None, optional
+        Lengths of prediction to draw, in steps; None: the whole recording.
+    span : float, default 0.12
+        Relative range of the inertia, to either side.
+    points : int, default 121
+        Samples in that range.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    FullTrajectory
+        Landscapes and fits.
+    """
+    model = batched.model
+    encoder = PaperEncoder(indexing=model.indexing)
+    factor = np.linspace(1 - span, 1 + span, points)
+    landscapes = []
+    for horizon in horizons:
+        windows = make_windows(training, encoder.length, horizon, horizon or 1)
+        length = windows.prediction_length * training.sample_period
+        say(f"side claim: loss landscape of predictions over {length:.1f} s")
+        loss = PredictionLoss(windows, model.vehicle, encoder, frame=model.frame)
+        inertia = model.parameters.inertia
+        values = [
+            loss.quadratic(replace(model.parameters, inertia=f * inertia)).loss for f in factor
+        ]
+        landscapes.append(Landscape(length, len(windows), factor, np.array(values)))
+    trials = []
+    for label, initial in (
+        ("full trajectory, from nominal values", None),
+        ("full trajectory, from the batched optimum", model.parameters),
+    ):
+        say(f"side claim: {label}")
+        fit = identify(training, model.name, initial=initial, prediction_length=None)
+        trials.append(judge(label, fit, validation))
+    return FullTrajectory(
+        landscapes=tuple(landscapes),
+        batched=judge("batched", batched, validation),
+        nominal=trials[0],
+        refined=trials[1],
+    )

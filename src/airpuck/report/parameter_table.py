@@ -1,0 +1,221 @@
+"""Fitted and reference parameters as the rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from airpuck.model.presets import PRESETS
+from airpuck.model_file import Model
+from airpuck.report.gauge import largest_accelerations, physical_thrust, thrust_scale
+
+#: Quantities without a meaning where the configuration matrix is learned directly.
+_UNUSED_WHERE_DIRECT = frozenset({"inertia", "angle_offset", "center_of_mass"})
+#: Quantities in the order of the paper's table:models.
+_COLUMNS = (
+    "thrust",
+    "inertia",
+    "motor_time_constant",
+    "angle_offset",
+    "center_of_mass",
+    "configuration_matrix",
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One value in a table of parameters.
+
+    Attributes
+    ----------
+    text : str
+        The formatted value; a dash where the model does not use the parameter.
+    free : bool
+        Whether it was learned.
+    """
+
+    text: str
+    free: bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table of parameters.
+
+    Attributes
+    ----------
+    label : str
+        What it is.
+    unit : str
+        In which unit.
+    cells : tuple of Cell
+        One for each model.
+    """
+
+    label: str
+    unit: str
+    cells: tuple[Cell, ...]
+
+
+def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str], list[Row]]:
+    """Tabulate which parameters each rung has free (table:models).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Rungs, in `PRESETS`.
+    models : sequence of Model
+        One for each rung, for the values of what is fixed.
+
+    Returns
+    -------
+    headings : list of str
+        Symbol and unit of each column.
+    rows : list of Row
+        One for each rung: ``free``, the fixed value, or a dash where it is not used.
+    """
+    headings = ["thrust a, b, c [N]", "I [kg m²]", "τ [s]", "α [rad]", "r [m]", "Π"]
+    rows = []
+    for name, model in zip(names, models, strict=True):
+        preset, cells = PRESETS[name], []
+        for column in _COLUMNS:
+            if column in preset.free:
+                cells.append(Cell("free", True))
+            elif preset.direct and column in _UNUSED_WHERE_DIRECT:
+                cells.append(Cell("–", False))
+            elif column == "configuration_matrix":
+                cells.append(Cell("from the others", False))
+            else:
+                value = np.ravel(getattr(model.parameters, column))
+                cells.append(Cell(", ".join(f"{x:.3g}" for x in value), False))
+        rows.append(Row(name, preset.summary, tuple(cells)))
+    return headings, rows
+
+
+def main_rows(models: Sequence[Model]) -> list[Row]:
+    """Tabulate what a person asks for first.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The models, all of one craft, one column each.
+
+    Returns
+    -------
+    list of Row
+        Inertia, time constant, angle offset, centre of mass, and each propeller's largest thrust at
+        the physical scale (`airpuck.report.gauge`).
+    """
+    rows = [
+        _row(models, "I", "10⁻³ kg m²", "inertia", lambda m: 1e3 * m.parameters.inertia, ".4f"),
+        _row(
+            models,
+            "τ",
+            "ms",
+            "motor_time_constant",
+            lambda m: 1e3 * m.parameters.motor_time_constant,
+            ".2f",
+        ),
+        _row(models, "α", "mrad", "angle_offset", lambda m: 1e3 * m.parameters.angle_offset, ".1f"),
+    ]
+    for axis, letter in enumerate("xy"):
+        rows.append(
+            _row(
+                models,
+                f"r {letter}",
+                "mm",
+                "center_of_mass",
+                lambda m, k=axis: 1e3 * m.parameters.center_of_mass[k],
+                ".2f",
+            )
+        )
+    for motor, name in enumerate(models[0].vehicle.propeller_names):
+        rows.append(
+            _row(
+                models,
+                f"F(1) {name}",
+                "N",
+                "thrust",
+                lambda m, i=motor: physical_thrust(m)[i].sum(),
+                ".4f",
+            )
+        )
+    return rows
+
+
+def coefficient_rows(models: Sequence[Model]) -> list[Row]:
+    """Tabulate every thrust coefficient as learned, without any change of scale.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The models, all of one craft, one column each.
+
+    Returns
+    -------
+    list of Row
+        Degree times propellers.
+    """
+    degree = max(np.shape(model.parameters.thrust)[1] for model in models)
+    return [
+        _row(
+            models,
+            f"{chr(ord('a') + power)} {name}",
+            "N",
+            "thrust",
+            lambda m, i=motor, k=power: (
+                m.parameters.thrust[i][k] if k < np.shape(m.parameters.thrust)[1] else 0.0
+            ),
+            ".4f",
+        )
+        for motor, name in enumerate(models[0].vehicle.propeller_names)
+        for power in range(degree)
+    ]
+
+
+def effect_rows(models: Sequence[Model]) -> list[Row]:
+    """Tabulate what each propeller does at full speed, which no choice of scale changes.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        The models, all of one craft, one column each.
+
+    Returns
+    -------
+    list of Row
+        For each propeller: the thrust factor of `thrust_scale`, linear and angular acceleration.
+    """
+    kinds: tuple[tuple[str, str, Callable[..., Any], str], ...] = (
+        ("m‖Π_xy‖", "–", lambda m, i: thrust_scale(m)[i], ".3f"),
+        ("‖Π_xy‖ F(1)", "m/s²", lambda m, i: largest_accelerations(m)[0][i], ".3f"),
+        ("Π_yaw F(1)", "rad/s²", lambda m, i: largest_accelerations(m)[1][i], ".1f"),
+    )
+    return [
+        _row(models, f"{label} {name}", unit, "thrust", lambda m, v=value, i=motor: v(m, i), form)
+        for label, unit, value, form in kinds
+        for motor, name in enumerate(models[0].vehicle.propeller_names)
+    ]
+
+
+def _row(
+    models: Sequence[Model],
+    label: str,
+    unit: str,
+    quantity: str,
+    value: Callable[[Model], Any],
+    form: str,
+) -> Row:
+    """Make a row of values that belong to one quantity."""
+    cells = []
+    for model in models:
+        direct = model.parameters.configuration_matrix is not None
+        if direct and quantity in _UNUSED_WHERE_DIRECT:
+            cells.append(Cell("–", False))
+            continue
+        mask = model.parameters.mask(frozenset({quantity}))
+        cells.append(Cell(format(float(value(model)), form), bool(model.free[mask].any())))
+    return Row(label, unit, tuple(cells))

@@ -1,0 +1,227 @@
+"""Claims that the paper makes in passing, each tested again by a function of its own.
+
+Every test fits on the training experiment only and judges on the validation experiment by the
+paper's protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.identification.fit import identify
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.model.thrust import thrust_slope
+from airpuck.model_file import Model
+from airpuck.report.full_trajectory import FullTrajectory
+from airpuck.report.gauge import physical_thrust
+from airpuck.report.trial import Trial, judge
+from airpuck.trajectory import Trajectory
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class LargestThrusts:
+    """The thrust at φ = 1 of M3 and M4, as learned and at the physical scale.
+
+    Attributes
+    ----------
+    propellers : tuple of str
+        Names of the propellers.
+    first_principles, direct, direct_scaled : mapping of str to array, shape (n,)
+        F(1) of M3, of M4 as learned, and of M4 at the physical scale [N]; keys ``published`` and
+        ``fitted``.
+    """
+
+    propellers: tuple[str, ...]
+    first_principles: Mapping[str, Float[np.ndarray, " n"]]
+    direct: Mapping[str, Float[np.ndarray, " n"]]
+    direct_scaled: Mapping[str, Float[np.ndarray, " n"]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``propellers``, and for ``published`` and ``fitted`` the thrusts ``M3_N``,
+            ``M4_as_learned_N`` and ``M4_scaled_N``.
+        """
+        return {
+            "propellers": list(self.propellers),
+            **{
+                kind: {
+                    "M3_N": self.first_principles[kind].tolist(),
+                    "M4_as_learned_N": self.direct[kind].tolist(),
+                    "M4_scaled_N": self.direct_scaled[kind].tolist(),
+                }
+                for kind in self.first_principles
+            },
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class SideClaims:
+    """All side claims.
+
+    Attributes
+    ----------
+    degrees : tuple of Trial
+        M3 with thrust polynomials of rising degree.
+    unconstrained : tuple of Trial
+        Fits whose thrust curves are free to fall.
+    full_trajectory : FullTrajectory
+        Batched against full-trajectory loss.
+    largest_thrusts : LargestThrusts
+        M4's largest thrust against M3's.
+    """
+
+    degrees: tuple[Trial, ...]
+    unconstrained: tuple[Trial, ...]
+    full_trajectory: FullTrajectory
+    largest_thrusts: LargestThrusts
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``degrees, unconstrained, full_trajectory, largest_thrusts``.
+        """
+        return {
+            "degrees": [trial.to_json() for trial in self.degrees],
+            "unconstrained": [trial.to_json() for trial in self.unconstrained],
+            "full_trajectory": self.full_trajectory.to_json(),
+            "largest_thrusts": self.largest_thrusts.to_json(),
+        }
+
+
+def try_degrees(
+    training: Trajectory,
+    validation: Trajectory,
+    *,
+    degrees: Sequence[int] = (1, 2, 3, 4, 5),
+    say: Say = lambda _: None,
+) -> tuple[Trial, ...]:
+    """Fit M3 with thrust polynomials of several degrees.
+
+    The paper: "We tested different polynomials up to degree five but found a 3rd-order polynomial
+    works best for our system."
+
+    Parameters
+    ----------
+    training, validation : Trajectory
+        To learn from, and to judge on.
+    degrees : sequence of int, optional
+        Degrees of the polynomials.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    tuple of Trial
+        One for each degree.
+    """
+    trials = []
+    for degree in degrees:
+        say(f"side claim: M3 with thrust polynomials of degree {degree}")
+        trials.append(
+            judge(f"degree {degree}", identify(training, "M3", degree=degree), validation)
+        )
+    return tuple(trials)
+
+
+def drop_monotonicity(
+    training: Trajectory,
+    validation: Trajectory,
+    *,
+    cases: Sequence[tuple[str, int]] = (
+        ("M0", 3),
+        ("M1", 3),
+        ("M2", 3),
+        ("M3", 3),
+        ("M4", 3),
+        ("M3", 5),
+    ),
+    say: Say = lambda _: None,
+) -> tuple[Trial, ...]:
+    """Fit without the condition that thrust rises with motor speed.
+
+    The paper: "the obtained thrust profiles exhibit a non-monotonic behavior without the
+    regularization term".
+
+    Parameters
+    ----------
+    training, validation : Trajectory
+        To learn from, and to judge on.
+    cases : sequence of (str, int), optional
+        Rungs, and the degree of their thrust polynomials.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    tuple of Trial
+        One for each case.
+    """
+    trials = []
+    for name, degree in cases:
+        say(f"side claim: {name} of degree {degree} without the monotonicity condition")
+        method = LevenbergMarquardt(monotone=False)
+        fit = identify(training, name, degree=degree, method=method)
+        trials.append(judge(f"{name}, degree {degree}", fit, validation))
+    return tuple(trials)
+
+
+def compare_largest_thrusts(
+    first_principles: Mapping[str, Model], direct: Mapping[str, Model]
+) -> LargestThrusts:
+    """Compare the largest thrusts of a first-principles model and of one that learns Π directly.
+
+    The paper: "the max thrust predicted by M4 is considerably larger than that of M3, suggesting
+    that the configuration matrix Π is compensating". Nothing observable fixes the scale of M4's
+    thrusts; `airpuck.report.gauge` says how it is fixed here.
+
+    Parameters
+    ----------
+    first_principles, direct : mapping of str to Model
+        M3 and M4, by where they come from (``published``, ``fitted``).
+
+    Returns
+    -------
+    LargestThrusts
+        Thrusts at φ = 1.
+    """
+    return LargestThrusts(
+        propellers=next(iter(direct.values())).vehicle.propeller_names,
+        first_principles={
+            kind: physical_thrust(model).sum(axis=1) for kind, model in first_principles.items()
+        },
+        direct={
+            kind: np.asarray(model.parameters.thrust).sum(axis=1) for kind, model in direct.items()
+        },
+        direct_scaled={kind: physical_thrust(model).sum(axis=1) for kind, model in direct.items()},
+    )
+
+
+def falling_share(coefficients: Float[np.ndarray, "n degree"]) -> Float[np.ndarray, " n"]:
+    """Compute on which share of [0, 1] each thrust curve falls.
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+
+    Returns
+    -------
+    array, shape (n,)
+        Shares in [0, 1], to a thousandth.
+    """
+    speed = np.tile(np.linspace(0, 1, 1001), (len(coefficients), 1))
+    return np.mean(thrust_slope(coefficients, speed) < 0, axis=1)

@@ -1,0 +1,214 @@
+"""One visual language for all figures: colours with fixed meanings, sizes, units on every axis.
+
+Colours are those of Okabe and Ito, which people with any colour vision can tell apart. Figures are
+plain `matplotlib.figure.Figure` objects: no pyplot, no global state.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from airpuck.vehicle import Vehicle
+
+BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
+BLUE, ORANGE, GREEN, VERMILLION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
+SKY, PURPLE, YELLOW = "#56b4e9", "#cc79a7", "#f0e442"
+
+#: One colour for each rung of the model ladder, in every figure.
+RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
+_OTHER_RUNGS = (PURPLE, SKY, BLACK)
+#: One colour for each pair of propellers, in every figure.
+_PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+
+#: Width of a figure that fills a page [in] and resolution of the PNG [1/in].
+PAGE_WIDTH, RESOLUTION = 8.6, 130
+
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": BLACK,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "text.color": BLACK,
+    "xtick.color": BLACK,
+    "ytick.color": BLACK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "mathtext.fontset": "dejavusans",
+}
+
+Arguments = ParamSpec("Arguments")
+
+
+def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
+    """Decorate a function that draws a figure, so that it draws in the house's style.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a Figure.
+
+    Returns
+    -------
+    callable
+        The same function; matplotlib's own settings are as before when it returns.
+    """
+
+    @functools.wraps(draw)
+    def in_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
+        with mpl.rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return in_style
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure that is drawn by Agg, whatever the machine has for a screen.
+
+    Parameters
+    ----------
+    width, height : float
+        Size [in].
+
+    Returns
+    -------
+    Figure
+        With constrained layout.
+    """
+    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.05))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png(figure: Figure) -> bytes:
+    """Draw a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to draw.
+
+    Returns
+    -------
+    bytes
+        A PNG file. The same figure gives the same bytes.
+    """
+    buffer = io.BytesIO()
+    with mpl.rc_context(_STYLE):  # ticks are made when they are first drawn
+        figure.savefig(buffer, format="png", dpi=RESOLUTION, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def rung_color(name: str) -> str:
+    """Return the colour of a model.
+
+    Parameters
+    ----------
+    name : str
+        Name of a rung.
+
+    Returns
+    -------
+    str
+        The same colour for the same name in every figure.
+    """
+    if name in RUNG_COLORS:
+        return RUNG_COLORS[name]
+    return _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
+
+
+def propeller_colors(vehicle: Vehicle) -> list[str]:
+    """Return one colour for each propeller; the two of a pair share theirs.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft.
+
+    Returns
+    -------
+    list of str
+        In the order of the propellers. Propellers without a partner count as pairs of one.
+    """
+    colors = [""] * vehicle.n_propellers
+    for number, group in enumerate(propeller_groups(vehicle)):
+        for index in group:
+            colors[index] = _PAIR_COLORS[number % len(_PAIR_COLORS)]
+    return colors
+
+
+def propeller_groups(vehicle: Vehicle) -> list[tuple[int, ...]]:
+    """Return the pairs, and every propeller without a partner as a group of its own.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft.
+
+    Returns
+    -------
+    list of tuple of int
+        Indices of propellers, ordered by the first of each group.
+    """
+    groups: list[tuple[int, ...]] = [tuple(sorted(pair)) for pair in vehicle.pair_indices]
+    paired = {index for pair in groups for index in pair}
+    groups += [(index,) for index in range(vehicle.n_propellers) if index not in paired]
+    return sorted(groups)
+
+
+def no_axes(axes: Axes) -> None:
+    """Prepare an axes for a drawing to scale: equal units, no ticks, no frame.
+
+    Parameters
+    ----------
+    axes : Axes
+        To be changed in place.
+    """
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def top_legend(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
+    """Put one legend above all axes, where it hides nothing.
+
+    Parameters
+    ----------
+    figure : Figure
+        To be changed in place.
+    handles : sequence of artist
+        What to explain, in order; each has its label.
+    columns : int, optional
+        By default all in one row.
+    """
+    figure.legend(
+        handles=list(handles),
+        loc="outside upper center",
+        ncols=columns or len(handles),
+        handlelength=2.4,
+        columnspacing=1.6,
+    )

@@ -1,0 +1,75 @@
+"""One fit of a side claim, and how well it predicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.evaluation.evaluate import CHANNELS, evaluate
+from airpuck.identification.fit import Fit
+from airpuck.model.thrust import lowest_slope
+from airpuck.report.gauge import physical_thrust
+from airpuck.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One fit of a side claim, judged on the validation experiment.
+
+    Attributes
+    ----------
+    label : str
+        What was varied.
+    fit : Fit
+        The fit.
+    rmse : array, shape (3,)
+        Root mean square error of x, y [m] and yaw [rad] after 0.2 s, protocol "paper".
+    """
+
+    label: str
+    fit: Fit
+    rmse: Float[np.ndarray, " 3"]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``label, model, loss, iterations, converged, rmse``, and per propeller the
+            ``lowest_slope_N`` of its thrust curve on [0, 1] and where it is.
+        """
+        slope, speed = lowest_slope(physical_thrust(self.fit.model))
+        return {
+            "label": self.label,
+            "model": self.fit.model.name,
+            "loss": self.fit.loss,
+            "iterations": self.fit.iterations,
+            "converged": self.fit.converged,
+            "rmse": dict(zip(CHANNELS, self.rmse.tolist(), strict=True)),
+            "lowest_slope_N": slope.tolist(),
+            "at_speed": speed.tolist(),
+        }
+
+
+def judge(label: str, fit: Fit, validation: Trajectory) -> Trial:
+    """Evaluate a fit on the validation experiment, by the paper's protocol.
+
+    Parameters
+    ----------
+    label : str
+        What was varied.
+    fit : Fit
+        The fit.
+    validation : Trajectory
+        Data that it was not learned from.
+
+    Returns
+    -------
+    Trial
+        The fit with its errors.
+    """
+    return Trial(label, fit, evaluate(fit.model, validation).rmse)
