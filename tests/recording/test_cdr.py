@@ -150,6 +150,21 @@ def test_a_message_with_more_than_its_type_is_a_value_error():
         decode([message], STORE.fielddefs, POSE, ["pose.position.x"])
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "float64 x\nother_msgs/Thing[] things",
+        "float64 x\na/A[] again",
+        "builtin_interfaces/Time t\nfloat64 x\n" + "=" * 80 + "\n"
+        "MSG: builtin_interfaces/Time\nint64 other\n",
+    ],
+)
+def test_a_definition_that_cannot_be_used_is_a_value_error(text: str):
+    types = get_types_from_msg(text, "a/msg/A")
+    with pytest.raises(ValueError, match="definition of a/msg/A cannot be used"):
+        decode([b"\x00\x00\x00\x00" + bytes(8)], types, "a/msg/A", ["x"])
+
+
 def test_no_messages_are_empty_columns():
     read = decode([], STORE.fielddefs, POSE, ["header.stamp.sec", "pose.position.x"])
     assert [len(column) for column in read.values()] == [0, 0]

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from airpuck.errors import InputError
 from airpuck.recording.bag import METADATA
-from airpuck.recording.cdr import Types, encode, flatten
+from airpuck.recording.cdr import Types, definitions_within, encode, flatten
 from airpuck.recording.message_types import PATHS, command_type, definitions, stamp_paths
 from airpuck.recording.new_folder import new_folder
 from airpuck.recording.stream import Recording, Stream
@@ -161,7 +161,7 @@ def _write_storage(prepared: Sequence[_Topic], path: Path) -> list[str]:
         channels = []
         for index, topic in enumerate(prepared):
             store = get_typestore(Stores.EMPTY)
-            store.register(_within(topic.types, topic.msgtype))
+            store.register(definitions_within(topic.types, topic.msgtype))
             definition, _ = store.generate_msgdef(topic.msgtype, ros_version=2)
             schema = writer.register_schema(topic.msgtype, "ros2msg", definition.encode())
             hashes.append(store.hash_rihs01(topic.msgtype))
@@ -216,19 +216,6 @@ def _summary(prepared: Sequence[_Topic], hashes: Sequence[str], file: str) -> di
         "custom_data": {"written_by": "airpuck"},
         "ros_distro": "unknown",
     }
-
-
-def _within(types: Types, msgtype: str) -> dict:
-    """Return the definitions that a type needs, so that only these are compiled."""
-    from rosbags.interfaces import Nodetype
-
-    needed = {msgtype: types[msgtype]}
-    for _, (node, description) in types[msgtype][1]:
-        while node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            node, description = description[0]
-        if node == Nodetype.NAME:
-            needed.update(_within(types, description))
-    return needed
 
 
 def _profiles(topic: _Topic) -> str:

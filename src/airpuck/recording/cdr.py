@@ -105,6 +105,32 @@ def _leaves(types: Types, msgtype: str, prefix: str, depth: int) -> list[Field]:
     return leaves
 
 
+def definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
+    """Pick the definitions that a message type needs.
+
+    Parameters
+    ----------
+    types : mapping
+        Definitions by type name, as rosbags' parsers return them.
+    msgtype : str
+        The type.
+
+    Returns
+    -------
+    dict
+        Its own definition and those of the types within.
+    """
+    from rosbags.interfaces import Nodetype
+
+    needed = {msgtype: types[msgtype]}
+    for _, (node, description) in types[msgtype][1]:
+        while node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            node, description = description[0]
+        if node == Nodetype.NAME:
+            needed.update(definitions_within(types, description))
+    return needed
+
+
 def decode(
     messages: Sequence[bytes], types: Types, msgtype: str, paths: Sequence[str]
 ) -> dict[str, np.ndarray]:
@@ -210,7 +236,11 @@ def _decode_singly(
     from rosbags.typesys import Stores, TypesysError, get_typestore
 
     store = get_typestore(Stores.EMPTY)
-    store.register(dict(types))
+    try:
+        store.register(definitions_within(types, msgtype))
+    # rosbags makes code of definitions, and those of a damaged file can make it fail in any way.
+    except Exception as error:
+        raise ValueError(f"the definition of {msgtype} cannot be used") from error
     rows = []
     for index, message in enumerate(messages):
         try:
