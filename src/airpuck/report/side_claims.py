@@ -17,8 +17,9 @@ from airpuck.identification.fit import identify
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.model.thrust import thrust_slope
 from airpuck.model_file import Model
-from airpuck.report.full_trajectory import FullTrajectory
+from airpuck.report.full_trajectory import FullTrajectory, predict_whole_trajectory
 from airpuck.report.gauge import physical_thrust
+from airpuck.report.study import Study
 from airpuck.report.trial import Trial, judge
 from airpuck.trajectory import Trajectory
 
@@ -225,3 +226,35 @@ def falling_share(coefficients: Float[np.ndarray, "n degree"]) -> Float[np.ndarr
     """
     speed = np.tile(np.linspace(0, 1, 1001), (len(coefficients), 1))
     return np.mean(thrust_slope(coefficients, speed) < 0, axis=1)
+
+
+def retest_side_claims(
+    study: Study, validation: Trajectory, *, say: Say = lambda _: None
+) -> SideClaims:
+    """Test all side claims again.
+
+    Parameters
+    ----------
+    study : Study
+        With fits of M3 and M4 and the published models.
+    validation : Trajectory
+        To judge on.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    SideClaims
+        The results.
+    """
+    fits = {fit.model.name: fit for fit in study.fits}
+    training = study.training
+    return SideClaims(
+        degrees=try_degrees(training, validation, say=say),
+        unconstrained=drop_monotonicity(training, validation, say=say),
+        full_trajectory=predict_whole_trajectory(training, validation, fits["M3"], say=say),
+        largest_thrusts=compare_largest_thrusts(
+            {"published": study.reference["M3"], "fitted": fits["M3"].model},
+            {"published": study.reference["M4"], "fitted": fits["M4"].model},
+        ),
+    )

@@ -1,0 +1,121 @@
+"""A report on models of any craft: what `airpuck demo` shows at its end."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from airpuck.errors import InputError
+from airpuck.evaluation.evaluate import Evaluation
+from airpuck.identification.fit import Fit
+from airpuck.model_file import Model
+from airpuck.report.page import Section, Table, write_page
+from airpuck.report.study import Study
+from airpuck.report.study_sections import (
+    craft_section,
+    optimiser_section,
+    parameter_section,
+    prediction_section,
+    thrust_section,
+    timeline_section,
+)
+from airpuck.trajectory import Trajectory
+
+
+def fit_report(
+    fits: Fit | Sequence[Fit],
+    evaluations: Sequence[Evaluation],
+    training: Trajectory,
+    out: str | os.PathLike[str],
+    *,
+    truth: Model | None = None,
+    title: str | None = None,
+) -> Path:
+    """Write a report on one or several fits.
+
+    Parameters
+    ----------
+    fits : Fit or sequence of Fit
+        Models of one craft, learned from `training`.
+    evaluations : sequence of Evaluation
+        How well they predict another recording, in the same order; empty if there is none.
+    training : Trajectory
+        What they were learned from.
+    out : path-like
+        Folder to write to.
+    truth : Model, optional
+        What the recordings were simulated with, to compare the model of the same name with.
+    title : str, optional
+        Heading of the page.
+
+    Returns
+    -------
+    Path
+        ``out/index.html``, one self-contained page; its figures are in ``out/figures`` as well.
+
+    Raises
+    ------
+    InputError
+        If there is no fit, or the folder cannot be written to.
+    """
+    fits = (fits,) if isinstance(fits, Fit) else tuple(fits)
+    if not fits:
+        raise InputError("there is no fit to report on")
+    study = Study(
+        training=training,
+        fits=fits,
+        fitted=tuple(evaluations),
+        reference={} if truth is None else {truth.name: truth},
+        reference_label="true" if truth is not None else "reference",
+    )
+    vehicle = fits[0].model.vehicle
+    names = ", ".join(fit.model.name for fit in fits)
+    sections: list[Section] = [craft_section(vehicle)]
+    if evaluations:
+        sections += [prediction_section(study), timeline_section(study)]
+    sections += [
+        thrust_section(study),
+        optimiser_section(study),
+        parameter_section(study),
+        sources_section(training),
+    ]
+    lead = (
+        f"{names}: identified from {training.duration:.1f} s of flight, {len(training)} samples, "
+        f"{vehicle.n_propellers} propellers"
+        + (f", transport delay {1e3 * training.delay:.1f} ms." if training.delay_known else ".")
+    )
+    return write_page(out, title or f"Identification of {vehicle.name}", lead, sections)
+
+
+def sources_section(*trajectories: Trajectory) -> Section:
+    """List what the numbers come from.
+
+    Parameters
+    ----------
+    *trajectories : Trajectory
+        The recordings.
+
+    Returns
+    -------
+    Section
+        Files with their hashes, spans left out, version of airpuck.
+    """
+    from airpuck import __version__
+
+    rows = []
+    for trajectory in trajectories:
+        spans = [f"{s.start:.2f}–{s.stop:.2f} s: {s.cause}" for s in trajectory.excluded]
+        hashes = " ".join(trajectory.hashes.values()) or "none"
+        rows.append(
+            [
+                Path(trajectory.source).parent.name or trajectory.source,
+                str(len(trajectory)),
+                f"{trajectory.duration:.2f}",
+                hashes,
+                "; ".join(spans) or "nothing",
+            ]
+        )
+    caption = f"Recordings behind these numbers; computed by airpuck {__version__}."
+    headings = ["recording", "samples", "seconds", "SHA-256", "left out"]
+    return Section("sources", "Sources", (Table(caption, headings, rows),))

@@ -1,0 +1,151 @@
+"""A page of text, tables and figures in one file, which needs nothing from outside."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import ClassVar
+
+from matplotlib.figure import Figure
+
+from airpuck.files import replacing
+from airpuck.report.style import png
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A figure and what to see in it.
+
+    Attributes
+    ----------
+    name : str
+        Name of its PNG file, without the suffix.
+    figure : Figure
+        The figure.
+    caption : str
+        Plain text.
+    """
+
+    kind: ClassVar[str] = "picture"
+    name: str
+    figure: Figure
+    caption: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes
+    ----------
+    caption : str
+        Plain text.
+    headings : sequence of str
+        One for each column.
+    rows : sequence of sequence of str
+        Texts of the cells; the first of a row names it.
+    groups : sequence of (str, int), optional
+        A line above the headings: texts, and how many columns each spans.
+    marked : frozenset of (int, int), optional
+        Row and column of cells to stress.
+    """
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    groups: Sequence[tuple[str, int]] = ()
+    marked: frozenset[tuple[int, int]] = frozenset()
+
+
+@dataclass(frozen=True)
+class Text:
+    """Paragraphs, or a list.
+
+    Attributes
+    ----------
+    paragraphs : sequence of str
+        Plain text.
+    bullets : bool
+        Whether they are the items of a list.
+    """
+
+    kind: ClassVar[str] = "text"
+    paragraphs: Sequence[str]
+    bullets: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a page.
+
+    Attributes
+    ----------
+    anchor : str
+        Its name in links.
+    title : str
+        Its heading.
+    blocks : sequence of Picture, Table or Text
+        Its content.
+    """
+
+    anchor: str
+    title: str
+    blocks: Sequence[Picture | Table | Text] = field(default_factory=tuple)
+
+
+def write_page(
+    out: str | os.PathLike[str], title: str, lead: str, sections: Sequence[Section]
+) -> Path:
+    """Write a page as ``index.html`` and its figures as PNG files.
+
+    The page holds its figures within itself, so that it can be sent alone. Each file is written to
+    a temporary name and renamed; the page comes last.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder to write to.
+    title : str
+        Heading of the page.
+    lead : str
+        What the page is about.
+    sections : sequence of Section
+        Its content.
+
+    Returns
+    -------
+    Path
+        ``out/index.html``; the figures are in ``out/figures``.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    import jinja2
+
+    folder = Path(out)
+    images = {}
+    for section in sections:
+        for block in section.blocks:
+            if isinstance(block, Picture):
+                drawn = png(block.figure)
+                images[block.name] = base64.b64encode(drawn).decode("ascii")
+                with replacing(folder / "figures" / f"{block.name}.png") as temporary:
+                    temporary.write_bytes(drawn)
+    source = (resources.files("airpuck") / "packaged" / "report.html.jinja").read_text("utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    page = environment.from_string(source).render(
+        title=title, lead=lead, sections=sections, images=images
+    )
+    path = folder / "index.html"
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return path
