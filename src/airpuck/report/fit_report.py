@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from airpuck.errors import InputError
@@ -62,6 +63,9 @@ def fit_report(
     fits = (fits,) if isinstance(fits, Fit) else tuple(fits)
     if not fits:
         raise InputError("there is no fit to report on")
+    if truth is not None:
+        # What flew has no encoder: give it the convention of the fits, so that losses compare.
+        truth = replace(truth, indexing=fits[0].model.indexing)
     study = Study(
         training=training,
         fits=fits,

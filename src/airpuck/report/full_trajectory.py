@@ -12,6 +12,7 @@ from jaxtyping import Float
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.fit import Fit, identify
 from airpuck.identification.objective import PredictionLoss
+from airpuck.model_file import Model
 from airpuck.report.trial import Trial, judge
 from airpuck.trajectory import Trajectory
 from airpuck.windows import make_windows
@@ -96,30 +97,25 @@ class FullTrajectory:
         }
 
 
-def predict_whole_trajectory(
+def sample_landscapes(
     training: Trajectory,
-    validation: Trajectory,
-    batched: Fit,
+    model: Model,
     *,
     horizons: Sequence[int | None] = (50, 500, 5000, None),
     span: float = 0.12,
     points: int = 121,
     say: Callable[[str], None] = lambda _: None,
-) -> FullTrajectory:
-    """Compare the batched loss with the loss over the whole recording.
-
-    The paper: predicting over the whole dataset "can be rather non-smooth and sensitive to local
-    minima", hence its batches. Here the loss is sampled along the inertia, all other parameters
-    at the batched optimum, and minimised from two starting points.
+) -> tuple[Landscape, ...]:
+    """Sample the loss along the inertia, all other parameters as they are.
 
     Parameters
     ----------
-    training, validation : Trajectory
-        To learn from, and to judge on.
-    batched : Fit
-        M3, learned with short predictions.
+    training : Trajectory
+        What to predict.
+    model : Model
+        A first-principles model, in the middle of the range.
     horizons : sequence of int or None, optional
-        Lengths of prediction to draw, in steps; None: the whole recording.
+        Lengths of prediction, in steps; None: the whole recording.
     span : float, default 0.12
         Relative range of the inertia, to either side.
     points : int, default 121
@@ -129,10 +125,9 @@ def predict_whole_trajectory(
 
     Returns
     -------
-    FullTrajectory
-        Landscapes and fits.
+    tuple of Landscape
+        One for each length of prediction.
     """
-    model = batched.model
     encoder = PaperEncoder(indexing=model.indexing)
     factor = np.linspace(1 - span, 1 + span, points)
     landscapes = []
@@ -141,11 +136,41 @@ def predict_whole_trajectory(
         length = windows.prediction_length * training.sample_period
         say(f"side claim: loss landscape of predictions over {length:.1f} s")
         loss = PredictionLoss(windows, model.vehicle, encoder, frame=model.frame)
-        inertia = model.parameters.inertia
-        values = [
-            loss.quadratic(replace(model.parameters, inertia=f * inertia)).loss for f in factor
-        ]
+        values = []
+        for inertia in factor * model.parameters.inertia:
+            values.append(loss.quadratic(replace(model.parameters, inertia=inertia)).loss)
         landscapes.append(Landscape(length, len(windows), factor, np.array(values)))
+    return tuple(landscapes)
+
+
+def predict_whole_trajectory(
+    training: Trajectory,
+    validation: Trajectory,
+    batched: Fit,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> FullTrajectory:
+    """Compare the batched loss with the loss over the whole recording.
+
+    The paper: predicting over the whole dataset "can be rather non-smooth and sensitive to local
+    minima", hence its batches. Here the loss is sampled along the inertia, and minimised from two
+    starting points.
+
+    Parameters
+    ----------
+    training, validation : Trajectory
+        To learn from, and to judge on.
+    batched : Fit
+        M3, learned with short predictions.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    FullTrajectory
+        Landscapes and fits.
+    """
+    model = batched.model
     trials = []
     for label, initial in (
         ("full trajectory, from nominal values", None),
@@ -155,7 +180,7 @@ def predict_whole_trajectory(
         fit = identify(training, model.name, initial=initial, prediction_length=None)
         trials.append(judge(label, fit, validation))
     return FullTrajectory(
-        landscapes=tuple(landscapes),
+        landscapes=sample_landscapes(training, model, say=say),
         batched=judge("batched", batched, validation),
         nominal=trials[0],
         refined=trials[1],

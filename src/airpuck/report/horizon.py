@@ -43,7 +43,7 @@ def horizon_figure(
         Three axes side by side.
     """
     figure = new_figure(PAGE_WIDTH, 3.5)
-    every = [*fitted, *reference]
+    every, broad = [*fitted, *reference], 3.0 if reference else 1.8
     for channel, (axes, (name, unit, factor)) in enumerate(
         zip(figure.subplots(1, 3), CHANNELS, strict=True)
     ):
@@ -54,8 +54,8 @@ def horizon_figure(
                 time,
                 factor * evaluation.rmse_over_horizon[:, channel],
                 color=rung_color(evaluation.model),
-                lw=1.1 if of_reference else 3.0,
-                alpha=1.0 if of_reference else 0.45,
+                lw=1.1 if of_reference else broad,
+                alpha=1.0 if of_reference else 0.45 if reference else 0.8,
                 ls=(0, (4, 2)) if of_reference else "-",
                 zorder=3 if of_reference else 2,
             )
@@ -63,11 +63,11 @@ def horizon_figure(
         axes.axvline(reported, color=GREY, lw=0.8, ls=":")
         axes.text(
             reported,
-            0.01,
+            0.99,
             f"{reported:.2g} s ",
             transform=axes.get_xaxis_transform(),
             ha="right",
-            va="bottom",
+            va="top",
             color=GREY,
             fontsize=8,
         )

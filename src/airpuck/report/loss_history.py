@@ -43,7 +43,9 @@ def loss_history_figure(
     axes = figure.add_subplot()
     reference = dict(reference or {})
     every = [iteration.loss for fit in fits for iteration in fit.history] + list(reference.values())
-    exponent = int(np.floor(np.log10(max(min(every), 1e-300))))
+    narrow = max(every) < 10 * min(every)
+    # Within a decade, small numbers with a common exponent; beyond, powers of ten.
+    exponent = int(np.floor(np.log10(max(min(every), 1e-300)))) if narrow else 0
     scale = 10.0**-exponent
     for fit in fits:
         color = rung_color(fit.model.name)
@@ -55,11 +57,13 @@ def loss_history_figure(
             axes.plot(numbers, scale * np.array(held_out), lw=0.8, color=color)
         if fit.model.name in reference:
             axes.axhline(scale * reference[fit.model.name], color=color, lw=0.9, ls=(0, (4, 2)))
-    axes.set(yscale="log", xlabel="iteration [–]", ylabel=f"loss [$10^{{{exponent}}}$]")
+    unit = f"$10^{{{exponent}}}$" if narrow else "–"
+    axes.set(yscale="log", xlabel="iteration [–]", ylabel=f"loss [{unit}]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    if narrow:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
     handles = [
         Line2D([], [], marker="o", ms=4, color=rung_color(fit.model.name), label=fit.model.name)
         for fit in fits

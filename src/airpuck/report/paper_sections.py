@@ -83,9 +83,9 @@ def summary_section(study: Study, wall_s: float) -> Section:
                     f"The published parameters give {agree} of the {3 * len(PRINTED)} numbers of "
                     "the paper's Table 2 as printed.",
                     "Our own fits, from the paper's initial values and its training recording "
-                    f"alone, are between {_percent(ratio.min())} and {_percent(ratio.max())} of "
-                    f"the published errors apart, {_percent(ratio.mean())} on average "
-                    "(negative: ours is lower).",
+                    f"alone, differ from the published errors by {_percent(ratio.min())} to "
+                    f"{_percent(ratio.max())}, {_percent(ratio.mean())} on average (negative: "
+                    "ours are lower).",
                     f"Levenberg-Marquardt needed {min(steps)} to {max(steps)} iterations; all "
                     f"fits and evaluations took {wall_s:.1f} s.",
                     f"The typical window is predicted much better than the RMSE says: {best.model} "
@@ -232,4 +232,6 @@ def _as_printed(evaluation: Evaluation) -> tuple[str, str, str]:
 
 def _percent(ratio: float) -> str:
     """Format a ratio as a difference in percent."""
-    return f"{100 * (float(ratio) - 1):+.1f} %"
+    percent = round(100 * (float(ratio) - 1), 1)
+    # No break before the sign of percent, a true minus, and no sign before zero.
+    return f"{percent:+.1f}\u00a0%".replace("-", "−") if percent else "0.0\u00a0%"

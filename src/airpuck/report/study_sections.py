@@ -91,7 +91,6 @@ def prediction_section(study: Study, table: Table | None = None) -> Section:
                 if compared
                 else ""
             )
-            + "Errors grow about with the square of time: what is unknown acts as a force. "
             + protocol,
         )
     )
@@ -241,7 +240,7 @@ def optimiser_section(study: Study) -> Section:
             Picture(
                 "loss_history",
                 loss_history_figure(study.fits, losses, reference_label=study.reference_label),
-                f"Loss over the iterations of {settings.get('method')}."
+                f"Loss over the iterations (method: {settings.get('method')})."
                 + (
                     f" Dashed: the {study.reference_label} parameters on the same windows, with "
                     "their own conventions of encoder and frame."
