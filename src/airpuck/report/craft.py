@@ -55,11 +55,15 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     axes.add_patch(Circle((0, 0), disc, facecolor="#f5f5f5", edgecolor=GREY, lw=1.0))
     _draw_propellers(axes, vehicle)
     _draw_geometry(axes, vehicle)
+    # The frame must fit between the centre and the innermost propeller.
+    axis = min(
+        0.3 * disc, 0.65 * max(1e3 * _radii(vehicle).min() - _disc_size(vehicle), 0.2 * disc)
+    )
     for (x, y), name in (((1, 0), "$x^b$"), ((0, 1), "$y^b$")):
-        _arrow(axes, (0, 0), (0.3 * disc * x, 0.3 * disc * y), BLACK, 1.4)
-        axes.text(0.39 * disc * x, 0.38 * disc * y, name, ha="center", va="center", fontsize=10)
+        _arrow(axes, (0, 0), (axis * x, axis * y), BLACK, 1.4)
+        _note(axes, (1.28 * axis * x, 1.25 * axis * y), name, fontsize=10)
     axes.plot(0, 0, "o", color=BLACK, ms=3)
-    reach = 1.5 * max(disc, 1e3 * _largest_radius(vehicle))
+    reach = 1.5 * max(disc, 1e3 * float(_radii(vehicle).max()))
     axes.set(
         xlim=(-reach, reach),
         ylim=(-reach, reach),
@@ -75,9 +79,10 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
     """Draw each propeller with its name, its thrust and the sense of its moment."""
     positions, colors = 1e3 * vehicle.positions, propeller_colors(vehicle)
     disc = 1e3 * vehicle.radius_m
-    closest = _closest(positions)
-    size = min(0.16 * disc, 0.42 * closest)
-    length = min(1.6 * size, 0.42 * closest)  # arrows of opposing propellers must not meet
+    size = _disc_size(vehicle)
+    length = min(
+        1.6 * size, 0.42 * _closest(positions)
+    )  # arrows of opposing propellers must not meet
     for name, (x, y), (dx, dy), color in zip(
         vehicle.propeller_names, positions, vehicle.directions, colors, strict=True
     ):
@@ -102,7 +107,7 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
 
 def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
     """Annotate the radius of the propellers and the half-angle of the pairs, where regular."""
-    radii = np.hypot(*vehicle.positions.T)
+    radii = _radii(vehicle)
     notes = []
     if np.ptp(radii) < _SAME_RADIUS and radii[0] > 0:
         d = 1e3 * float(radii.mean())
@@ -134,7 +139,7 @@ def _draw_half_angle(axes: Axes, vehicle: Vehicle, delta: float) -> None:
     middles = np.angle(np.exp(1j * angles[pairs]).sum(axis=1))
     from_axes = np.minimum(np.abs(middles), np.abs(middles - np.pi / 2))
     middle = float(middles[from_axes.argmax()])
-    near = 1e3 * float(np.hypot(*vehicle.positions.T).min())
+    near = 1e3 * float(_radii(vehicle).min())
     for angle in (middle - delta, middle, middle + delta):
         x, y = near * np.cos(angle), near * np.sin(angle)
         axes.plot([0, x], [0, y], color=GREY, lw=0.8, ls=(0, (1, 2)))
@@ -159,9 +164,14 @@ def _closest(positions: Float[np.ndarray, "n 2"]) -> float:
     return float((apart + np.diag(np.full(len(positions), np.inf))).min())
 
 
-def _largest_radius(vehicle: Vehicle) -> float:
-    """Return the distance of the outermost propeller from the centre [m]."""
-    return float(np.hypot(*vehicle.positions.T).max())
+def _radii(vehicle: Vehicle) -> Float[np.ndarray, " n"]:
+    """Return how far each propeller is from the centre [m]."""
+    return np.hypot(*vehicle.positions.T)
+
+
+def _disc_size(vehicle: Vehicle) -> float:
+    """Return the radius that propellers are drawn with: they must not overlap [mm]."""
+    return min(160 * vehicle.radius_m, 0.42 * _closest(1e3 * vehicle.positions))
 
 
 @styled

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -30,7 +30,7 @@ from airpuck.trajectory import Span
 WORST = 0.08
 
 
-def worst_windows(errors: Float[np.ndarray, " W"], share: float = WORST) -> np.ndarray:
+def worst_windows(errors: Float[np.ndarray, " W"], share: float = WORST) -> Bool[np.ndarray, " W"]:
     """Mark the windows with the largest errors.
 
     Parameters
@@ -69,6 +69,28 @@ def share_of_squares(errors: Float[np.ndarray, " W"], share: float = WORST) -> f
     squares = errors**2
     total = float(squares.sum())
     return float(squares[worst_windows(errors, share)].sum()) / total if total > 0 else share
+
+
+def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray, " W"]:
+    """Mark the windows whose prediction touches a span.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of one model.
+    spans : sequence of Span
+        On the time axis of the trajectory.
+
+    Returns
+    -------
+    array of bool, shape (W,)
+        True where the time from the present to the reported step overlaps any span.
+    """
+    stop = evaluation.start + evaluation.horizon_step * evaluation.sample_period
+    touched = np.zeros(len(evaluation.start), dtype=bool)
+    for span in spans:
+        touched |= (evaluation.start < span.stop) & (stop > span.start)
+    return touched
 
 
 @styled

@@ -199,7 +199,12 @@ def largest_thrust_figure(result: LargestThrusts) -> Figure:
         axes.set(ylabel="thrust at φ = 1 [N]")
         axes.grid(visible=False, axis="x")
         axes.label_outer()
-    panels[0].set_ylim(0, None)
+    highest = max(
+        float(values[kind].max())
+        for kind in kinds
+        for values in (result.first_principles, result.direct, result.direct_scaled)
+    )
+    panels[0].set_ylim(0, 1.06 * highest)
     blue, red = rung_color("M3"), rung_color("M4")
     handles = [
         Line2D([], [], ls="", marker="o", color=blue, label="M3"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from airpuck.report.craft import craft_figure, frames_figure
 from airpuck.report.error_distribution import error_distribution_figure
-from airpuck.report.error_timeline import WORST, error_timeline_figure, share_of_squares
+from airpuck.report.error_timeline import WORST, error_timeline_figure, share_of_squares, touched_by
 from airpuck.report.horizon import horizon_figure
 from airpuck.report.loss_history import loss_history_figure
 from airpuck.report.page import Picture, Section, Table, Text
@@ -121,13 +121,17 @@ def timeline_section(study: Study) -> Section:
     """
     best = study.best
     shares = " / ".join(f"{100 * share_of_squares(errors):.0f}" for errors in best.at_horizon)
-    known = (
-        " Shaded spans are known faults of this recording: the measured acceleration is far below "
-        "what any model expects from the commands, because motors are off, the radio link is out "
-        "or a motor does not spin up. No window is left out for them."
-        if study.faults
-        else ""
-    )
+    known = ""
+    if study.faults:
+        touched = touched_by(best, study.faults)
+        squares = best.at_horizon**2
+        held = 100 * squares[:, touched].sum(axis=1) / squares.sum(axis=1)
+        known = (
+            " Shaded: known faults of this recording, where the craft accelerates far less than "
+            "any model expects from the commands, because motors are off, the radio link is out or "
+            f"a motor does not spin up. The {touched.sum()} of {len(touched)} windows that touch "
+            f"them hold {' / '.join(f'{share:.0f}' for share in held)} %; none is left out."
+        )
     return Section(
         "time",
         "Where in time the errors are",

@@ -1,0 +1,91 @@
+"""Studies to draw: two craft that are made up, and the paper's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.evaluate import compare
+from airpuck.identification.fit import Fit
+from airpuck.identification.method import Iteration
+from airpuck.model.presets import PRESETS
+from airpuck.model_file import Model, published_model
+from airpuck.report.reproduce import Reproduction, reproduce
+from airpuck.report.study import Study
+from airpuck.trajectory import Span
+from airpuck.vehicle import Vehicle, default_vehicle
+
+from ..synthetic import fly
+
+RUNGS = ("M0", "M1", "M2", "M3", "M4")
+
+
+def four_propellers() -> Vehicle:
+    """One pair side by side, two propellers alone, no common radius."""
+    return Vehicle.model_validate(
+        {
+            "name": "quad",
+            "mass_kg": 0.2,
+            "radius_m": 0.09,
+            "command_min": 0.02,
+            "pairs": [["front", "back"]],
+            "propellers": [
+                {"name": "front", "position_m": (0.06, 0.0), "direction_deg": 90},
+                {"name": "left", "position_m": (0.0, 0.05), "direction_deg": 180},
+                {"name": "back", "position_m": (-0.06, 0.0), "direction_deg": 270},
+                {"name": "right", "position_m": (0.01, -0.06), "direction_deg": 0},
+            ],
+            "nominal": {"thrust_N": (0.03, 1.0, -0.4), "inertia_kg_m2": 5e-4},
+        }
+    )
+
+
+VEHICLES = {"six": default_vehicle, "four": four_propellers}
+
+
+def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
+    """A model of a rung at its nominal values, with thrusts scaled."""
+    parameters = PRESETS[name].initial(vehicle)
+    parameters = replace(parameters, thrust=factor * parameters.thrust)
+    fit = {"encoder_length": 20, "prediction_length": 50, "stride": 7, "weights": [1, 1, 0.1]}
+    return Model(name, vehicle, parameters, PRESETS[name].mask(parameters), fit=fit)
+
+
+def fit_of(model: Model) -> Fit:
+    """What a fit would look like, without the work."""
+    history = tuple(Iteration(k, 1e-4 * (1 + 2.0**-k)) for k in range(4))
+    return Fit(model, history[-1].loss, history, True, "converged", 100, 0.1, ())
+
+
+@pytest.fixture(scope="session", params=["six", "four"])
+def study(request) -> Study:
+    vehicle = VEHICLES[request.param]()
+    truth = model_of(vehicle, "M3")
+    training, validation = fly(truth, 8.0, seed=1), fly(truth, 8.0, seed=2)
+    models = [model_of(vehicle, name, 1.02 + 0.01 * k) for k, name in enumerate(RUNGS)]
+    reference = {name: model_of(vehicle, name, 0.99) for name in RUNGS}
+    return Study(
+        training=training,
+        fits=tuple(map(fit_of, models)),
+        fitted=tuple(compare(models, validation)),
+        reference=reference,
+        reference_evaluations=tuple(compare(list(reference.values()), validation)),
+        faults=(Span(1.0, 1.5, "made up"), Span(1.9, 2.0, "made up too")),
+    )
+
+
+@pytest.fixture(scope="session")
+def reproduction(data, tmp_path_factory) -> Reproduction:
+    """The paper's study on the real recordings."""
+    return reproduce(data, tmp_path_factory.mktemp("reproduction"))
+
+
+@pytest.fixture(scope="session")
+def published_m4() -> Model:
+    return published_model("M4")
+
+
+def random_scales(n: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(0.5, 2.0, n)

@@ -1,0 +1,176 @@
+"""Every figure: it is drawn, its axes have labels with units, it leaves no trace behind."""
+
+import io
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from airpuck.model.thrust import thrust
+from airpuck.report.architecture_diagram import learning_architecture_figure
+from airpuck.report.craft import craft_figure, frames_figure
+from airpuck.report.error_distribution import error_distribution_figure
+from airpuck.report.error_timeline import error_timeline_figure
+from airpuck.report.full_trajectory import FullTrajectory, Landscape
+from airpuck.report.horizon import horizon_figure
+from airpuck.report.loss_history import loss_history_figure
+from airpuck.report.parameter_comparison import parameter_figure
+from airpuck.report.side_claim_figures import (
+    degrees_figure,
+    landscape_figure,
+    largest_thrust_figure,
+    slopes_figure,
+)
+from airpuck.report.side_claims import compare_largest_thrusts
+from airpuck.report.style import RESOLUTION, png, propeller_colors, propeller_groups
+from airpuck.report.thrust_curves import thrust_figure
+from airpuck.report.trial import Trial
+from airpuck.vehicle import Vehicle, default_vehicle
+
+from .conftest import fit_of, model_of
+
+
+def trials(study) -> tuple[Trial, ...]:
+    return tuple(Trial(fit.model.name, fit, np.array([0.01, 0.01, 0.3])) for fit in study.fits)
+
+
+def full_trajectory(study) -> FullTrajectory:
+    factor = np.linspace(0.9, 1.1, 21)
+    bowl = Landscape(0.2, 100, factor, 1e-4 * (1 + (factor - 1) ** 2))
+    rugged = Landscape(80.0, 1, factor, 1e3 * (2 + np.sin(200 * factor)))
+    first = trials(study)[0]
+    return FullTrajectory((bowl, rugged), first, first, first)
+
+
+def largest_thrusts(study):
+    models = {model.name: model for model in study.models}
+    return compare_largest_thrusts({"fitted": models["M3"]}, {"fitted": models["M4"]})
+
+
+FIGURES = {
+    "craft": lambda s: craft_figure(s.models[0].vehicle),
+    "frames": lambda s: frames_figure(s.models[0].vehicle),
+    "architecture": lambda s: learning_architecture_figure(),
+    "horizon": lambda s: horizon_figure(s.fitted, s.reference_evaluations),
+    "horizon alone": lambda s: horizon_figure(s.fitted),
+    "timeline": lambda s: error_timeline_figure(s.fitted[3], s.faults),
+    "timeline without faults": lambda s: error_timeline_figure(s.fitted[3]),
+    "distribution": lambda s: error_distribution_figure(s.fitted),
+    "thrust": lambda s: thrust_figure(s.models[3:], s.training, list(s.reference.values())[3:]),
+    "thrust alone": lambda s: thrust_figure(s.models[:1]),
+    "loss": lambda s: loss_history_figure(s.fits, s.reference_losses),
+    "loss alone": lambda s: loss_history_figure(s.fits[:1]),
+    "parameters": lambda s: parameter_figure(s.models, s.reference),
+    "degrees": lambda s: degrees_figure(trials(s)),
+    "slopes": lambda s: slopes_figure(trials(s)),
+    "landscape": lambda s: landscape_figure(full_trajectory(s)),
+    "largest thrust": lambda s: largest_thrust_figure(largest_thrusts(s)),
+}
+UNIT = re.compile(r"\[.+\]$")
+
+
+def unlabelled(figure: Figure) -> list[str]:
+    """Axes that show numbers without saying of what and in which unit."""
+    figure.draw_without_rendering()
+    missing = []
+    for number, axes in enumerate(figure.axes):
+        if not (axes.axison and axes.get_visible()):
+            continue
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.get_visible():
+                continue
+            texts = [t for t in axis.get_ticklabels() if t.get_visible() and t.get_text()]
+            numeric = [t for t in texts if re.fullmatch(r"[−\d.]+", t.get_text())]
+            if numeric and not UNIT.search(axis.label.get_text()):
+                missing.append(f"axes {number}: {axis.axis_name} {axis.label.get_text()!r}")
+    return missing
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_are_drawn_with_units_on_all_axes(study, name):
+    before = dict(mpl.rcParams)
+    figure = FIGURES[name](study)
+    drawn = png(figure)
+    assert dict(mpl.rcParams) == before
+    width, height = Image.open(io.BytesIO(drawn)).size
+    assert 600 <= width <= 1200
+    assert 300 <= height <= 900
+    assert len(drawn) < 250_000
+    np.testing.assert_allclose((width, height), RESOLUTION * figure.get_size_inches(), atol=1)
+    if name not in ("frames", "architecture"):
+        assert any(axes.axison for axes in figure.axes)
+        assert not unlabelled(figure)
+
+
+def test_drawing_is_repeatable_and_needs_no_pyplot(study):
+    assert png(FIGURES["thrust"](study)) == png(FIGURES["thrust"](study))
+    code = (
+        "import sys, airpuck.report.reproduce, airpuck.report.fit_report, airpuck.report.craft; "
+        "print('matplotlib.pyplot' in sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "False"
+
+
+def test_pairs_share_a_colour_and_single_propellers_have_their_own():
+    six = propeller_colors(default_vehicle())
+    assert six[0] == six[1] != six[2] == six[3] != six[4] == six[5]
+    alone = default_vehicle().model_copy(update={"pairs": ()})
+    assert len(set(propeller_colors(alone))) == 6
+    assert propeller_groups(alone) == [(k,) for k in range(6)]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
+def test_any_number_of_propellers_can_be_drawn(n):
+    angles = 2 * np.pi * np.arange(n) / n
+    vehicle = Vehicle.model_validate(
+        {
+            "name": f"{n} propellers",
+            "mass_kg": 0.1,
+            "propellers": [
+                {
+                    "name": f"p{k}",
+                    "position_m": (0.05 * np.cos(a), 0.05 * np.sin(a)),
+                    "direction_deg": np.rad2deg(a) + 90,
+                }
+                for k, a in enumerate(angles)
+            ],
+            "nominal": {"thrust_N": (0.5,), "inertia_kg_m2": 3e-4},
+        }
+    )
+    for figure in (
+        craft_figure(vehicle),
+        frames_figure(vehicle),
+        thrust_figure([model_of(vehicle, "M3")]),
+    ):
+        assert len(png(figure)) > 1000
+
+
+def test_thrust_figure_shows_the_curve(study):
+    model = study.models[3]
+    figure = thrust_figure([model])
+    axes = next(a for a in figure.axes if a.get_title("left") == model.vehicle.propeller_names[0])
+    x, y = axes.lines[0].get_data()
+    expected = thrust(np.asarray(model.parameters.thrust)[:1], np.asarray(x)[None])[0]
+    np.testing.assert_allclose(y, expected)
+
+
+def test_held_out_losses_are_drawn(study):
+    fit = study.fits[0]
+    history = tuple(replace(i, test_loss=1.1 * i.loss) for i in fit.history)
+    plain = loss_history_figure([fit]).axes[0]
+    both = loss_history_figure([replace(fit_of(fit.model), history=history)]).axes[0]
+    assert len(both.lines) == len(plain.lines) + 1
+
+
+def test_landscape_counts_minima():
+    factor = np.linspace(0.9, 1.1, 201)
+    assert len(Landscape(1, 1, factor, (factor - 1) ** 2).minima) == 1
+    assert len(Landscape(1, 1, factor, factor).minima) == 0
+    assert len(Landscape(1, 1, factor, np.cos(100 * factor)).minima) == 3

@@ -1,0 +1,44 @@
+"""What can be compared between models must not depend on the arbitrary scale of M4's thrusts."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from airpuck.model_file import published_model
+from airpuck.report.gauge import largest_accelerations, physical_thrust, thrust_scale
+
+from .conftest import random_scales
+
+
+def test_scale_of_first_principles_models_is_one():
+    model = published_model("M3")
+    np.testing.assert_array_equal(thrust_scale(model), np.ones(6))
+    matrix = np.asarray(model.dynamics.configuration)
+    np.testing.assert_allclose(model.vehicle.mass_kg * np.hypot(matrix[0], matrix[1]), 1)
+
+
+def test_no_choice_of_scale_changes_what_is_compared(published_m4):
+    scales = random_scales(6)
+    parameters = published_m4.parameters
+    other = replace(
+        published_m4,
+        parameters=replace(
+            parameters,
+            thrust=scales[:, None] * parameters.thrust,
+            configuration_matrix=parameters.configuration_matrix / scales,
+        ),
+    )
+    np.testing.assert_allclose(physical_thrust(other), physical_thrust(published_m4))
+    for ours, theirs in zip(
+        largest_accelerations(other), largest_accelerations(published_m4), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs)
+
+
+def test_accelerations_follow_newton():
+    model = published_model("M3")
+    linear, angular = largest_accelerations(model, speed=0.5)
+    coefficients = np.asarray(model.parameters.thrust)
+    force = coefficients @ [0.5, 0.25, 0.125]
+    np.testing.assert_allclose(linear, force / model.vehicle.mass_kg)
+    assert (np.sign(angular) == [1, -1, 1, -1, 1, -1]).all()

@@ -1,0 +1,120 @@
+"""The page: one file, nothing from outside, whole or not there at all."""
+
+from html.parser import HTMLParser
+
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.report.fit_report import fit_report
+from airpuck.report.page import Picture, Section, Table, Text, write_page
+from airpuck.report.style import new_figure
+
+from .conftest import model_of
+
+VOID = {"meta", "img", "link", "br", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Collects links, images and structure, and notices tags that do not match."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: set[str] = set()
+        self.links: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.tags: list[str] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+        assert not self.open, f"not closed: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.tags.append(tag)
+        if "id" in attributes:
+            assert attributes["id"] not in self.ids, f"twice: {attributes['id']}"
+            self.ids.add(attributes["id"])
+        for key in ("href", "src"):
+            if key in attributes:
+                self.links.append(attributes[key])
+        if tag == "img":
+            self.images.append(attributes)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def check_self_contained(text: str) -> Page:
+    """Parse a page and check that it needs nothing else."""
+    page = Page(text)
+    assert page.images
+    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
+    assert all(image["alt"] for image in page.images)
+    for link in page.links:
+        assert link.startswith(("#", "data:")), link
+        if link.startswith("#"):
+            assert link[1:] in page.ids
+    assert not {"script", "link", "iframe", "object"} & set(page.tags)
+    assert "@import" not in text
+    assert "url(" not in text
+    return page
+
+
+def sections():
+    figure = new_figure(3, 2)
+    figure.add_subplot()
+    return [
+        Section(
+            "first",
+            "First & last",
+            (
+                Text(["<b>not bold</b>"], bullets=True),
+                Table("a table", ["name", "value"], [["x", "1"]], [("", 1), ("group", 1)]),
+                Picture("picture", figure, 'a "caption" <here>'),
+            ),
+        )
+    ]
+
+
+def test_page_is_self_contained_and_escaped(tmp_path):
+    path = write_page(tmp_path / "out", "A page", "about it", sections())
+    text = path.read_text(encoding="utf-8")
+    page = check_self_contained(text)
+    assert "<b>" in page.text
+    assert "<b>not" not in text
+    assert "First & last" in page.text
+    assert (tmp_path / "out" / "figures" / "picture.png").read_bytes()[:4] == b"\x89PNG"
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figures", "index.html"]
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_page(tmp_path / "out", "A page", "about it", sections())
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize("judged", [True, False])
+def test_fit_report_of_any_craft(study, tmp_path, judged):
+    truth = model_of(study.models[0].vehicle, "M3")
+    evaluations = study.fitted if judged else ()
+    path = fit_report(study.fits, evaluations, study.training, tmp_path, truth=truth)
+    page = check_self_contained(path.read_text(encoding="utf-8"))
+    assert ("prediction" in page.ids) == ("time" in page.ids) == judged
+    assert {"craft", "thrust", "optimiser", "parameters", "sources"} <= page.ids
+    for name in study.models[0].vehicle.propeller_names:
+        assert name in page.text
+
+
+def test_fit_report_of_one_fit_without_truth(study, tmp_path):
+    path = fit_report(study.fits[3], study.fitted[3:4], study.training, tmp_path)
+    page = check_self_contained(path.read_text(encoding="utf-8"))
+    assert "figure-parameters" not in page.ids
+    with pytest.raises(InputError, match="no fit"):
+        fit_report((), (), study.training, tmp_path)

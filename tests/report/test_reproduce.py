@@ -1,0 +1,126 @@
+"""The paper's study on the real recordings."""
+
+import json
+
+import numpy as np
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.evaluation.evaluate import evaluate
+from airpuck.model_file import published_model, read_model
+from airpuck.recording.torch_archive import read_authors_experiment
+from airpuck.report.error_timeline import touched_by
+from airpuck.report.paper_sections import PRINTED
+from airpuck.report.reproduce import FAULTS, TRAINING, VALIDATION, reproduce
+
+from ..conftest import TRAINING as TRAINING_NAME
+from ..conftest import VALIDATION as VALIDATION_NAME
+from .test_page import check_self_contained
+
+#: RMSE at 0.2 s with published parameters: x, y [mm], γ [rad] (table:prediction_error).
+TABLE_2 = {
+    "M0": (16.19, 15.72, 0.5008),
+    "M1": (15.08, 14.98, 0.4951),
+    "M2": (12.87, 11.39, 0.3910),
+    "M3": (10.84, 9.76, 0.3871),
+    "M4": (10.76, 9.56, 0.3874),
+}
+
+
+@pytest.fixture(scope="module")
+def figures(reproduction):
+    """What was written, read back."""
+    return json.loads((reproduction.page.parent / "reproduce.json").read_text())
+
+
+def rounded(errors):
+    return round(errors["x_mm"], 2), round(errors["y_mm"], 2), round(errors["yaw_rad"], 4)
+
+
+@pytest.mark.data
+def test_published_parameters_give_table_2_to_every_digit(figures):
+    published = figures["table_2"]["published"]
+    assert {name: rounded(errors) for name, errors in published.items()} == TABLE_2
+    for name, errors in published.items():
+        assert PRINTED[name] == (
+            f"{errors['x_mm']:.1f}",
+            f"{errors['y_mm']:.1f}",
+            f"{errors['yaw_rad']:.3f}",
+        )
+
+
+@pytest.mark.data
+def test_own_fits_reach_the_published_errors(figures):
+    table = figures["table_2"]
+    ratio = np.array(
+        [
+            [table["fitted"][m][c] / table["published"][m][c] for c in ("x_mm", "y_mm", "yaw_rad")]
+            for m in TABLE_2
+        ]
+    )
+    assert ratio.max() < 1.02
+    assert ratio[3:].max() < 1.01
+    assert ratio.mean() < 1.005
+    assert all(fit["iterations"] <= 15 for fit in figures["fits"].values())
+
+
+@pytest.mark.data
+def test_numbers_are_those_of_direct_calls(figures, reproduction, experiments):
+    assert (TRAINING, VALIDATION) == (TRAINING_NAME, VALIDATION_NAME)
+    assert figures == json.loads(json.dumps(reproduction.to_json()))
+    validation = read_authors_experiment(experiments / VALIDATION)
+    for name in TABLE_2:
+        assert evaluate(published_model(name), validation).to_json() == figures["published"][name]
+        model = read_model(reproduction.page.parent / "models" / f"{name}.toml")
+        assert evaluate(model, validation).to_json() == figures["fitted"][name]
+        assert figures["fits"][name]["loss"] == model.fit["loss"]
+        for kind in ("published", "fitted"):
+            result = figures[kind][name]
+            assert result["protocol"] == "paper"
+            assert result["windows"] == 334
+            assert result["horizon_step"] == 48
+
+
+@pytest.mark.data
+def test_page_shows_everything(reproduction):
+    page = check_self_contained(reproduction.page.read_text(encoding="utf-8"))
+    assert {
+        *("summary", "craft", "learning", "prediction", "time", "thrust", "optimiser"),
+        *("parameters", "conventions", "sources"),
+    } <= page.ids
+    assert "side-claims" not in page.ids
+    names = {path.stem for path in (reproduction.page.parent / "figures").iterdir()}
+    assert {f"figure-{name}" for name in names} == {i for i in page.ids if i.startswith("figure-")}
+    assert len(names) == 9
+    assert "15 of the 15 numbers" in page.text
+    for row in PRINTED.values():
+        for number in row:
+            assert number in page.text
+    assert reproduction.page.stat().st_size < 3e6
+    assert "/work" not in page.text
+
+
+@pytest.mark.data
+def test_known_faults_hold_the_largest_errors(reproduction):
+    best = reproduction.study.best
+    faulty = touched_by(best, FAULTS)
+    assert 0.03 < faulty.mean() < 0.09
+    for errors in best.at_horizon:
+        assert np.sum(errors[faulty] ** 2) > 0.55 * np.sum(errors**2)
+        assert np.abs(errors).argmax() in np.flatnonzero(faulty)
+
+
+@pytest.mark.data
+def test_fits_beat_the_published_loss(reproduction):
+    losses = reproduction.study.reference_losses
+    assert all(fit.loss < losses[fit.model.name] for fit in reproduction.study.fits)
+
+
+def test_a_folder_that_is_no_dataset_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no folder `experiments`"):
+        reproduce(tmp_path, tmp_path / "out")
+    (tmp_path / "experiments").mkdir()
+    with pytest.raises(InputError, match="no such file") as error:
+        reproduce(tmp_path, tmp_path / "out")
+    assert TRAINING in str(error.value)
+    assert not (tmp_path / "out").exists()
