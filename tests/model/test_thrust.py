@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from airpuck.model.thrust import is_monotone, lowest_slope, thrust, thrust_slope
+from airpuck.errors import InputError
+from airpuck.model.thrust import (
+    InverseThrust,
+    is_monotone,
+    lowest_slope,
+    thrust,
+    thrust_slope,
+)
 
 coefficient = st.floats(-2, 2).map(lambda x: round(x, 3))
 cubic = st.tuples(coefficient, coefficient, coefficient).map(lambda abc: np.array([abc]))
@@ -55,3 +62,34 @@ def test_lowest_slope_is_lowest(coefficients):
     grid = np.linspace(0, 1, 2001)[None]
     assert slope[0] <= thrust_slope(curve, grid).min() + 1e-9
     np.testing.assert_allclose(thrust_slope(curve, speed), slope, atol=1e-9)
+
+
+@given(
+    st.tuples(st.floats(1e-3, 1), st.floats(-1, 2), st.floats(-1, 1)),
+    st.lists(st.floats(0, 1), min_size=1),
+)
+def test_inverse_undoes_thrust(abc, speeds):
+    curve = np.array([abc])
+    assume(lowest_slope(curve)[0][0] > 1e-3)
+    speed = np.array([speeds])
+    np.testing.assert_allclose(InverseThrust(curve)(thrust(curve, speed)), speed, atol=1e-10)
+
+
+@pytest.mark.parametrize("curve", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1e-6, 1.2, -0.7)])
+def test_inverse_where_the_slope_vanishes(curve):
+    # At a slope of zero the speed is ill-defined, but the thrust is still met.
+    force = np.linspace(0, float(sum(curve)), 101)[None]
+    speed = InverseThrust(np.array([curve]))(force)
+    np.testing.assert_allclose(thrust(np.array([curve]), speed), force, atol=1e-14)
+
+
+def test_inverse_is_clipped_at_the_ends_of_the_image():
+    curve = np.array([[0.1, 1.0, -0.5]])
+    np.testing.assert_array_equal(
+        InverseThrust(curve)(np.array([[-1.0, 0.0, 0.6, 9.0]])), [[0, 0, 1, 1]]
+    )
+
+
+def test_a_falling_curve_has_no_inverse():
+    with pytest.raises(InputError, match=r"propeller 2 falls at φ = 1\.000"):
+        InverseThrust(np.array([[1.0, 0.0, 0.0], [0.1, 1.6, -1.2]]))

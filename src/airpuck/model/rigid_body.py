@@ -147,3 +147,30 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
     rates = acceleration(xp, dynamics, state[2:6], motor_speed)
     lag = (command - motor_speed) / dynamics.motor_time_constant
     return xp.concatenate([state[3:6], xp.stack(rates), lag])
+
+
+def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
+    """Write the accelerations as M(γ) F + g(ω), the form that control allocation needs.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    yaw, spin : float or array, shape ()
+        γ [rad], ω [rad/s].
+
+    Returns
+    -------
+    matrix : array, shape (3, n)
+        M(γ), from thrusts to ax, ay, ω'.
+    offset : array, shape (3,)
+        g(ω), acceleration without thrust.
+    """
+    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
+    if dynamics.frame == "body":
+        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
+    return turn @ dynamics.configuration, xp.array([rx, ry, 0.0]) * spin**2

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.errors import InputError
+
 
 def thrust(coefficients: Any, speed: Any) -> Any:
     """Evaluate the thrust polynomials.
@@ -105,3 +107,63 @@ def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray,
         True where dF/dφ ≥ 0 on the whole of [0, 1].
     """
     return lowest_slope(coefficients)[0] >= 0
+
+
+class InverseThrust:
+    """Finds the motor speeds that give thrusts, F⁻¹ of sec:control.
+
+    Newton's method, kept inside a bracket that halves whenever Newton would leave it.
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients of curves that rise on [0, 1] [N].
+
+    Raises
+    ------
+    InputError
+        If a curve falls somewhere on [0, 1]: it has no inverse.
+    """
+
+    def __init__(self, coefficients: Float[np.ndarray, "n degree"]) -> None:
+        slopes, speeds = lowest_slope(coefficients)
+        if (slopes < 0).any():
+            worst = int(np.argmin(slopes))
+            raise InputError(
+                f"the thrust curve of propeller {worst + 1} falls at φ = {speeds[worst]:.3f} "
+                f"(slope {slopes[worst]:.3g} N) and has no inverse; identify it with rising curves",
+                field="thrust",
+            )
+        self._coefficients = coefficients
+        self._top = thrust(coefficients, np.ones(len(coefficients)))
+
+    def __call__(self, force: Float[np.ndarray, "n *batch"]) -> Float[np.ndarray, "n *batch"]:
+        """Invert the curves.
+
+        Parameters
+        ----------
+        force : array, shape (n, ...)
+            Thrusts [N]. What lies outside the image of [0, 1] is clipped to its ends.
+
+        Returns
+        -------
+        array, shape (n, ...)
+            Speeds φ in [0, 1], exact to 1e-10 wherever the curve's slope is not zero.
+        """
+        top = self._top.reshape((-1,) + (1,) * (force.ndim - 1))
+        target = np.minimum(np.maximum(force, 0.0), top)
+        low, high = np.zeros_like(target), np.ones_like(target)
+        speed = target / np.maximum(top, 1e-300)
+        # Newton needs about five passes, bisection alone 50: the bound is never reached.
+        for _ in range(100):
+            error = thrust(self._coefficients, speed) - target
+            low, high = np.where(error <= 0, speed, low), np.where(error >= 0, speed, high)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                newton = speed - error / thrust_slope(self._coefficients, speed)
+            # Not inside, or not a number: bisect.
+            following = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
+            following = np.where(error == 0, speed, following)
+            if np.max(np.abs(following - speed), initial=0.0) <= 1e-13:
+                return following
+            speed = following
+        return speed

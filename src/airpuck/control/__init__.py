@@ -1,0 +1,1 @@
+"""Model -> motor commands."""

@@ -1,0 +1,147 @@
+"""References: what the craft is asked to do over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What a reference asks for at one instant.
+
+    Attributes
+    ----------
+    state : array, shape (6,)
+        x, y [m], γ [rad] and their rates.
+    acceleration : array, shape (3,)
+        Accelerations to feed forward [m/s², m/s², rad/s²].
+    """
+
+    state: Float[np.ndarray, " 6"]
+    acceleration: Float[np.ndarray, " 3"]
+
+
+@runtime_checkable
+class Reference(Protocol):
+    """Says where the craft should be."""
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        ahead : float
+            How far ahead of now the command will have acted [s]. A reference that is known in
+            advance may use it; a set point must not anticipate its own change.
+
+        Returns
+        -------
+        Target
+            State and acceleration asked for.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SetPoint:
+    """One pose to hold.
+
+    Attributes
+    ----------
+    x, y : float
+        Position [m].
+    yaw : float
+        Orientation [rad].
+    """
+
+    x: float
+    y: float
+    yaw: float
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the pose, at rest; see `Reference.at`."""
+        state = np.array([self.x, self.y, self.yaw, 0.0, 0.0, 0.0])
+        return Target(state, np.zeros(3))
+
+
+class SetPoints:
+    """Poses to hold, each from its time on.
+
+    Parameters
+    ----------
+    times : sequence of float
+        When each set point begins, increasing [s]. Before the first one the first holds.
+    poses : sequence of (x, y, yaw)
+        The set points [m, m, rad].
+
+    Raises
+    ------
+    InputError
+        If there are none, times do not increase, or a number is not finite.
+    """
+
+    def __init__(self, times: Sequence[float], poses: Sequence[tuple[float, float, float]]) -> None:
+        self.times = np.array(times, dtype=float)
+        self.poses = np.array(poses, dtype=float).reshape(-1, 3)
+        if len(self.times) == 0 or len(self.times) != len(self.poses):
+            raise InputError("give as many times as set points, and at least one", field="setpoint")
+        if not (np.isfinite(self.times).all() and np.isfinite(self.poses).all()):
+            raise InputError("times and set points must be finite numbers", field="setpoint")
+        if (np.diff(self.times) <= 0).any():
+            raise InputError("times of set points must increase", field="setpoint")
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the set point in force now; see `Reference.at`."""
+        index = max(int(np.searchsorted(self.times, now, side="right")) - 1, 0)
+        state = np.zeros(6)
+        state[:3] = self.poses[index]
+        return Target(state, np.zeros(3))
+
+
+class TimedPath:
+    """A trajectory to follow: poses at given times, joined by cubic splines.
+
+    Velocity and acceleration of the splines are fed forward. Before the beginning and after the end
+    the craft is to stand still at the first or last pose.
+
+    Parameters
+    ----------
+    times : array, shape (N,)
+        Increasing times [s].
+    poses : array, shape (N, 3)
+        x, y [m], yaw [rad]; the yaw is continuous and may go round.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, times do not increase, or a number is not finite.
+    """
+
+    def __init__(self, times: Float[np.ndarray, " N"], poses: Float[np.ndarray, "N 3"]) -> None:
+        from scipy.interpolate import CubicSpline
+
+        if len(times) < 2 or not (np.isfinite(times).all() and np.isfinite(poses).all()):
+            raise InputError("give at least two times and poses, all finite", field="path")
+        if (np.diff(times) <= 0).any():
+            raise InputError("times must increase", field="path")
+        self._first, self._last = float(times[0]), float(times[-1])
+        spline = CubicSpline(times, poses, bc_type="clamped")
+        self._splines = (spline, spline.derivative(), spline.derivative(2))
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return pose, velocity and acceleration at ``now + ahead``; see `Reference.at`."""
+        time = now + ahead
+        inside = min(max(time, self._first), self._last)
+        pose, velocity, acceleration = (np.asarray(spline(inside)) for spline in self._splines)
+        if inside != time:
+            velocity, acceleration = np.zeros(3), np.zeros(3)
+        return Target(np.concatenate([pose, velocity]), acceleration)

@@ -1,0 +1,329 @@
+"""The tracking controller: poses in, motor commands out (sec:control)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.allocation import Outcome, ThrustAllocator
+from airpuck.control.discretization import motor_lag, point_mass
+from airpuck.control.lqr import regulator
+from airpuck.control.reference import Reference, Target
+from airpuck.control.tuning import Estimation, Tuning, default_tuning
+from airpuck.errors import InputError
+from airpuck.estimate.kalman import Estimate, KalmanFilter, Noise
+from airpuck.model.rigid_body import acceleration_map
+from airpuck.model.thrust import InverseThrust, thrust
+from airpuck.model_file import Model
+
+#: What a control step ended with. The outcomes of the allocation fly; all others idle the motors.
+Status = Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input"]
+FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest")
+
+#: No control without a pose from the last 50 ms: twelve frames of the motion capture.
+_STALE = 0.05
+#: A pose this far from its prediction cannot be the craft: [m, m, rad].
+_JUMP = np.array([0.1, 0.1, 1.0])
+#: After this many poses in a row that agree with each other but not with the prediction, they are
+#: believed: 50 ms of them.
+_BELIEVED_AFTER = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Result of a control step.
+
+    Attributes
+    ----------
+    command : array, shape (n,)
+        Motor commands to send, always finite and within the vehicle's limits.
+    status : str
+        ``exact``, ``scaled``, ``nearest``: the craft flies; anything else: the motors idle, and
+        this is why.
+    request : array, shape (3,)
+        Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
+    estimate : Estimate or None
+        State at the time at which the command will begin to act; None when idle.
+    """
+
+    command: Float[np.ndarray, " n"]
+    status: Status
+    request: Float[np.ndarray, " 3"]
+    estimate: Estimate | None
+
+    @property
+    def flies(self) -> bool:
+        """Whether the command steers the craft, rather than idling its motors."""
+        return self.status in FLYING
+
+
+class TrackingController:
+    """Steers the craft to a reference.
+
+    Each step predicts the state x_k to when the command will act, over the transport delay; moves
+    one period on with the accelerations that the motors already determine; asks the regulator for
+    v_{k+1} = -K (x_{k+1} - reference), takes off the disturbance, and finds the commands that make
+    the motors give it (eq. force_qp).
+
+    Parameters
+    ----------
+    model : Model
+        The craft; its thrust curves must rise.
+    reference : Reference
+        What to track; may be exchanged at any time.
+    tuning : Tuning, optional
+        By default the packaged one.
+    gain : array, shape (3, 6), optional
+        K for the state x, y, γ, vx, vy, ω; by default the regulator of the tuning's weights.
+    reject_disturbance : bool, default True
+        Whether the estimated disturbance is compensated. Without it a poor model leaves a
+        steady-state offset, as the paper's M0 does.
+    compensate_delay : bool, default True
+        Whether the state is predicted over the transport delay. The paper's controller predicted
+        it to the present only.
+
+    Raises
+    ------
+    InputError
+        If a thrust curve falls somewhere, or the propellers cannot produce every acceleration.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        reference: Reference,
+        tuning: Tuning | None = None,
+        *,
+        gain: Float[np.ndarray, "3 6"] | None = None,
+        reject_disturbance: bool = True,
+        compensate_delay: bool = True,
+    ) -> None:
+        tuning = tuning or default_tuning()
+        vehicle, dynamics = model.vehicle, model.dynamics
+        if np.linalg.matrix_rank(dynamics.configuration) < 3:
+            raise InputError(
+                f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
+                "check their positions and directions"
+            )
+        self.model, self.reference, self.tuning = model, reference, tuning
+        self.reject_disturbance = reject_disturbance
+        self.compensate_delay = compensate_delay
+        self.gain = regulator(tuning.weights, tuning.period_s) if gain is None else gain
+        self.filter = KalmanFilter(model, _noise(tuning.estimation))
+        self._a, self._b = point_mass(tuning.period_s)
+        self._lag, self._drive = motor_lag(float(dynamics.motor_time_constant), tuning.period_s)
+        self._allocator = ThrustAllocator(
+            vehicle.n_propellers,
+            float(np.sqrt(model.parameters.inertia / vehicle.mass_kg)),
+            tuning.allocation.slack_weight,
+            tuning.allocation.solver,
+        )
+        self._inverse = InverseThrust(dynamics.thrust)
+        self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
+        self._doubts: list[Float[np.ndarray, " 3"]] = []
+        self._bad_pose = False
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a measured pose.
+
+        One that is not finite, not newer than the last, or implausibly far from its prediction is
+        not used; after 50 ms of consistent ones elsewhere, these are believed.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
+        self._bad_pose = not (np.isfinite(pose).all() and np.isfinite(time))
+        last = self.filter.time
+        if self._bad_pose or (last is not None and time <= last):
+            return
+        if last is None or time - last > _STALE:
+            # Too long ago to predict over: begin anew.
+            self._begin(time, pose)
+            return
+        if _far(pose, self.filter.predict(time).state[:3]):
+            if self._doubts and _far(pose, self._doubts[-1]):
+                self._doubts.clear()
+            self._doubts.append(pose)
+            if len(self._doubts) >= _BELIEVED_AFTER:
+                self._begin(time, pose)
+            return
+        self._doubts.clear()
+        self.filter.pose(time, pose)
+
+    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+        """Take note of an inertial measurement.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        acceleration : array, shape (2,)
+            Along the body's x and y axes [m/s²].
+        gyro : float
+            Spin [rad/s].
+        """
+        last = self.filter.time
+        if last is None or time <= last or not np.isfinite([*acceleration, gyro]).all():
+            return
+        noise = self.tuning.estimation
+        self.filter.imu(time, acceleration, gyro, (noise.imu_acceleration_m_s2, noise.gyro_rad_s))
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+        """Take note of a velocity from the optical sensor under the craft.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        velocity : array, shape (2,)
+            Along the body's x and y axes [m/s].
+        """
+        last = self.filter.time
+        if last is None or time <= last or not np.isfinite(velocity).all():
+            return
+        self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
+
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take note of the command that was really sent.
+
+        Parameters
+        ----------
+        time : float
+            When [s].
+        command : array, shape (n,)
+            Motor commands.
+        """
+        self.filter.command(time, command)
+
+    def step(self, time: float) -> Step:
+        """Compute the command to send now; `sent` tells the controller that it was.
+
+        Parameters
+        ----------
+        time : float
+            Now, on the clock of the poses [s].
+
+        Returns
+        -------
+        Step
+            A command, whatever happened: idle with a reason where the craft cannot be steered.
+        """
+        refusal = self._refusal(time)
+        if refusal is not None:
+            return Step(self._idle.copy(), refusal, np.zeros(3), None)
+        estimate = self.predict(time)
+        ahead = self.model.transport_delay + self.tuning.period_s
+        return self.steer(estimate, self.reference.at(time, ahead))
+
+    def predict(self, time: float) -> Estimate:
+        """Predict the craft to when a command sent now begins to act.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+
+        Returns
+        -------
+        Estimate
+            State, motor speeds and disturbance at that time.
+        """
+        acting = self.filter.predict(time + self.model.transport_delay)
+        if self.compensate_delay:
+            return acting
+        # As if the commands on their way acted already, on a craft that is still here.
+        return replace(self.filter.predict(time), motor_speed=acting.motor_speed)
+
+    def steer(self, estimate: Estimate, target: Target) -> Step:
+        """Compute the command for an estimate and a target, whatever the clock says.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            The craft when the command begins to act.
+        target : Target
+            Where it should be one period later.
+
+        Returns
+        -------
+        Step
+            The command.
+        """
+        dynamics, vehicle = self.model.dynamics, self.model.vehicle
+        state, speed = estimate.state, estimate.motor_speed
+        # What the motors do in the coming period is settled; go on to the next one.
+        matrix, offset = acceleration_map(np, dynamics, state[2], state[5])
+        settled = matrix @ thrust(dynamics.thrust, speed) + offset + estimate.disturbance
+        following = self._a @ state + self._b @ settled
+        error = following - target.state
+        error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+        request = target.acceleration - self.gain @ error
+        if self.reject_disturbance:
+            request = request - estimate.disturbance
+
+        coasting = self._lag * speed
+        low = coasting + self._drive * vehicle.command_min
+        high = coasting + self._drive * vehicle.command_max
+        matrix, offset = acceleration_map(np, dynamics, following[2], following[5])
+        allocated = self._allocator.allocate(
+            request,
+            matrix,
+            offset,
+            thrust(dynamics.thrust, low),
+            thrust(dynamics.thrust, high),
+        )
+        command = (self._inverse(allocated.thrust) - coasting) / self._drive
+        command = np.clip(command, vehicle.command_min, vehicle.command_max)
+        if allocated.outcome == "failed" or not np.isfinite(command).all():
+            return Step(self._idle.copy(), "failed", request, estimate)
+        return Step(command, allocated.outcome, request, estimate)
+
+    def _refusal(self, time: float) -> Status | None:
+        """Say why the craft cannot be steered now, if it cannot."""
+        last = self.filter.time
+        if self._bad_pose or not np.isfinite(time):
+            return "bad input"
+        if last is None:
+            return "no pose"
+        if self._doubts:
+            return "jumping pose"
+        if time - last > _STALE:
+            return "stale pose"
+        return None
+
+    def _begin(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Start the filter anew at a pose, keeping what is known of commands."""
+        self._doubts.clear()
+        self.filter.restart(time, pose)
+
+
+def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
+    """Say whether two poses cannot be neighbours."""
+    difference = pose - other
+    difference[2] = (difference[2] + np.pi) % (2 * np.pi) - np.pi
+    return bool((np.abs(difference) > _JUMP).any())
+
+
+def _noise(estimation: Estimation) -> Noise:
+    """Translate the tuning for the filter."""
+    e = estimation
+    return Noise(
+        pose=(e.position_m, e.position_m, e.yaw_rad),
+        acceleration=(
+            e.acceleration_density,
+            e.acceleration_density,
+            e.angular_acceleration_density,
+        ),
+        disturbance=(
+            e.disturbance_density,
+            e.disturbance_density,
+            e.angular_disturbance_density,
+        ),
+    )

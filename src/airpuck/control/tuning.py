@@ -1,0 +1,141 @@
+"""The tuning of the tracking controller, as a TOML file."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+
+from airpuck.files import Section, read_toml, write_toml
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NonNegative = Annotated[float, pydantic.Field(ge=0)]
+
+
+class Weights(Section):
+    """Weights of the linear-quadratic regulator, on squared errors and inputs.
+
+    Attributes
+    ----------
+    position, speed, yaw, spin : float
+        On x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
+    acceleration, angular_acceleration : float
+        On ax and ay [s⁴/m²], ω' [s⁴/rad²].
+    """
+
+    position: NonNegative
+    speed: NonNegative
+    yaw: NonNegative
+    spin: NonNegative
+    acceleration: Positive
+    angular_acceleration: Positive
+
+
+class Allocation(Section):
+    """Settings of the thrust allocation.
+
+    Attributes
+    ----------
+    solver : {"daqp", "piqp"}
+        Quadratic programming solver.
+    slack_weight : float
+        μ: how much more scaling down a request costs than thrust.
+    """
+
+    solver: Literal["daqp", "piqp"] = "daqp"
+    slack_weight: Positive = 1e6
+
+
+class Estimation(Section):
+    """Noise that the state estimator assumes.
+
+    Attributes
+    ----------
+    position_m, yaw_rad : float
+        Standard deviation of the motion capture.
+    acceleration_density, angular_acceleration_density : float
+        White noise of the acceleration that the model does not explain [m/s²/√Hz, rad/s²/√Hz].
+    disturbance_density, angular_disturbance_density : float
+        White noise that drives the disturbance acceleration: how fast it changes [m/s³/√Hz,
+        rad/s³/√Hz]. Zero: no disturbance is estimated.
+    imu_acceleration_m_s2, gyro_rad_s, mouse_m_s : float
+        Standard deviation of the on-board sensors, where there are any.
+    """
+
+    position_m: Positive
+    yaw_rad: Positive
+    acceleration_density: Positive
+    angular_acceleration_density: Positive
+    disturbance_density: NonNegative
+    angular_disturbance_density: NonNegative
+    imu_acceleration_m_s2: Positive = 0.35
+    gyro_rad_s: Positive = 0.015
+    mouse_m_s: Positive = 1e-2
+
+
+class Tuning(Section):
+    """Everything about the controller that is chosen rather than identified.
+
+    Attributes
+    ----------
+    period_s : float
+        Time between commands.
+    weights : Weights
+        Of the regulator.
+    allocation : Allocation
+        Of the thrust allocation.
+    estimation : Estimation
+        Of the state estimator.
+    """
+
+    period_s: Positive = 0.01
+    weights: Weights
+    allocation: Allocation = Allocation()
+    estimation: Estimation
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the tuning as TOML.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        write_toml(path, self.model_dump(mode="json"), header="An airpuck controller tuning.")
+
+
+def read_tuning(path: str | os.PathLike[str]) -> Tuning:
+    """Read a tuning file.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file.
+
+    Returns
+    -------
+    Tuning
+        The tuning.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a field is wrong.
+    """
+    return read_toml(path, Tuning)
+
+
+def default_tuning() -> Tuning:
+    """Return the packaged tuning, near the one that flew the paper's experiment.
+
+    Returns
+    -------
+    Tuning
+        The tuning.
+    """
+    packaged = resources.files("airpuck") / "packaged" / "tuning.toml"
+    with resources.as_file(packaged) as path:
+        return read_tuning(Path(path))
