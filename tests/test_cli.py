@@ -251,3 +251,13 @@ def test_identify_on_the_training_experiment(experiments, tmp_path):
     process = airpuck("identify", experiments / TRAINING / "data.pt", "-o", tmp_path / "m.toml")
     assert process.returncode == 0
     assert read_model(tmp_path / "m.toml").data
+
+
+def test_the_demo_walks_the_whole_way(tmp_path):
+    process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
+    assert process.returncode == 0, process.stderr
+    page = Path(process.stdout.strip())
+    assert page.read_text().startswith("<!DOCTYPE html>")
+    found, truth = (read_model(m) for m in (tmp_path / "demo/models/M3.toml", "paper:M3"))
+    assert found.parameters.inertia == pytest.approx(truth.parameters.inertia, rel=0.01)
+    assert found.transport_delay == pytest.approx(5 / 240, rel=1e-3)

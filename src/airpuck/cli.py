@@ -92,16 +92,16 @@ def _options(
 
 @app.command()
 def fetch(
-    all: Annotated[
+    everything: Annotated[
         bool, typer.Option("--all", help="All recordings, not only the study's.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Download and verify the public dataset (or verify $AIRPUCK_DATA)."""
-    from airpuck.recording.dataset import fetch
+    from airpuck.recording import fetch
 
-    folder = fetch(all=all, progress=not quiet)
-    print(folder)
+    say = _say(quiet)
+    print(fetch(all=everything, progress=lambda done, of, name: say(f"{done + 1}/{of} {name}")))
 
 
 @app.command()
@@ -166,6 +166,9 @@ def identify(
     com_frame: Annotated[
         str, typer.Option(help="Centre of mass fixed to the body, or as in the paper to the world.")
     ] = "body",
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a page with figures, too.")
+    ] = None,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -195,6 +198,10 @@ def identify(
             progress=progress,
         )
     fit.model.save(output)
+    if report is not None:
+        from airpuck.report.fit_report import fit_report
+
+        fit_report(fit, [], trajectories[0], report)
     _write_json(json_file, fit.to_json())
     _warn(fit.warnings, quiet)
     if not quiet and not _is_stdout(json_file):
