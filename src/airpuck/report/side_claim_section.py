@@ -149,7 +149,7 @@ def _trial_table(caption: str, trials: tuple[Trial, ...]) -> Table:
                 trial.label,
                 str(trial.fit.iterations),
                 "yes" if trial.fit.converged else "no",
-                f"{trial.fit.loss:.4g}",
+                f"{trial.fit.loss:.3e}",
                 *errors_as_text(trial.rmse),
             ]
             for trial in trials

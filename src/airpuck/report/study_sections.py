@@ -130,7 +130,7 @@ def timeline_section(study: Study) -> Section:
             " Shaded: known faults of this recording, where the craft accelerates far less than "
             "any model expects from the commands, because motors are off, the radio link is out or "
             f"a motor does not spin up. The {touched.sum()} of {len(touched)} windows that touch "
-            f"them hold {' / '.join(f'{share:.0f}' for share in held)} %; none is left out."
+            f"them hold {' / '.join(f'{share:.0f}' for share in held)} % of it; none is left out."
         )
     return Section(
         "time",
