@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -176,7 +177,8 @@ def identify(
             "airpuck": __version__,
         },
         data={name: digest for t in trajectories for name, digest in t.hashes.items()},
-        source=", ".join(trajectory.source for trajectory in trajectories),
+        # The last two names of the path: a model file must not tell where its author's home is.
+        source=", ".join("/".join(Path(t.source).parts[-2:]) for t in trajectories),
     )
     return Fit(
         model=identified,
