@@ -92,6 +92,8 @@ class SetPoints:
     def __init__(self, times: Sequence[float], poses: Sequence[tuple[float, float, float]]) -> None:
         self.times = np.array(times, dtype=float)
         self.poses = np.array(poses, dtype=float).reshape(-1, 3)
+        at_rest = np.concatenate([self.poses, np.zeros_like(self.poses)], axis=1)
+        self._targets = [Target(state, np.zeros(3)) for state in at_rest]
         if len(self.times) == 0 or len(self.times) != len(self.poses):
             raise InputError("give as many times as set points, and at least one", field="setpoint")
         if not (np.isfinite(self.times).all() and np.isfinite(self.poses).all()):
@@ -101,10 +103,7 @@ class SetPoints:
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the set point in force now; see `Reference.at`."""
-        index = max(int(np.searchsorted(self.times, now, side="right")) - 1, 0)
-        state = np.zeros(6)
-        state[:3] = self.poses[index]
-        return Target(state, np.zeros(3))
+        return self._targets[max(int(self.times.searchsorted(now, side="right")) - 1, 0)]
 
 
 class TimedPath:

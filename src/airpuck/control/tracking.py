@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,8 +17,9 @@ from airpuck.control.reference import Reference, Target
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.errors import InputError
 from airpuck.estimate.kalman import Estimate, KalmanFilter, Noise
+from airpuck.model.compiled import for_real_time
 from airpuck.model.rigid_body import acceleration_map
-from airpuck.model.thrust import InverseThrust, thrust
+from airpuck.model.thrust import InverseThrust, inverse_thrust, thrust
 from airpuck.model_file import Model
 
 #: What a control step ended with. The outcomes of the allocation fly; all others idle the motors.
@@ -26,7 +29,7 @@ FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest")
 #: No control without a pose from the last 50 ms: twelve frames of the motion capture.
 _STALE = 0.05
 #: A pose this far from its prediction cannot be the craft: [m, m, rad].
-_JUMP = np.array([0.1, 0.1, 1.0])
+_JUMP = (0.1, 0.1, 1.0)
 #: After this many poses in a row that agree with each other but not with the prediction, they are
 #: believed: 50 ms of them.
 _BELIEVED_AFTER = 12
@@ -84,6 +87,8 @@ class TrackingController:
     compensate_delay : bool, default True
         Whether the state is predicted over the transport delay. The paper's controller predicted
         it to the present only.
+    compiled : bool, default True
+        Whether to compile the mathematics (a second, once) or to run it in NumPy.
 
     Raises
     ------
@@ -100,6 +105,7 @@ class TrackingController:
         gain: Float[np.ndarray, "3 6"] | None = None,
         reject_disturbance: bool = True,
         compensate_delay: bool = True,
+        compiled: bool = True,
     ) -> None:
         tuning = tuning or default_tuning()
         vehicle, dynamics = model.vehicle, model.dynamics
@@ -112,17 +118,16 @@ class TrackingController:
         self.reject_disturbance = reject_disturbance
         self.compensate_delay = compensate_delay
         self.gain = regulator(tuning.weights, tuning.period_s) if gain is None else gain
-        self.filter = KalmanFilter(model, _noise(tuning.estimation))
-        self._a, self._b = point_mass(tuning.period_s)
-        self._lag, self._drive = motor_lag(float(dynamics.motor_time_constant), tuning.period_s)
+        InverseThrust(dynamics.thrust)  # refuses curves that fall
+        self.filter = KalmanFilter(model, _noise(tuning.estimation), compiled=compiled)
         self._allocator = ThrustAllocator(
             vehicle.n_propellers,
             float(np.sqrt(model.parameters.inertia / vehicle.mass_kg)),
             tuning.allocation.slack_weight,
             tuning.allocation.solver,
         )
-        self._inverse = InverseThrust(dynamics.thrust)
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
+        self._plan, self._command = self._programs(compiled)
         self._doubts: list[Float[np.ndarray, " 3"]] = []
         self._bad_pose = False
 
@@ -139,7 +144,7 @@ class TrackingController:
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
-        self._bad_pose = not (np.isfinite(pose).all() and np.isfinite(time))
+        self._bad_pose = not math.isfinite(time + float(pose.sum()))
         last = self.filter.time
         if self._bad_pose or (last is not None and time <= last):
             return
@@ -147,15 +152,14 @@ class TrackingController:
             # Too long ago to predict over: begin anew.
             self._begin(time, pose)
             return
-        if _far(pose, self.filter.predict(time).state[:3]):
-            if self._doubts and _far(pose, self._doubts[-1]):
-                self._doubts.clear()
-            self._doubts.append(pose)
-            if len(self._doubts) >= _BELIEVED_AFTER:
-                self._begin(time, pose)
+        if self.filter.pose(time, pose, gate=_JUMP):
+            self._doubts.clear()
             return
-        self._doubts.clear()
-        self.filter.pose(time, pose)
+        if self._doubts and _far(pose, self._doubts[-1]):
+            self._doubts.clear()
+        self._doubts.append(pose)
+        if len(self._doubts) >= _BELIEVED_AFTER:
+            self._begin(time, pose)
 
     def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
         """Take note of an inertial measurement.
@@ -215,7 +219,7 @@ class TrackingController:
         Step
             A command, whatever happened: idle with a reason where the craft cannot be steered.
         """
-        refusal = self._refusal(time)
+        refusal = self.refusal(time)
         if refusal is not None:
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
         estimate = self.predict(time)
@@ -256,39 +260,84 @@ class TrackingController:
         Step
             The command.
         """
-        dynamics, vehicle = self.model.dynamics, self.model.vehicle
-        state, speed = estimate.state, estimate.motor_speed
-        # What the motors do in the coming period is settled; go on to the next one.
-        matrix, offset = acceleration_map(np, dynamics, state[2], state[5])
-        settled = matrix @ thrust(dynamics.thrust, speed) + offset + estimate.disturbance
-        following = self._a @ state + self._b @ settled
-        error = following - target.state
-        error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
-        request = target.acceleration - self.gain @ error
-        if self.reject_disturbance:
-            request = request - estimate.disturbance
-
-        coasting = self._lag * speed
-        low = coasting + self._drive * vehicle.command_min
-        high = coasting + self._drive * vehicle.command_max
-        matrix, offset = acceleration_map(np, dynamics, following[2], following[5])
-        allocated = self._allocator.allocate(
-            request,
-            matrix,
-            offset,
-            thrust(dynamics.thrust, low),
-            thrust(dynamics.thrust, high),
+        request, matrix, offset, low, high, coasting = self._plan(
+            estimate.state,
+            estimate.motor_speed,
+            estimate.disturbance,
+            target.state,
+            target.acceleration,
+            self.gain,
         )
-        command = (self._inverse(allocated.thrust) - coasting) / self._drive
-        command = np.clip(command, vehicle.command_min, vehicle.command_max)
-        if allocated.outcome == "failed" or not np.isfinite(command).all():
+        allocated = self._allocator.allocate(request, matrix, offset, low, high)
+        (command,) = self._command(allocated.thrust, coasting)
+        if allocated.outcome == "failed" or not math.isfinite(float(command.sum())):
             return Step(self._idle.copy(), "failed", request, estimate)
         return Step(command, allocated.outcome, request, estimate)
 
-    def _refusal(self, time: float) -> Status | None:
-        """Say why the craft cannot be steered now, if it cannot."""
+    def _programs(self, compiled: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """Return what runs before and after the allocation, in NumPy or compiled."""
+        dynamics, vehicle = self.model.dynamics, self.model.vehicle
+        period = self.tuning.period_s
+        a, b = point_mass(period)
+        lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
+        rejected = 1.0 if self.reject_disturbance else 0.0
+        least, most = vehicle.command_min, vehicle.command_max
+
+        def programs(xp: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
+            def plan(
+                state: Any,
+                speed: Any,
+                disturbance: Any,
+                target: Any,
+                feedforward: Any,
+                gain: Any,
+            ) -> tuple[Any, ...]:
+                # What the motors do in the coming period is settled; go on to the next one.
+                matrix, offset = acceleration_map(xp, dynamics, state[2], state[5])
+                settled = matrix @ thrust(dynamics.thrust, speed) + offset + disturbance
+                following = a @ state + b @ settled
+                error = following - target
+                turn = (error[2] + np.pi) % (2 * np.pi) - np.pi
+                error = xp.concatenate([error[:2], turn[None], error[3:]])
+                request = feedforward - gain @ error - rejected * disturbance
+                matrix, offset = acceleration_map(xp, dynamics, following[2], following[5])
+                coasting = lag * speed
+                low = thrust(dynamics.thrust, coasting + drive * least)
+                high = thrust(dynamics.thrust, coasting + drive * most)
+                return request, matrix, offset, low, high, coasting
+
+            def command(force: Any, coasting: Any) -> tuple[Any]:
+                speed = inverse_thrust(xp, dynamics.thrust, force)
+                return (xp.clip((speed - coasting) / drive, least, most),)
+
+            return plan, command
+
+        if not compiled:
+            return programs(np)
+        import jax.numpy as jnp
+
+        plan, command = programs(jnp)
+        state, axes = np.zeros(6), np.zeros(3)
+        return (
+            for_real_time(plan, state, self._idle, axes, state, axes, self.gain),
+            for_real_time(command, self._idle, self._idle),
+        )
+
+    def refusal(self, time: float) -> Status | None:
+        """Say why the craft cannot be steered now, if it cannot.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+
+        Returns
+        -------
+        str or None
+            The status of a step that idles the motors; None if the craft can be steered.
+        """
         last = self.filter.time
-        if self._bad_pose or not np.isfinite(time):
+        if self._bad_pose or not math.isfinite(time):
             return "bad input"
         if last is None:
             return "no pose"
@@ -306,9 +355,9 @@ class TrackingController:
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
     """Say whether two poses cannot be neighbours."""
-    difference = pose - other
-    difference[2] = (difference[2] + np.pi) % (2 * np.pi) - np.pi
-    return bool((np.abs(difference) > _JUMP).any())
+    x, y, yaw = (pose - other).tolist()
+    turn = (yaw + math.pi) % (2 * math.pi) - math.pi
+    return abs(x) > _JUMP[0] or abs(y) > _JUMP[1] or abs(turn) > _JUMP[2]
 
 
 def _noise(estimation: Estimation) -> Noise:

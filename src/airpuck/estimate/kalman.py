@@ -3,19 +3,33 @@
 The accelerations of x, y and γ are those of the model under the commands that act at the time,
 plus a disturbance d that wanders slowly. Given the yaw, which the motion capture measures well,
 the three axes are independent: each has a state (p, v, d) with p' = v, v' = a(t) + d + w₁, d' = w₂.
+
+The mathematics is in three pure functions over an array namespace, `propagate`, `spread` and
+`correct`; `KalmanFilter` keeps the books and runs them compiled.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.model.compiled import for_real_time
 from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import acceleration
+from airpuck.model.rigid_body import Dynamics, acceleration
 from airpuck.model_file import Model
+
+#: Pieces of time with one command each that a call handles: few, since XLA gives programs above
+#: some size to several threads, which costs more than all the arithmetic.
+_PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 1
+
+
+#: One turn of each axis, and its inverse: only the yaw goes round.
+_TURN, _PER_TURN = np.array([0.0, 0.0, 2 * np.pi]), np.array([0.0, 0.0, 0.5 / np.pi])
 
 
 @dataclass(frozen=True)
@@ -59,6 +73,119 @@ class Estimate:
     disturbance: Float[np.ndarray, " 3"]
 
 
+def propagate(
+    xp: Any, dynamics: Dynamics, mean: Any, motor_speed: Any, durations: Any, commands: Any
+) -> tuple[Any, Any]:
+    """Move mean and motor speeds through pieces of time with one command each.
+
+    In each piece the acceleration is that of its middle, so that the error is of second order.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        The model.
+    mean : array, shape (3, 3)
+        Axes x, y, γ; components p, v, d.
+    motor_speed : array, shape (n,)
+        φ.
+    durations : array, shape (S,)
+        Lengths of the pieces, zero for none [s].
+    commands : array, shape (S, n)
+        The command that acts in each.
+
+    Returns
+    -------
+    mean, motor_speed : array, shape (3, 3) and (n,)
+        At the end.
+    """
+    tau = dynamics.motor_time_constant
+    for k in range(len(durations)):
+        h, command = durations[k], commands[k]
+        middle = motor_step(xp, motor_speed, command, h / 2, tau)
+        motion = mean[2, 0] + h / 2 * mean[2, 1], mean[0, 1], mean[1, 1], mean[2, 1]
+        rate = xp.stack(acceleration(xp, dynamics, motion, middle)) + mean[:, 2]
+        p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
+        mean = xp.stack([p + h * v + h * h / 2 * rate, v + h * rate, d], axis=1)
+        motor_speed = motor_step(xp, motor_speed, command, h, tau)
+    return mean, motor_speed
+
+
+def spread(
+    xp: Any, covariance: Any, duration: Any, acceleration_density: Any, disturbance_density: Any
+) -> Any:
+    """Let the covariance grow over a time without measurements.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    covariance : array, shape (3, 3, 3)
+        One matrix for each axis.
+    duration : float
+        h [s].
+    acceleration_density, disturbance_density : array, shape (3,)
+        Squared densities of w₁ and w₂.
+
+    Returns
+    -------
+    array, shape (3, 3, 3)
+        A P Aᵀ plus the integrals of both noises over h.
+    """
+    h = duration
+    step = xp.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+    by_acceleration = xp.array([[h**3 / 3, h**2 / 2, 0.0], [h**2 / 2, h, 0.0], [0.0, 0.0, 0.0]])
+    by_disturbance = xp.array(
+        [
+            [h**5 / 20, h**4 / 8, h**3 / 6],
+            [h**4 / 8, h**3 / 3, h**2 / 2],
+            [h**3 / 6, h**2 / 2, h],
+        ]
+    )
+    return (
+        _product(xp, _product(xp, step, covariance), step.T)
+        + acceleration_density[:, None, None] * by_acceleration
+        + disturbance_density[:, None, None] * by_disturbance
+    )
+
+
+def _product(xp: Any, left: Any, right: Any) -> Any:
+    """Multiply stacks of small matrices, without the call to a library that `@` would be."""
+    return xp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
+
+
+def correct(
+    mean: Any, covariance: Any, component: int, innovation: Any, variance: Any
+) -> tuple[Any, Any]:
+    """Use a measurement of one component of every axis.
+
+    Parameters
+    ----------
+    mean : array, shape (3, 3)
+        Axes x, y, γ; components p, v, d.
+    covariance : array, shape (3, 3, 3)
+        One matrix for each axis.
+    component : int
+        0: p, 1: v, 2: d.
+    innovation : array, shape (3,)
+        Measured minus predicted.
+    variance : array, shape (3,)
+        Of the measurement; infinite where an axis was not measured.
+
+    Returns
+    -------
+    mean, covariance : array, shape (3, 3) and (3, 3, 3)
+        After the measurement.
+    """
+    column = covariance[:, :, component]
+    gain = column / (column[:, component] + variance)[:, None]
+    return (
+        mean + gain * innovation[:, None],
+        covariance - gain[:, :, None] * column[:, None, :],
+    )
+
+
 class KalmanFilter:
     """Estimates state, motor speeds and disturbance; uses nothing from the future.
 
@@ -68,6 +195,8 @@ class KalmanFilter:
         The craft, with its transport delay.
     noise : Noise
         What to expect of measurements and model.
+    compiled : bool, default True
+        Whether to compile the mathematics (a second, once) or to run it in NumPy.
 
     Notes
     -----
@@ -79,24 +208,61 @@ class KalmanFilter:
     _INITIAL_VELOCITY = np.array([0.5, 0.5, 5.0])
     _INITIAL_DISTURBANCE = np.array([0.1, 0.1, 3.0])
 
-    def __init__(self, model: Model, noise: Noise) -> None:
+    def __init__(self, model: Model, noise: Noise, *, compiled: bool = True) -> None:
         self.model = model
-        self._dynamics = model.dynamics
         self._pose_variance = np.square(noise.pose)
-        self._acceleration_density = np.square(noise.acceleration)
-        self._disturbance_density = np.square(noise.disturbance)
-        self._estimates_disturbance = self._disturbance_density > 0
+        self._noise = np.square(noise.acceleration), np.square(noise.disturbance)
+        self._estimates_disturbance = self._noise[1] > 0
+        self._idle = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
+        self._propagate, self._measure_pose = self._programs(compiled)
         self.reset()
+
+    def _programs(self, compiled: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """Return what runs at every pose and every prediction."""
+        dynamics, noise, pose_variance = self.model.dynamics, self._noise, self._pose_variance
+
+        def programs(xp: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
+            def predict(mean: Any, speed: Any, durations: Any, commands: Any) -> Any:
+                return propagate(xp, dynamics, mean, speed, durations, commands)
+
+            def measure(
+                mean: Any,
+                covariance: Any,
+                speed: Any,
+                duration: Any,
+                durations: Any,
+                commands: Any,
+                pose: Any,
+            ) -> Any:
+                mean, speed = propagate(xp, dynamics, mean, speed, durations, commands)
+                covariance = spread(xp, covariance, duration, *noise)
+                innovation = pose - mean[:, 0]
+                innovation = innovation - _TURN * xp.round(innovation * _PER_TURN)
+                mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
+                return mean, covariance, speed, innovation
+
+            return predict, measure
+
+        if not compiled:
+            return programs(np)
+        import jax.numpy as jnp
+
+        predict, measure = programs(jnp)
+        n, mean, covariance = len(self._idle), np.zeros((3, 3)), np.zeros((3, 3, 3))
+        to_predict = np.zeros(_PIECES_TO_PREDICT), np.zeros((_PIECES_TO_PREDICT, n))
+        to_measure = np.zeros(_PIECES_TO_MEASURE), np.zeros((_PIECES_TO_MEASURE, n))
+        return (
+            for_real_time(predict, mean, self._idle, *to_predict),
+            for_real_time(measure, mean, covariance, self._idle, 0.0, *to_measure, np.zeros(3)),
+        )
 
     def reset(self) -> None:
         """Forget everything."""
-        n = self.model.vehicle.n_propellers
-        idle = np.full(n, self.model.vehicle.command_min)
         self._time: float | None = None
-        self._mean = np.zeros((3, 3))  # axes x, y, γ; components p, v, d
+        self._mean = np.zeros((3, 3))
         self._covariance = np.zeros((3, 3, 3))
-        self._motor_speed = idle.copy()
-        self._acting = idle.copy()
+        self._motor_speed = self._idle
+        self._acting = self._idle
         #: Commands on their way: when they begin to act, and what they are.
         self._pending: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
 
@@ -117,7 +283,12 @@ class KalmanFilter:
         """
         self._pending.append((time + self.model.transport_delay, command))
 
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    def pose(
+        self,
+        time: float,
+        pose: Float[np.ndarray, " 3"],
+        gate: tuple[float, float, float] | None = None,
+    ) -> bool:
         """Use a measured pose.
 
         Parameters
@@ -126,25 +297,34 @@ class KalmanFilter:
             Its stamp, later than that of the last measurement [s].
         pose : array, shape (3,)
             x, y [m], yaw [rad], wrapped or not.
+        gate : tuple of float, optional
+            Largest difference from the prediction, the yaw's wrapped, at which the pose is used
+            [m, m, rad]; by default any.
 
         Returns
         -------
-        array, shape (3,)
-            Innovation: measured minus predicted, the yaw's wrapped.
+        bool
+            Whether it was used; otherwise the filter is as it was.
         """
         if self._time is None:
             self.restart(time, pose)
-            return np.zeros(3)
-        self._advance(time)
-        innovation = pose - self._mean[:, 0]
-        innovation[2] = (innovation[2] + np.pi) % (2 * np.pi) - np.pi
-        self._update(0, innovation, self._pose_variance)
-        return innovation
+            return True
+        mean, speed, pieces, used = self._pieces(time, _PIECES_TO_MEASURE)
+        mean, covariance, speed, innovation = self._measure_pose(
+            mean, self._covariance, speed, time - self._time, *pieces, pose
+        )
+        if gate is not None:
+            x, y, yaw = innovation.tolist()
+            if abs(x) > gate[0] or abs(y) > gate[1] or abs(yaw) > gate[2]:
+                return False
+        self._settle(used)
+        self._mean, self._covariance, self._motor_speed, self._time = mean, covariance, speed, time
+        return True
 
     def imu(
         self,
         time: float,
-        acceleration: Float[np.ndarray, " 2"],
+        acceleration_body: Float[np.ndarray, " 2"],
         gyro: float,
         noise: tuple[float, float],
     ) -> None:
@@ -154,7 +334,7 @@ class KalmanFilter:
         ----------
         time : float
             Its stamp [s].
-        acceleration : array, shape (2,)
+        acceleration_body : array, shape (2,)
             Acceleration along the body's x and y axes [m/s²].
         gyro : float
             Spin [rad/s].
@@ -164,14 +344,15 @@ class KalmanFilter:
         if self._time is None:
             return
         self._advance(time)
-        innovation, variance = np.zeros(3), np.full(3, np.inf)
-        modelled = self._model_acceleration(self._motor_speed, self._mean[:, :2])
-        innovation[:2] = self._to_world(acceleration) - modelled[:2] - self._mean[:2, 2]
-        variance[:2] = noise[0] ** 2
-        self._update(2, innovation, variance)
-        innovation, variance = np.zeros(3), np.full(3, np.inf)
-        innovation[2], variance[2] = gyro - self._mean[2, 1], noise[1] ** 2
-        self._update(1, innovation, variance)
+        (_, vx, dx), (_, vy, dy), (yaw, spin, _) = self._mean
+        modelled = acceleration(np, self.model.dynamics, (yaw, vx, vy, spin), self._motor_speed)
+        world = self._to_world(acceleration_body)
+        self._correct(2, [world[0] - modelled[0] - dx, world[1] - modelled[1] - dy, 0.0], noise[0])
+        variance = np.array([np.inf, np.inf, noise[1] ** 2])
+        innovation = np.array([0.0, 0.0, gyro - self._mean[2, 1]])
+        self._mean, self._covariance = correct(
+            self._mean, self._covariance, 1, innovation, variance
+        )
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
         """Use the velocity that the optical sensor under the craft measured.
@@ -188,10 +369,8 @@ class KalmanFilter:
         if self._time is None:
             return
         self._advance(time)
-        innovation, variance = np.zeros(3), np.full(3, np.inf)
-        innovation[:2] = self._to_world(velocity) - self._mean[:2, 1]
-        variance[:2] = noise**2
-        self._update(1, innovation, variance)
+        vx, vy = self._to_world(velocity)
+        self._correct(1, [vx - self._mean[0, 1], vy - self._mean[1, 1], 0.0], noise)
 
     def predict(self, time: float) -> Estimate:
         """Predict with the commands that are known, without changing anything.
@@ -207,8 +386,9 @@ class KalmanFilter:
         Estimate
             The prediction.
         """
-        mean, speed, _, _ = self._propagate(time)
-        return Estimate(time, np.concatenate([mean[:, 0], mean[:, 1]]), speed, mean[:, 2].copy())
+        mean, speed, pieces, _ = self._pieces(time, _PIECES_TO_PREDICT)
+        mean, speed = self._propagate(mean, speed, *pieces)
+        return Estimate(time, mean[:, :2].T.ravel(), speed, mean[:, 2])
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Begin anew at a pose, at rest; commands and motor speeds are kept.
@@ -221,9 +401,7 @@ class KalmanFilter:
             x, y [m], yaw [rad].
         """
         if self._time is not None and time > self._time:
-            _, self._motor_speed, self._acting, used = self._propagate(time)
-            for _ in range(used):
-                self._pending.popleft()
+            self._advance(time)
         self._time = time
         self._mean = np.zeros((3, 3))
         self._mean[:, 0] = pose
@@ -233,86 +411,63 @@ class KalmanFilter:
         self._covariance[:, 2, 2] = self._INITIAL_DISTURBANCE**2 * self._estimates_disturbance
 
     def _advance(self, time: float) -> None:
-        """Move mean, covariance and motors to a later time."""
+        """Move everything to a later time without a measurement."""
         assert self._time is not None
-        duration = time - self._time
-        self._mean, self._motor_speed, self._acting, used = self._propagate(time)
-        for _ in range(used):
-            self._pending.popleft()
+        mean, speed, pieces, used = self._pieces(time, _PIECES_TO_PREDICT)
+        self._mean, self._motor_speed = self._propagate(mean, speed, *pieces)
+        self._covariance = spread(np, self._covariance, time - self._time, *self._noise)
+        self._settle(used)
         self._time = time
-        h = duration
-        step = np.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
-        # Integrals of the two white noises over the step.
-        by_acceleration = np.array([[h**3 / 3, h**2 / 2, 0], [h**2 / 2, h, 0], [0, 0, 0]])
-        by_disturbance = np.array(
-            [
-                [h**5 / 20, h**4 / 8, h**3 / 6],
-                [h**4 / 8, h**3 / 3, h**2 / 2],
-                [h**3 / 6, h**2 / 2, h],
-            ]
-        )
-        self._covariance = (
-            step @ self._covariance @ step.T
-            + self._acceleration_density[:, None, None] * by_acceleration
-            + self._disturbance_density[:, None, None] * by_disturbance
-        )
 
-    def _propagate(
-        self, time: float
-    ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"], int]:
-        """Return mean, motor speeds and acting command at a later time, and commands used up."""
+    def _settle(self, used: int) -> None:
+        """Take commands off the list that have begun to act."""
+        for _ in range(used):
+            self._acting = self._pending.popleft()[1]
+
+    def _pieces(
+        self, time: float, most: int
+    ) -> tuple[Any, Any, tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]], int]:
+        """Cut the time until `time` where commands change.
+
+        Returns mean and motor speeds, the durations and commands of the last `most` pieces, and how
+        many pending commands have begun to act. Earlier pieces are gone through already.
+        """
         assert self._time is not None
-        now, mean, speed, acting, used = self._time, self._mean, self._motor_speed, self._acting, 0
-        while now < time or (used < len(self._pending) and self._pending[used][0] <= time):
-            until = time
-            if used < len(self._pending):
-                until = min(max(self._pending[used][0], now), time)
-            if until > now:
-                mean, speed = self._piece(mean, speed, acting, until - now)
-                now = until
-            if used < len(self._pending) and self._pending[used][0] <= now:
-                acting = self._pending[used][1]
-                used += 1
-        return mean, speed, acting, used
+        pieces, now, acting, used = [], self._time, self._acting, 0
+        for begins, command in self._pending:
+            if begins > time:
+                break
+            if begins > now:
+                pieces.append((begins - now, acting))
+                now = begins
+            acting = command
+            used += 1
+        pieces.append((time - now, acting))
+        mean, speed = self._mean, self._motor_speed
+        while len(pieces) > most:
+            count = min(len(pieces) - most, _PIECES_TO_PREDICT)
+            early, pieces = pieces[:count], pieces[count:]
+            mean, speed = self._propagate(mean, speed, *_arrays(early, _PIECES_TO_PREDICT))
+        return mean, speed, _arrays(pieces, most), used
 
-    def _piece(
-        self,
-        mean: Float[np.ndarray, "3 3"],
-        speed: Float[np.ndarray, " n"],
-        command: Float[np.ndarray, " n"],
-        h: float,
-    ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " n"]]:
-        """Move the mean while one command acts; the acceleration is that of the middle."""
-        tau = self._dynamics.motor_time_constant
-        middle = motor_step(np, speed, command, h / 2, tau)
-        halfway = mean[:, :2].copy()
-        halfway[:, 0] += h / 2 * mean[:, 1]
-        rate = self._model_acceleration(middle, halfway) + mean[:, 2]
-        moved = mean.copy()
-        moved[:, 0] += h * mean[:, 1] + h * h / 2 * rate
-        moved[:, 1] += h * rate
-        return moved, motor_step(np, speed, command, h, tau)
-
-    def _model_acceleration(
-        self, motor_speed: Float[np.ndarray, " n"], motion: Float[np.ndarray, "3 2"]
-    ) -> Float[np.ndarray, " 3"]:
-        """Accelerations of the model, without the disturbance."""
-        yaw, vx, vy, spin = motion[2, 0], motion[0, 1], motion[1, 1], motion[2, 1]
-        return np.array(acceleration(np, self._dynamics, (yaw, vx, vy, spin), motor_speed))
-
-    def _to_world(self, vector: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"]:
+    def _to_world(self, vector: Float[np.ndarray, " 2"]) -> tuple[float, float]:
         """Turn a body vector into the world frame."""
         cos, sin = np.cos(self._mean[2, 0]), np.sin(self._mean[2, 0])
-        return np.array([cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]])
+        return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
 
-    def _update(
-        self,
-        component: int,
-        innovation: Float[np.ndarray, " 3"],
-        variance: Float[np.ndarray, " 3"],
-    ) -> None:
-        """Update all axes by a measurement of one component; infinite variance: not measured."""
-        column = self._covariance[:, :, component]
-        gain = column / (column[:, component] + variance)[:, None]
-        self._mean = self._mean + gain * innovation[:, None]
-        self._covariance = self._covariance - gain[:, :, None] * column[:, None, :]
+    def _correct(self, component: int, innovation: list[float], deviation: float) -> None:
+        """Use a measurement of x and y that the compiled programs do not know."""
+        variance = np.array([deviation**2, deviation**2, np.inf])
+        self._mean, self._covariance = correct(
+            self._mean, self._covariance, component, np.array(innovation), variance
+        )
+
+
+def _arrays(
+    pieces: list[tuple[float, Float[np.ndarray, " n"]]], size: int
+) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]:
+    """Lay pieces out as arrays of a fixed size, filled up with pieces of no length."""
+    durations = np.zeros(size)
+    durations[: len(pieces)] = [duration for duration, _ in pieces]
+    commands = [command for _, command in pieces]
+    return durations, np.array(commands + commands[-1:] * (size - len(commands)))

@@ -12,6 +12,12 @@ from jaxtyping import Bool, Float
 
 from airpuck.errors import InputError
 
+#: A motor speed is found when the last pass has moved it by less than this. Rounding of a thrust
+#: moves a speed by more only where the slope is below 1e-4 N.
+_RESOLVED = 1e-12
+#: Newton needs about five passes, bisection alone 40: the bound is never reached.
+_MOST_PASSES = 100
+
 
 def thrust(coefficients: Any, speed: Any) -> Any:
     """Evaluate the thrust polynomials.
@@ -135,7 +141,6 @@ class InverseThrust:
                 field="thrust",
             )
         self._coefficients = coefficients
-        self._top = thrust(coefficients, np.ones(len(coefficients)))
 
     def __call__(self, force: Float[np.ndarray, "n *batch"]) -> Float[np.ndarray, "n *batch"]:
         """Invert the curves.
@@ -150,20 +155,50 @@ class InverseThrust:
         array, shape (n, ...)
             Speeds φ in [0, 1], exact to 1e-10 wherever the curve's slope is not zero.
         """
-        top = self._top.reshape((-1,) + (1,) * (force.ndim - 1))
-        target = np.minimum(np.maximum(force, 0.0), top)
-        low, high = np.zeros_like(target), np.ones_like(target)
-        speed = target / np.maximum(top, 1e-300)
-        # Newton needs about five passes, bisection alone 50: the bound is never reached.
-        for _ in range(100):
-            error = thrust(self._coefficients, speed) - target
-            low, high = np.where(error <= 0, speed, low), np.where(error >= 0, speed, high)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                newton = speed - error / thrust_slope(self._coefficients, speed)
-            # Not inside, or not a number: bisect.
-            following = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
-            following = np.where(error == 0, speed, following)
-            if np.max(np.abs(following - speed), initial=0.0) <= 1e-13:
-                return following
-            speed = following
-        return speed
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return inverse_thrust(np, self._coefficients, force)
+
+
+def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:
+    """Invert thrust curves that are known to rise; see `InverseThrust`.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+    force : array, shape (n, ...)
+        Thrusts [N].
+
+    Returns
+    -------
+    array, shape (n, ...)
+        Speeds φ in [0, 1].
+    """
+    top = thrust(coefficients, xp.ones((coefficients.shape[0],) + (1,) * (force.ndim - 1)))
+    target = xp.minimum(xp.maximum(force, 0.0), top)
+
+    def better(bracket: Any) -> Any:
+        low, high, speed, _, passes = bracket
+        error = thrust(coefficients, speed) - target
+        low, high = xp.where(error <= 0, speed, low), xp.where(error >= 0, speed, high)
+        newton = speed - error / thrust_slope(coefficients, speed)
+        # Not inside, or not a number: bisect. Exactly met: stay.
+        inside = (newton > low) & (newton < high)
+        following = xp.where(inside, newton, (low + high) / 2)
+        following = xp.where(error == 0, speed, following)
+        return low, high, following, xp.max(xp.abs(following - speed), initial=0.0), passes + 1
+
+    def unresolved(bracket: Any) -> Any:
+        return (bracket[3] > _RESOLVED) & (bracket[4] < _MOST_PASSES)
+
+    guess = target / xp.maximum(top, 1e-300)
+    bracket = xp.zeros_like(target), xp.ones_like(target), guess, 1.0, 0
+    if xp is np:
+        while unresolved(bracket):
+            bracket = better(bracket)
+        return bracket[2]
+    import jax
+
+    return jax.lax.while_loop(unresolved, better, bracket)[2]

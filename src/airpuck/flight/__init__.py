@@ -1,0 +1,1 @@
+"""Flights: real, simulated and replayed."""

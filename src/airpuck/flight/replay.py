@@ -1,0 +1,363 @@
+"""Replay: feed a recorded flight to the controller and compare its commands with those sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.control.lqr import regulator
+from airpuck.control.reference import Reference, SetPoints, Target
+from airpuck.control.tracking import Status, TrackingController
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.errors import InputError
+from airpuck.estimate.kalman import Estimate
+from airpuck.model.rigid_body import acceleration_map
+from airpuck.model.thrust import thrust
+from airpuck.model_file import Model
+from airpuck.preprocessing.clock import align_clocks
+from airpuck.preprocessing.quality import check_commands, check_poses
+from airpuck.recording.stream import Recording
+from airpuck.vehicle import match_columns
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of a regulator that treats x and y alike.
+
+    Attributes
+    ----------
+    position, speed : float
+        Acceleration for an error in position [1/s²] and in velocity [1/s].
+    yaw, spin : float
+        Angular acceleration for an error in yaw [1/s²] and in spin [1/s].
+    """
+
+    position: float
+    speed: float
+    yaw: float
+    spin: float
+
+    def matrix(self) -> Float[np.ndarray, "3 6"]:
+        """Return K of v = -K x, for the state x, y, γ, vx, vy, ω.
+
+        Returns
+        -------
+        array, shape (3, 6)
+            The gain.
+        """
+        return np.concatenate(
+            [
+                np.diag([self.position, self.position, self.yaw]),
+                np.diag([self.speed, self.speed, self.spin]),
+            ],
+            axis=1,
+        )
+
+    @classmethod
+    def of(cls, matrix: Float[np.ndarray, "3 6"]) -> Gains:
+        """Read the gains off a matrix.
+
+        Parameters
+        ----------
+        matrix : array, shape (3, 6)
+            K.
+
+        Returns
+        -------
+        Gains
+            Its entries.
+        """
+        return cls(*(float(matrix[i, j]) for i, j in ((0, 0), (0, 3), (2, 2), (2, 5))))
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Commands that were sent, and what the controller would have sent.
+
+    Attributes
+    ----------
+    time : array, shape (K,)
+        Times of the commands, from the first one on [s].
+    sent, computed : array, shape (K, n)
+        The recorded commands and ours.
+    status : tuple of str
+        Outcome of each of our steps.
+    reference, pose : array, shape (K, 3)
+        What was asked for, and where the craft was believed to be [m, m, rad].
+    gains : Gains
+        Of the regulator.
+    fitted : bool
+        Whether the gains were fitted to the flight.
+    motors : tuple of str
+        Names of the motors.
+    compared : array of bool, shape (K,)
+        Which commands count for the figures.
+    """
+
+    time: Float[np.ndarray, " K"]
+    sent: Float[np.ndarray, "K n"]
+    computed: Float[np.ndarray, "K n"]
+    status: tuple[Status, ...]
+    reference: Float[np.ndarray, "K 3"]
+    pose: Float[np.ndarray, "K 3"]
+    gains: Gains
+    fitted: bool
+    motors: tuple[str, ...]
+    compared: Bool[np.ndarray, " K"]
+
+    @property
+    def correlation(self) -> Float[np.ndarray, " n"]:
+        """Correlation of recorded and computed commands, for each motor; 0 if one is constant."""
+        sent, computed = (
+            part[self.compared] - part[self.compared].mean(axis=0)
+            for part in (self.sent, self.computed)
+        )
+        norm = np.linalg.norm(sent, axis=0) * np.linalg.norm(computed, axis=0)
+        return np.sum(sent * computed, axis=0) / np.where(norm > 0, norm, 1.0)
+
+    @property
+    def difference(self) -> Float[np.ndarray, "C n"]:
+        """Computed minus recorded commands, where they are compared."""
+        return (self.computed - self.sent)[self.compared]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``motors`` (``name, correlation, median_abs`` each), ``median_abs`` over all motors,
+            ``gains``, ``fitted``, ``steps``, ``outcomes``.
+        """
+        apart = np.abs(self.difference)
+        return {
+            "motors": [
+                {"name": name, "correlation": float(r), "median_abs": float(m)}
+                for name, r, m in zip(
+                    self.motors, self.correlation, np.median(apart, axis=0), strict=True
+                )
+            ],
+            "median_abs": float(np.median(apart)),
+            "gains": vars(self.gains),
+            "fitted": self.fitted,
+            "steps": int(self.compared.sum()),
+            "outcomes": {s: self.status.count(s) for s in sorted(set(self.status))},
+        }
+
+
+def replay(
+    recording: Recording,
+    model: Model,
+    *,
+    tuning: Tuning | None = None,
+    fit_gains: bool = False,
+    compensate_delay: bool = False,
+    reject_disturbance: bool = False,
+    span: tuple[float, float] = (0.0, 1.0),
+) -> Replay:
+    """Feed the poses of a recorded flight to the controller and compare commands.
+
+    At the time of every recorded command the controller has seen the poses that had arrived by
+    then; it is told the command that was really sent, so that differences do not add up.
+
+    Parameters
+    ----------
+    recording : Recording
+        Poses, commands and references of a flight.
+    model : Model
+        What the controller believes the craft to be.
+    tuning : Tuning, optional
+        By default the packaged one.
+    fit_gains : bool, default False
+        Whether to fit the regulator's four gains to the recorded commands first.
+    compensate_delay, reject_disturbance : bool, default False
+        As for `TrackingController`; the paper's controller did neither.
+    span : (float, float), default (0, 1)
+        Part of the flight to compare, as fractions of its length.
+
+    Returns
+    -------
+    Replay
+        Both commands, and how much they agree.
+
+    Raises
+    ------
+    InputError
+        If a stream is missing or cannot be used.
+    """
+    tuning = tuning or default_tuning()
+    pose, command = recording["pose"], recording["command"]
+    order = match_columns(model.vehicle, command.columns, source=recording.source)
+    aligned = align_clocks(pose, command)
+    check_poses(pose, aligned.pose_time, recording.source)
+    check_commands(command, aligned.command_time, recording.source)
+    if not 0 <= span[0] < span[1] <= 1:
+        raise InputError("give two fractions of the length, 0 <= A < B <= 1", field="span")
+    time, sent = aligned.command_time, command.values[:, order]
+    # The recorder may have been busy; the controller got the poses after their usual latency.
+    latency = np.median(pose.received_ns - pose.stamp_ns) * 1e-9
+    controller = TrackingController(
+        model,
+        _reference(recording, aligned.epoch),
+        tuning,
+        compensate_delay=compensate_delay,
+        reject_disturbance=reject_disturbance,
+    )
+    estimates, refusals = _fly_through(
+        controller, aligned.pose_time, aligned.pose_time + latency, pose.values, time, sent
+    )
+    ahead = model.transport_delay + tuning.period_s
+    targets = [controller.reference.at(t, ahead) for t in time]
+    share = np.arange(len(time)) / len(time)
+    compared = (share >= span[0]) & (share < span[1])
+    known = np.array([estimate is not None for estimate in estimates])
+    gains = Gains.of(regulator(tuning.weights, tuning.period_s))
+    if fit_gains:
+        gains = _fit_gains(controller, estimates, targets, sent, compared & known)
+    computed, status = _steer(controller, gains, estimates, targets, refusals)
+    nowhere = np.full(3, np.nan)
+    return Replay(
+        time=time - time[0],
+        sent=sent,
+        computed=computed,
+        status=status,
+        reference=np.array([target.state[:3] for target in targets]),
+        pose=np.array([nowhere if e is None else e.state[:3] for e in estimates]),
+        gains=gains,
+        fitted=fit_gains,
+        motors=model.vehicle.propeller_names,
+        compared=compared & known,
+    )
+
+
+def _reference(recording: Recording, epoch: float) -> Reference:
+    """Return the recorded set points, on the time axis that begins at `epoch`."""
+    logged = recording["reference"]
+    times = logged.received_ns * 1e-9 - epoch
+    first = np.concatenate([[True], np.diff(times) > 0])
+    return SetPoints(times[first].tolist(), [tuple(p) for p in logged.values[first, :3].tolist()])
+
+
+def _fly_through(
+    controller: TrackingController,
+    stamps: Float[np.ndarray, " N"],
+    arrivals: Float[np.ndarray, " N"],
+    poses: Float[np.ndarray, "N 3"],
+    times: Float[np.ndarray, " K"],
+    sent: Float[np.ndarray, "K n"],
+) -> tuple[list[Estimate | None], list[Status | None]]:
+    """Run the estimator through the flight; the gains play no part in this."""
+    estimates: list[Estimate | None] = []
+    refusals: list[Status | None] = []
+    following = 0
+    for time, command in zip(times, sent, strict=True):
+        while following < len(arrivals) and arrivals[following] <= time:
+            controller.pose(float(stamps[following]), poses[following])
+            following += 1
+        refusals.append(controller.refusal(float(time)))
+        estimates.append(None if refusals[-1] else controller.predict(float(time)))
+        controller.sent(float(time), command)
+    return estimates, refusals
+
+
+def _steer(
+    controller: TrackingController,
+    gains: Gains,
+    estimates: list[Estimate | None],
+    targets: list[Target],
+    refusals: list[Status | None],
+) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
+    """Compute all commands with the given gains."""
+    controller.gain = gains.matrix()
+    idle = np.full(controller.model.vehicle.n_propellers, controller.model.vehicle.command_min)
+    commands, status = [], []
+    for estimate, target, refusal in zip(estimates, targets, refusals, strict=True):
+        if estimate is None:
+            commands.append(idle)
+            status.append(refusal)
+            continue
+        step = controller.steer(estimate, target)
+        commands.append(step.command)
+        status.append(step.status)
+    return np.array(commands), tuple(status)
+
+
+def _fit_gains(
+    controller: TrackingController,
+    estimates: list[Estimate | None],
+    targets: list[Target],
+    sent: Float[np.ndarray, "K n"],
+    used: Bool[np.ndarray, " K"],
+) -> Gains:
+    """Fit the gains: robust linear regression for a start, then on the commands themselves."""
+    from scipy.optimize import least_squares
+
+    used = used & (sent.max(axis=1) < 0.98)  # a motor at its limit says nothing about gains
+    if used.sum() < 50:
+        raise InputError("too few commands below saturation to fit gains to", field="fit-gains")
+    linear, angular = _regression(controller, estimates, targets, sent, used)
+    start = np.array([*_robust(*linear), *_robust(*angular)])
+    chosen = np.flatnonzero(used)
+    some_estimates = [estimates[k] for k in chosen]
+    some_targets = [targets[k] for k in chosen]
+    nothing: list[Status | None] = [None] * len(chosen)
+
+    def residuals(factors: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " M"]:
+        gains = Gains(*(start * factors).tolist())
+        commands, _ = _steer(controller, gains, some_estimates, some_targets, nothing)
+        return (commands - sent[chosen]).ravel()
+
+    # Commands have kinks where bounds begin to bind: steps of one percent look past them.
+    found = least_squares(
+        residuals, np.ones(4), loss="soft_l1", f_scale=0.02, diff_step=0.01, max_nfev=12
+    )
+    return Gains(*(start * found.x).tolist())
+
+
+def _regression(
+    controller: TrackingController,
+    estimates: list[Estimate | None],
+    targets: list[Target],
+    sent: Float[np.ndarray, "K n"],
+    used: Bool[np.ndarray, " K"],
+) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Collect errors and the accelerations that the recorded commands led to.
+
+    v_{k+1} = -K (x_{k+1} - reference) is linear in the gains, and v_{k+1} follows from the motor
+    speeds after the recorded command.
+    """
+    from airpuck.control.discretization import motor_lag, point_mass
+
+    dynamics, period = controller.model.dynamics, controller.tuning.period_s
+    a, b = point_mass(period)
+    lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
+    rows = []
+    for k in np.flatnonzero(used):
+        estimate, target = estimates[k], targets[k]
+        assert estimate is not None
+        state, speed = estimate.state, estimate.motor_speed
+        matrix, offset = acceleration_map(np, dynamics, state[2], state[5])
+        following = a @ state + b @ (matrix @ thrust(dynamics.thrust, speed) + offset)
+        error = following - target.state
+        error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+        matrix, offset = acceleration_map(np, dynamics, following[2], following[5])
+        given = matrix @ thrust(dynamics.thrust, lag * speed + drive * sent[k]) + offset
+        rows.append(np.concatenate([error, given]))
+    x, y, yaw, vx, vy, spin, ax, ay, turn = np.array(rows).T
+    linear = np.stack([np.append(x, y), np.append(vx, vy)], axis=1), -np.append(ax, ay)
+    return linear, (np.stack([yaw, spin], axis=1), -turn)
+
+
+def _robust(regressors: Float[np.ndarray, "M 2"], response: Float[np.ndarray, " M"]) -> list[float]:
+    """Least absolute deviations, by iteratively reweighted least squares."""
+    weights = np.ones(len(response))
+    solution = np.zeros(2)
+    for _ in range(30):
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(root[:, None] * regressors, root * response, rcond=None)[0]
+        apart = np.abs(regressors @ solution - response)
+        weights = 1 / np.maximum(apart, 1e-3 * np.abs(response).max() + 1e-12)
+    return solution.tolist()
