@@ -12,7 +12,7 @@ import airpuck
 
 def public_functions():
     for info in pkgutil.walk_packages(airpuck.__path__, "airpuck."):
-        if info.name == "airpuck.cli":
+        if info.name.startswith("airpuck.cli"):
             continue  # its help texts are the documentation
         module = importlib.import_module(info.name)
         for name, thing in vars(module).items():

@@ -15,9 +15,13 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from airpuck.control.reference import SetPoint, SetPoints, TimedPath
+    from airpuck.control.tracking import TrackingController
+    from airpuck.control.tuning import Tuning, read_tuning
     from airpuck.errors import InputError
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
+    from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import Fit, identify
     from airpuck.identification.layout_check import check_layout
@@ -44,9 +48,15 @@ _HOME = {
     "PaperEncoder": "airpuck.estimate.encoder",
     "Parameters": "airpuck.model.parameters",
     "Recording": "airpuck.recording.stream",
+    "Replay": "airpuck.flight.replay",
+    "SetPoint": "airpuck.control.reference",
+    "SetPoints": "airpuck.control.reference",
     "Span": "airpuck.trajectory",
     "Stream": "airpuck.recording.stream",
+    "TimedPath": "airpuck.control.reference",
+    "TrackingController": "airpuck.control.tracking",
     "Trajectory": "airpuck.trajectory",
+    "Tuning": "airpuck.control.tuning",
     "Vehicle": "airpuck.vehicle",
     "check_layout": "airpuck.identification.layout_check",
     "compare": "airpuck.evaluation.evaluate",
@@ -58,7 +68,9 @@ _HOME = {
     "read_model": "airpuck.model_file",
     "read_recording": "airpuck.recording.read",
     "read_trajectory": "airpuck.trajectory",
+    "read_tuning": "airpuck.control.tuning",
     "read_vehicle": "airpuck.vehicle",
+    "replay": "airpuck.flight.replay",
     "write_bag": "airpuck.recording.bag_writer",
     "write_csv": "airpuck.recording.csv_folder",
 }
@@ -73,9 +85,15 @@ __all__ = [
     "PaperEncoder",
     "Parameters",
     "Recording",
+    "Replay",
+    "SetPoint",
+    "SetPoints",
     "Span",
     "Stream",
+    "TimedPath",
+    "TrackingController",
     "Trajectory",
+    "Tuning",
     "Vehicle",
     "check_layout",
     "compare",
@@ -87,7 +105,9 @@ __all__ = [
     "read_model",
     "read_recording",
     "read_trajectory",
+    "read_tuning",
     "read_vehicle",
+    "replay",
     "write_bag",
     "write_csv",
 ]

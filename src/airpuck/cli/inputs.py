@@ -1,0 +1,52 @@
+"""From what was typed to what the verbs take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from airpuck.recording.stream import Recording
+    from airpuck.trajectory import Trajectory
+    from airpuck.vehicle import Vehicle
+
+
+def read_craft(path: Path | None) -> Vehicle | None:
+    """Read the vehicle file, if one is given."""
+    if path is None:
+        return None
+    from airpuck.vehicle import read_vehicle
+
+    return read_vehicle(path)
+
+
+def load(
+    recording: Path, vehicle: Vehicle | None, topics: Path | None, delay: float | None = None
+) -> Trajectory:
+    """Load and preprocess a recording."""
+    from airpuck.preprocessing.load import load_trajectory
+    from airpuck.recording.topics import read_topics
+
+    names = None if topics is None else read_topics(topics)
+    return load_trajectory(recording, vehicle, topics=names, delay=delay)
+
+
+def cut(trajectory: Trajectory, span: tuple[float, float] | None) -> Trajectory:
+    """Keep the part that --span names."""
+    return trajectory if span is None else trajectory.slice(*span)
+
+
+def choose(option: str, value: str, choices: tuple[str, ...]) -> None:
+    """Refuse a value that is not among the choices."""
+    from airpuck.errors import InputError
+
+    if value not in choices:
+        raise InputError(f"{value!r} is none of {', '.join(choices)}", field=option)
+
+
+def read_flight(recording: Path, topics: Path | None) -> Recording:
+    """Read a recording as it was logged."""
+    from airpuck.recording import read_recording
+    from airpuck.recording.topics import read_topics
+
+    return read_recording(recording, topics=None if topics is None else read_topics(topics))

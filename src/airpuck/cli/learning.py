@@ -1,0 +1,215 @@
+"""Commands from a recording to a validated model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from airpuck.cli.app import app
+from airpuck.cli.inputs import choose, cut, load, read_craft
+from airpuck.cli.options import Json, ModelName, Quiet, RecordingPath, Span, TopicsFile, VehicleFile
+from airpuck.cli.output import is_stdout, print_table, show_progress, warn, write_json
+
+PANEL = "From a recording to a validated model"
+
+
+@app.command(rich_help_panel=PANEL)
+def preprocess(
+    recording: RecordingPath,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="traj.npz")],
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    delay: Annotated[
+        float | None, typer.Option(metavar="S", help="Transport delay; by default it is found.")
+    ] = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a recording into a trajectory: states, commands, delay, what not to use."""
+    trajectory = load(recording, read_craft(vehicle), topics, delay)
+    if output.suffix != ".npz":
+        from airpuck.errors import InputError
+
+        raise InputError("must end in .npz", file=output, field="-o")
+    trajectory.save(output)
+    figures = {
+        "samples": len(trajectory),
+        "duration_s": trajectory.duration,
+        "delay_s": trajectory.delay if trajectory.delay_known else None,
+        "excluded": [vars(span) for span in trajectory.excluded],
+        "warnings": list(trajectory.warnings),
+    }
+    write_json(json_file, figures)
+    if not quiet and not is_stdout(json_file):
+        warn(trajectory.warnings)
+        known = f"{1e3 * trajectory.delay:.1f} ms" if trajectory.delay_known else "compensated"
+        print(f"{len(trajectory)} samples, {trajectory.duration:.1f} s, transport delay {known}")
+        for span in trajectory.excluded:
+            print(f"left out {span.start:.3f} to {span.stop:.3f} s: {span.cause}")
+        print(output)
+
+
+@app.command(rich_help_panel=PANEL)
+def identify(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="One or more, of one craft.")
+    ],
+    model: Annotated[str, typer.Option(help="M0 … M4 or quadratic.")] = "M3",
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Model file to write.")
+    ] = Path("model.toml"),
+    span: Span = None,
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    method: Annotated[str, typer.Option(help="lm (Levenberg-Marquardt) or adam.")] = "lm",
+    epochs: Annotated[int | None, typer.Option(help="Epochs of Adam.", min=1)] = None,
+    stride: Annotated[
+        int | None, typer.Option(help="Samples between windows; 7, for adam 1.", min=1)
+    ] = None,
+    degree: Annotated[
+        int | None, typer.Option(help="Degree of the thrust polynomials.", min=1, max=9)
+    ] = None,
+    yaw_weight: Annotated[
+        float, typer.Option(help="Weight of yaw errors in the loss [1/rad].", min=0)
+    ] = 0.1,
+    com_frame: Annotated[
+        str, typer.Option(help="Centre of mass fixed to the body, or as in the paper to the world.")
+    ] = "body",
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a page with figures, too.")
+    ] = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Identify a model from recordings and write it as TOML."""
+    from airpuck.identification.adam import Adam
+    from airpuck.identification.fit import identify
+    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.model.presets import preset
+
+    preset(model)
+    choose("--method", method, ("lm", "adam"))
+    choose("--com-frame", com_frame, ("body", "world"))
+    craft = read_craft(vehicle)
+    trajectories = [cut(load(path, craft, topics), span) for path in recordings]
+    warn([w for t in trajectories for w in t.warnings], quiet)
+    adam = Adam() if epochs is None else Adam(epochs=epochs)
+    with show_progress(quiet) as progress:
+        fit = identify(
+            trajectories,
+            model,
+            vehicle=craft,
+            method=LevenbergMarquardt() if method == "lm" else adam,
+            weights=(1.0, 1.0, yaw_weight),
+            stride=stride or (7 if method == "lm" else 1),
+            degree=degree,
+            frame="body" if com_frame == "body" else "world",
+            progress=progress,
+        )
+    fit.model.save(output)
+    if report is not None:
+        from airpuck.report.fit_report import fit_report
+
+        fit_report(fit, [], trajectories[0], report)
+    write_json(json_file, fit.to_json())
+    warn(fit.warnings, quiet)
+    if not quiet and not is_stdout(json_file):
+        print(
+            f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
+            f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
+        )
+        print(output)
+
+
+@app.command(rich_help_panel=PANEL)
+def evaluate(
+    model: ModelName,
+    recording: RecordingPath,
+    span: Span = None,
+    protocol: Annotated[str, typer.Option(help="paper")] = "paper",
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how well a model predicts a recording."""
+    _compare([model], recording, span, protocol, topics, json_file, quiet, single=True)
+
+
+@app.command(rich_help_panel=PANEL)
+def compare(
+    models: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL... RECORDING", help="Models, then the recording."),
+    ],
+    span: Span = None,
+    protocol: Annotated[str, typer.Option(help="paper")] = "paper",
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare several models on one recording."""
+    if len(models) < 2:
+        from airpuck.errors import InputError
+
+        raise InputError("give at least one MODEL and a RECORDING")
+    *names, recording = models
+    _compare(names, Path(recording), span, protocol, topics, json_file, quiet, single=False)
+
+
+@app.command(rich_help_panel=PANEL)
+def check(
+    recording: RecordingPath,
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    json_file: Json = None,
+) -> None:
+    """Check that motor order and signs of a vehicle file agree with a recording."""
+    from airpuck.identification.layout_check import check_layout
+    from airpuck.vehicle import default_vehicle
+
+    craft = read_craft(vehicle) or default_vehicle()
+    result = check_layout(load(recording, craft, topics), craft)
+    write_json(json_file, result.to_json())
+    if not is_stdout(json_file):
+        for propeller in result.propellers:
+            print(f"{propeller.name:16s} {propeller.agreement:6.3f}  {propeller.verdict}")
+        print(f"the commands explain {100 * result.explained:.0f} % of the acceleration")
+        for sentence in result.remarks:
+            print(sentence)
+    if not result.agrees:
+        from airpuck.errors import InputError
+
+        wrong = [p.name for p in result.propellers if p.verdict != "agrees"]
+        about = ", ".join(wrong) if result.conclusive else "nothing can be said"
+        raise InputError(f"does not agree with the vehicle {craft.name!r}: {about}", file=recording)
+
+
+def _compare(
+    names: list[str],
+    recording: Path,
+    span: tuple[float, float] | None,
+    protocol: str,
+    topics: Path | None,
+    json_file: Path | None,
+    quiet: bool,
+    *,
+    single: bool,
+) -> None:
+    """Evaluate models on a recording and print a table."""
+    from airpuck.evaluation.evaluate import PROTOCOLS, compare
+    from airpuck.model_file import read_model
+
+    choose("--protocol", protocol, tuple(PROTOCOLS))
+    models = [read_model(name) for name in names]
+    trajectory = cut(load(recording, models[0].vehicle, topics), span)
+    warn(trajectory.warnings, quiet)
+    evaluations = compare(models, trajectory, protocol=PROTOCOLS[protocol])
+    figures = [
+        {**evaluation.to_json(), "name": name}
+        for name, evaluation in zip(names, evaluations, strict=True)
+    ]
+    write_json(json_file, figures[0] if single else {"evaluations": figures})
+    if not is_stdout(json_file):
+        print_table(names, evaluations)

@@ -1,0 +1,112 @@
+"""What commands print and write."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from airpuck.evaluation.evaluate import Evaluation
+    from airpuck.flight.replay import Replay
+    from airpuck.identification.method import Iteration
+
+
+def say(quiet: bool) -> Any:
+    """Return a function that prints what is being done."""
+    return (lambda _: None) if quiet else (lambda text: print(text, file=sys.stderr, flush=True))
+
+
+def warn(warnings: Any, quiet: bool = False) -> None:
+    """Print warnings on standard error."""
+    if not quiet:
+        for warning in warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+
+
+def is_stdout(json_file: Path | None) -> bool:
+    """Say whether JSON goes to standard output, where nothing else may then be printed."""
+    return json_file is not None and str(json_file) == "-"
+
+
+def write_json(json_file: Path | None, figures: Any) -> None:
+    """Write figures where --json says."""
+    if json_file is None:
+        return
+    text = json.dumps(figures, indent=2) + "\n"
+    if is_stdout(json_file):
+        sys.stdout.write(text)
+        return
+    from airpuck.files import replacing
+
+    with replacing(json_file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def show_progress(quiet: bool) -> Any:
+    """Show an optimiser's iterations: one live line on a terminal, plain lines elsewhere."""
+    from contextlib import contextmanager
+
+    @contextmanager
+    def shown() -> Any:
+        if quiet:
+            yield lambda _: None
+        elif sys.stderr.isatty():
+            from rich.console import Console
+
+            with Console(stderr=True).status("compiling …") as status:
+                yield lambda iteration: status.update(_line(iteration))
+        else:
+            yield lambda iteration: print(_line(iteration), file=sys.stderr)
+
+    return shown()
+
+
+def _line(iteration: Iteration) -> str:
+    """Describe one iteration."""
+    held_out = iteration.test_loss
+    tail = "" if held_out is None else f", held out {held_out:.4e}"
+    return f"iteration {iteration.number}: loss {iteration.loss:.4e}{tail}"
+
+
+def print_table(names: list[str], evaluations: list[Evaluation]) -> None:
+    """Print errors of several models as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    first = evaluations[0]
+    after = first.horizon_step * first.sample_period
+    table = Table(
+        title=f"Prediction error after {after:.3f} s, {first.errors.shape[2]} windows, "
+        f"protocol {first.protocol.name}",
+        title_justify="left",
+    )
+    for heading in ("model", "x mm", "y mm", "yaw rad", "median x", "median y", "median yaw"):
+        table.add_column(
+            heading, justify="left" if heading == "model" else "right", overflow="fold"
+        )
+    for name, evaluation in zip(names, evaluations, strict=True):
+        row = [
+            f"{factor * value:.{digits}f}"
+            for values in (evaluation.rmse, evaluation.median_abs)
+            for value, factor, digits in zip(values, (1e3, 1e3, 1), (2, 2, 4), strict=True)
+        ]
+        table.add_row(name, *row)
+    # What is not a terminal has no width: let rows be as long as they are.
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def print_replay(replay: Replay) -> None:
+    """Print how much recorded and computed commands agree."""
+    figures = replay.to_json()
+    for motor in figures["motors"]:
+        print(
+            f"{motor['name']:16s} correlation {motor['correlation']:6.3f}   "
+            f"median difference {motor['median_abs']:.4f}"
+        )
+    print(f"{'all':16s} {'':18s}   median difference {figures['median_abs']:.4f}")
+    fitted = "fitted" if replay.fitted else "from the tuning"
+    print(f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items()))
+    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
+    print(f"{figures['steps']} of {len(replay.time)} steps compared; outcomes: {outcomes}")
