@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pydantic
@@ -21,6 +21,9 @@ from airpuck.model.parameters import QUANTITIES, Parameters
 from airpuck.model.presets import PRESETS
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
 from airpuck.vehicle import Vehicle, default_vehicle
+
+if TYPE_CHECKING:
+    import control
 
 _FORMAT = "airpuck model 1"
 
@@ -68,6 +71,63 @@ class Model:
     def dynamics(self) -> Dynamics:
         """Coefficients of the equations of motion."""
         return self.parameters.dynamics(np, self.vehicle, self.frame)
+
+    def to_statespace(
+        self,
+        yaw: float = 0.0,
+        command: Float[np.ndarray, " n"] | None = None,
+        period: float | None = None,
+    ) -> control.StateSpace:
+        """Linearise at rest, for python-control.
+
+        Parameters
+        ----------
+        yaw : float, default 0
+            Orientation of the craft [rad].
+        command : array, shape (n,), optional
+            Motor commands to linearise about; by default near half speed with no net thrust
+            (`airpuck.model.linearization.trim`).
+        period : float, optional
+            Sample time of a discrete-time model with commands held over it [s]; by default the
+            model is in continuous time.
+
+        Returns
+        -------
+        control.StateSpace
+            Deviations from the operating point, without the transport delay. Inputs: the motor
+            commands. States: x, y, yaw, vx, vy, spin, and the motor speeds where the motors lag.
+            Outputs: x, y, yaw.
+
+        Raises
+        ------
+        InputError
+            If python-control is not installed, or there is not one command for each propeller.
+        """
+        try:
+            import control
+        except ImportError:
+            raise InputError(
+                "to_statespace needs python-control; install airpuck[control]"
+            ) from None
+        from airpuck.model.linearization import linearize, trim
+
+        names = self.vehicle.propeller_names
+        command = trim(self.dynamics) if command is None else np.asarray(command, dtype=float)
+        if command.shape != (len(names),):
+            raise InputError(f"needs {len(names)} numbers, one for each motor", field="command")
+        a, b = linearize(self.dynamics, yaw, command)
+        states = ["x", "y", "yaw", "vx", "vy", "spin", *(f"speed_{name}" for name in names)]
+        system = control.StateSpace(
+            a,
+            b,
+            np.eye(3, len(a)),
+            np.zeros((3, len(names))),
+            inputs=list(names),
+            outputs=states[:3],
+            states=states[: len(a)],
+            name=self.name,
+        )
+        return system if period is None else system.sample(period, method="zoh")
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as TOML; `read_model` reads every number back bit-equal.
