@@ -1,0 +1,110 @@
+"""The regulator, against python-control and the cost that it is to minimise."""
+
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_lyapunov
+
+from airpuck.control.discretization import point_mass
+from airpuck.control.lqr import lqr, regulator
+from airpuck.control.tuning import Weights, default_tuning
+from airpuck.errors import InputError
+
+weight = st.floats(0.01, 100)
+
+
+def weights(**changed: float) -> Weights:
+    return default_tuning().weights.model_copy(update=changed)
+
+
+@given(st.tuples(weight, weight, weight, weight, weight, weight), st.floats(0.002, 0.1))
+def test_gain_agrees_with_python_control(six, h):
+    names = "position", "speed", "yaw", "spin", "acceleration", "angular_acceleration"
+    w = Weights(**dict(zip(names, six, strict=True)))
+    q = np.diag([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
+    r = np.diag([w.acceleration, w.acceleration, w.angular_acceleration])
+    # The state in numbers, so that not even the discretisation is ours.
+    plant = control.c2d(control.ss(np.eye(6, k=3), np.eye(6, 3, k=-3), np.eye(6), 0), h, "zoh")
+    expected, _, _ = control.dlqr(plant, q, r)
+    np.testing.assert_allclose(
+        regulator(w, h), expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max()
+    )
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_gain_of_any_system_agrees_with_python_control(seed):
+    random = np.random.default_rng(seed)
+    n, m = int(random.integers(1, 5)), int(random.integers(1, 4))
+    a, b = random.normal(size=(n, n)), random.normal(size=(n, m))
+    root = random.normal(size=(n, n))
+    q, r = root @ root.T + np.eye(n), np.diag(random.uniform(0.1, 10, m))
+    expected, _, _ = control.dlqr(a, b, q, r)
+    np.testing.assert_allclose(lqr(a, b, q, r), expected, rtol=1e-7, atol=1e-9)
+
+
+def cost(gain, a, b, q, r):
+    """Sum of the costs over all time, from every unit state: from the Lyapunov equation."""
+    closed = a - b @ gain
+    return np.trace(solve_discrete_lyapunov(closed.T, q + gain.T @ r @ gain))
+
+
+def test_no_gain_nearby_costs_less():
+    a, b = point_mass(0.01)
+    q, r = np.diag([8.6, 8.6, 24.0, 0.8, 0.8, 1.0]), 0.1 * np.eye(3)
+    best = lqr(a, b, q, r)
+    least = cost(best, a, b, q, r)
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        away = best + 1e-2 * random.normal(size=best.shape)
+        assert cost(away, a, b, q, r) > least
+
+
+def test_packaged_tuning_gives_the_gains_that_flew():
+    tuning = default_tuning()
+    k = regulator(tuning.weights, tuning.period_s)
+    position, speed, yaw, spin = 9.04, 5.07, 15.0, 6.28
+    expected = np.hstack([np.diag([position, position, yaw]), np.diag([speed, speed, spin])])
+    np.testing.assert_allclose(k, expected, rtol=0.01, atol=1e-9)
+
+
+@pytest.mark.parametrize("state", ["position", "yaw"])
+def test_a_position_without_weight_is_refused(state):
+    with pytest.raises(InputError, match=r"weights: .*positive weight"):
+        regulator(weights(**{state: 0.0}), 0.01)
+
+
+def test_rates_need_no_weight():
+    k = regulator(weights(speed=0.0, spin=0.0), 0.01)
+    a, b = point_mass(0.01)
+    assert np.abs(np.linalg.eigvals(a - b @ k)).max() < 1
+
+
+def test_step_response_of_the_closed_loop_is_python_controls():
+    tuning = default_tuning()
+    h, target = tuning.period_s, np.array([0.5, -0.3, 1.2, 0.0, 0.0, 0.0])
+    a, b = point_mass(h)
+    k = regulator(tuning.weights, h)
+    # x⁺ = A x + B (-K (x - target)): ours, step by step.
+    steps = 500
+    ours = np.zeros((steps, 6))
+    for i in range(steps - 1):
+        ours[i + 1] = a @ ours[i] - b @ (k @ (ours[i] - target))
+    # Theirs: discretisation, gain and simulation.
+    double = control.ss(np.eye(6, k=3), np.eye(6, 3, k=-3), np.eye(6), np.zeros((6, 3)))
+    plant = control.c2d(double, h, "zoh")
+    w = tuning.weights
+    theirs, _, _ = control.dlqr(
+        plant,
+        np.diag([w.position, w.position, w.yaw, w.speed, w.speed, w.spin]),
+        np.diag([w.acceleration, w.acceleration, w.angular_acceleration]),
+    )
+    push = plant.B @ theirs
+    loop = control.ss(plant.A - push, push, np.eye(6), np.zeros((6, 6)), dt=h)
+    inputs: Any = np.tile(target[:, None], steps)
+    response = control.forced_response(loop, np.arange(steps) * h, inputs)
+    np.testing.assert_allclose(ours, np.asarray(response.outputs).T, atol=1e-9)
+    np.testing.assert_allclose(ours[-1], target, atol=1e-3)
