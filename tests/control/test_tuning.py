@@ -1,0 +1,133 @@
+"""Tuning files: written and read back, and every mistake named."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airpuck.control.tuning import (
+    Allocation,
+    Estimation,
+    Tuning,
+    Weights,
+    default_tuning,
+    read_tuning,
+)
+from airpuck.errors import InputError
+
+positive = st.floats(1e-9, 1e9)
+non_negative = st.just(0.0) | positive
+
+GOOD = """
+period_s = 0.02
+
+[weights]
+position = 1.0
+speed = 2.0
+yaw = 3.0
+spin = 4.0
+acceleration = 5.0
+angular_acceleration = 6.0
+
+[estimation]
+position_m = 1e-4
+yaw_rad = 1e-3
+acceleration_density = 0.1
+angular_acceleration_density = 0.2
+disturbance_density = 0.3
+angular_disturbance_density = 0.4
+"""
+
+
+@given(
+    st.builds(
+        Tuning,
+        period_s=positive,
+        weights=st.builds(
+            Weights,
+            **dict.fromkeys(("position", "speed", "yaw", "spin"), non_negative),
+            **dict.fromkeys(("acceleration", "angular_acceleration"), positive),
+        ),
+        allocation=st.builds(
+            Allocation, solver=st.sampled_from(["daqp", "piqp"]), slack_weight=positive
+        ),
+        estimation=st.builds(
+            Estimation,
+            position_m=positive,
+            yaw_rad=positive,
+            acceleration_density=positive,
+            angular_acceleration_density=positive,
+            disturbance_density=non_negative,
+            angular_disturbance_density=non_negative,
+            imu_acceleration_m_s2=positive,
+            gyro_rad_s=positive,
+            mouse_m_s=positive,
+        ),
+    )
+)
+def test_a_saved_tuning_reads_back_equal(tmp_path_factory, tuning):
+    path = tmp_path_factory.mktemp("tuning") / "tuning.toml"
+    tuning.save(path)
+    assert read_tuning(path) == tuning
+
+
+def test_every_number_of_a_file_arrives_where_it_belongs(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    tuning = read_tuning(path)
+    assert tuning.period_s == 0.02
+    assert list(tuning.weights.model_dump().values()) == [1, 2, 3, 4, 5, 6]
+    noise = tuning.estimation
+    assert (noise.position_m, noise.yaw_rad) == (1e-4, 1e-3)
+    assert (noise.acceleration_density, noise.angular_acceleration_density) == (0.1, 0.2)
+    assert (noise.disturbance_density, noise.angular_disturbance_density) == (0.3, 0.4)
+
+
+def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    assert read_tuning(path).allocation == default_tuning().allocation
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "problem"),
+    [
+        ("yaw = 3.0", "yaww = 3.0\nyaw = 3.0", "weights.yaww", "not a known key"),
+        ("period_s = 0.02", "period = 1\nperiod_s = 0.02", "period", "not a known key"),
+        ("yaw = 3.0", "", "weights.yaw", "missing"),
+        ("yaw = 3.0", 'yaw = "much"', "weights.yaw", "number"),
+        ("yaw = 3.0", "yaw = [3.0]", "weights.yaw", "number"),
+        ("yaw = 3.0", "yaw = -3.0", "weights.yaw", "greater than or equal to 0"),
+        ("yaw = 3.0", "yaw = nan", "weights.yaw", "finite"),
+        ("yaw = 3.0", "yaw = inf", "weights.yaw", "finite"),
+        ("\nacceleration = 5.0", "\nacceleration = 0.0", "weights.acceleration", "greater than 0"),
+        ("period_s = 0.02", "period_s = -0.02", "period_s", "greater than 0"),
+        ("period_s = 0.02", "period_s = 0", "period_s", "greater than 0"),
+        ("position_m = 1e-4", "position_m = 0.0", "estimation.position_m", "greater than 0"),
+        (
+            "[estimation]",
+            '[allocation]\nsolver = "osqp"\n[estimation]',
+            "allocation.solver",
+            "daqp",
+        ),
+        ("[estimation]", "[estimates]", "estimation", "missing"),
+    ],
+)
+def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, problem):
+    assert old in GOOD
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD.replace(old, new, 1))
+    with pytest.raises(InputError, match=re.escape(problem)) as error:
+        read_tuning(path)
+    assert error.value.file == str(path)
+    assert error.value.field == field
+    assert str(error.value).startswith(f"{path}: {field}: ")
+
+
+def test_a_missing_file_and_broken_toml_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
+        read_tuning(tmp_path / "nowhere.toml")
+    (tmp_path / "broken.toml").write_text("[weights\n")
+    with pytest.raises(InputError, match=r"broken\.toml: is not valid TOML"):
+        read_tuning(tmp_path / "broken.toml")
