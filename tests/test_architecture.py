@@ -14,7 +14,7 @@ ROOT = Path(airpuck.__file__).parent
 #: Rooms from the ground up: each may import itself and the ones before it.
 ORDER = (
     ("errors", "files"),
-    ("vehicle",),
+    ("vehicle", "table"),
     ("model",),
     ("model_file",),
     ("trajectory", "windows", "recording"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from airpuck.model.effects import BodyMotion, Effect
 from airpuck.model.thrust import thrust
 
 #: In which frame the offset of the centre of mass is constant. Physically it is the body; the
@@ -36,6 +37,8 @@ class Dynamics:
         Lag τ of motor speed behind the command [s].
     frame : {"body", "world"}
         Where `center_of_mass` is constant.
+    effects : tuple of Effect
+        Optional terms (`airpuck.model.effects`).
     """
 
     thrust: Any
@@ -43,6 +46,7 @@ class Dynamics:
     center_of_mass: Any
     motor_time_constant: Any
     frame: CenterOfMassFrame = "body"
+    effects: tuple[Effect, ...] = ()
 
 
 def configuration_matrix(
@@ -91,7 +95,7 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     """Compute the acceleration of the geometric centre and the angular acceleration (eq. acc_dyn).
 
     a = R(γ) Π_xy F + r × ω' + ω × (r × ω), ω' = Π_z F, with r turned by R(γ) when it is fixed to
-    the body.
+    the body. Effects change the thrusts F, or add to what they give.
 
     Parameters
     ----------
@@ -109,9 +113,18 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     tuple of array, shape (3, ...)
         ax, ay in the world frame [m/s²], ω' [rad/s²].
     """
-    yaw, _, _, spin = motion
+    yaw, vx, vy, spin = motion
     cos, sin = xp.cos(yaw), xp.sin(yaw)
-    forward, left, angular = dynamics.configuration @ thrust(dynamics.thrust, motor_speed)
+    force = thrust(dynamics.thrust, motor_speed)
+    added = []
+    if dynamics.effects:
+        felt = BodyMotion(cos * vx + sin * vy, cos * vy - sin * vx, spin, cos, sin)
+        for effect in dynamics.effects:
+            force = effect.thrust(xp, force, felt)
+            added.append(effect.acceleration(xp, felt))
+    forward, left, angular = (
+        sum(parts) for parts in zip(dynamics.configuration @ force, *added, strict=True)
+    )
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
     if dynamics.frame == "body":
         rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
@@ -151,6 +164,8 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
 
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
     """Write the accelerations as M(γ) F + g(ω), the form that control allocation needs.
+
+    Without the optional effects: a controller meets them as a disturbance.
 
     Parameters
     ----------

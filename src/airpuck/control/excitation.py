@@ -1,0 +1,186 @@
+"""The excitation experiment: random signals on top of a controller that keeps to the centre."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import Reference, SetPoint
+from airpuck.control.tracking import Step, TrackingController
+from airpuck.control.tuning import Tuning
+from airpuck.errors import InputError
+from airpuck.estimate.kalman import Estimate
+from airpuck.model_file import Model
+from airpuck.table import Table
+
+#: Distance to the rails at which the craft must be able to stop [m].
+_MARGIN = 0.05
+#: Share of the greatest acceleration that a stop may need.
+_BRAKING = 0.5
+
+
+class Excitation:
+    """Excites the craft by random signals, and keeps it on the table.
+
+    Each pair of propellers gets one signal, uniform in ± amplitude and held for a while. It is
+    added to what the controller wants of the pair, the difference of its two commands w; then one
+    propeller gets w + s and the other -(w + s), clipped, so that one of them blows at a time
+    (sec:experiment; with the sign that the recordings show). A propeller without a partner gets its
+    command plus a signal of its own. Where the craft could not stop before the rails, the signals
+    pause until it can.
+
+    The controller believes that motors have no lag. One that compensates it would undo the signals:
+    it knows what they will do to the motors, and inverts the lag against it.
+
+    Parameters
+    ----------
+    model : Model
+        What the controller believes the craft to be; a nominal one does.
+    reference : Reference, optional
+        What it steers to; by default the centre of the table.
+    tuning : Tuning, optional
+        Of the controller; by default the packaged one.
+    amplitude : float, default 1
+        Largest signal.
+    hold : float, default 0.2
+        Time between changes of the signals [s].
+    seed : int, default 0
+        Seed of the signals.
+    table : Table, optional
+        Where the rails are; by default the paper's table.
+
+    Raises
+    ------
+    InputError
+        If amplitude or hold are out of range.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        reference: Reference | None = None,
+        *,
+        tuning: Tuning | None = None,
+        amplitude: float = 1.0,
+        hold: float = 0.2,
+        seed: int = 0,
+        table: Table | None = None,
+    ) -> None:
+        self.controller = controller = TrackingController(
+            replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
+            reference or SetPoint(0.0, 0.0, 0.0),
+            tuning,
+            reject_disturbance=False,
+            compensate_delay=False,
+        )
+        if not 0 < amplitude <= 1:
+            raise InputError("must be above 0 and at most 1", field="amplitude")
+        if not hold >= controller.tuning.period_s:
+            raise InputError(
+                f"must be at least the controller's period, {controller.tuning.period_s:g} s",
+                field="hold",
+            )
+        self._amplitude, self._hold = amplitude, hold
+        self._rng = np.random.default_rng(seed)
+        self._signed, self._mixer = _mixing(model)
+        vehicle = model.vehicle
+        self._reach = np.array((table or Table()).reach(vehicle.radius_m)) - _MARGIN
+        self._braking = _BRAKING * _weakest_push(model)
+        self._begun: float | None = None
+        self._changes = 0
+        self._signal = np.zeros(self._mixer.shape[1])
+        #: Periods in which the signals paused.
+        self.pauses = 0
+
+    @property
+    def reference(self) -> Reference:
+        """What the controller steers to."""
+        return self.controller.reference
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Pass a pose on; see `TrackingController.pose`."""
+        self.controller.pose(time, pose)
+
+    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+        """Pass an inertial measurement on; see `TrackingController.imu`."""
+        self.controller.imu(time, acceleration, gyro)
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+        """Pass a velocity on; see `TrackingController.mouse`."""
+        self.controller.mouse(time, velocity)
+
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Pass on what was sent; see `TrackingController.sent`."""
+        self.controller.sent(time, command)
+
+    def step(self, time: float) -> Step:
+        """Compute the command to send now.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+
+        Returns
+        -------
+        Step
+            The controller's command plus the signals; without them where the controller idles or
+            the rails are near.
+        """
+        if self._begun is None:
+            self._begun = time
+        # The signals change with the time, not with the steps that were possible: half a
+        # nanosecond keeps rounding from delaying a change.
+        due = int((time - self._begun + 5e-10) / self._hold) + 1
+        while self._changes < due:
+            self._signal = self._rng.uniform(-self._amplitude, self._amplitude, len(self._signal))
+            self._changes += 1
+        step = self.controller.step(time)
+        if not step.flies or step.estimate is None:
+            return step
+        if not self._can_stop(step.estimate):
+            self.pauses += 1
+            return step
+        vehicle = self.controller.model.vehicle
+        signed = self._signed @ step.command + self._mixer @ self._signal
+        return replace(step, command=np.clip(signed, vehicle.command_min, vehicle.command_max))
+
+    def _can_stop(self, estimate: Estimate) -> bool:
+        """Say whether the craft could brake before the rails."""
+        position, velocity = estimate.state[:2], estimate.state[3:5]
+        stop = position + velocity * np.abs(velocity) / (2 * self._braking)
+        return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
+
+
+def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n signals"]]:
+    """Say how the controller's commands and the signals mix.
+
+    The first matrix turns the commands of a pair into ± their difference, and leaves single
+    propellers as they are; the second gives plus and minus its signal to a pair, plus to a single
+    propeller.
+    """
+    vehicle = model.vehicle
+    n, pairs = vehicle.n_propellers, vehicle.pair_indices
+    paired = {index for pair in pairs for index in pair}
+    single = [index for index in range(n) if index not in paired]
+    signed, mixer = np.eye(n), np.zeros((n, len(pairs) + len(single)))
+    for column, (first, second) in enumerate(pairs):
+        signed[first, second] = signed[second, first] = -1.0
+        mixer[first, column], mixer[second, column] = 1.0, -1.0
+    for column, index in enumerate(single, start=len(pairs)):
+        mixer[index, column] = 1.0
+    return signed, mixer
+
+
+def _weakest_push(model: Model) -> float:
+    """Return the greatest acceleration in the direction in which it is least [m/s²].
+
+    Of what the propellers give together at full speed, without regard to the moment.
+    """
+    full = model.dynamics.thrust.sum(axis=1)
+    angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    pushes = (rays @ model.dynamics.configuration[:2]) * full
+    return float(np.maximum(pushes, 0).sum(axis=1).min())

@@ -1,0 +1,76 @@
+"""The world as a controller sees it: measurements come, commands go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+#: The sensors.
+Kind = Literal["pose", "imu", "mouse"]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What a sensor said.
+
+    Attributes
+    ----------
+    kind : {"pose", "imu", "mouse"}
+        Which sensor.
+    stamp : float
+        When it was measured, on the sensor's clock [s].
+    values : array, shape (k,)
+        Pose: x, y [m], yaw [rad]. IMU: acceleration along the body's x, y, z [m/s²], spin about
+        them [rad/s]. Mouse: velocity along the body's x, y [m/s].
+    """
+
+    kind: Kind
+    stamp: float
+    values: Float[np.ndarray, " k"]
+
+
+class Link(Protocol):
+    """A connection to a craft, simulated or real."""
+
+    @property
+    def now(self) -> float:
+        """The present, on the controller's clock [s]."""
+        ...
+
+    def wait_until(self, time: float) -> list[Measurement]:
+        """Let time pass.
+
+        Parameters
+        ----------
+        time : float
+            When to return [s].
+
+        Returns
+        -------
+        list of Measurement
+            Those that have arrived since the last call, in the order of their arrival.
+        """
+        ...
+
+    def send(self, command: Float[np.ndarray, " n"]) -> None:
+        """Send a command now.
+
+        Parameters
+        ----------
+        command : array, shape (n,)
+            Motor commands.
+        """
+        ...
+
+    def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
+        """Publish what the craft is asked to do.
+
+        Parameters
+        ----------
+        reference : array, shape (6,)
+            x, y, yaw and their rates.
+        """
+        ...

@@ -1,0 +1,120 @@
+"""The flight loop: one for the twin and for the real table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import Reference
+from airpuck.control.tracking import Status, Step
+from airpuck.flight.link import Link, Measurement
+
+
+class Pilot(Protocol):
+    """Computes commands: a `TrackingController`, or one that adds an excitation to it."""
+
+    reference: Reference
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose."""
+        ...
+
+    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+        """Take note of an inertial measurement."""
+        ...
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+        """Take note of a velocity."""
+        ...
+
+    def step(self, time: float) -> Step:
+        """Compute the command to send now."""
+        ...
+
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take note of the command that was sent."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FlightLog:
+    """What the controller did.
+
+    Attributes
+    ----------
+    time : array, shape (K,)
+        When each command was sent [s].
+    command : array, shape (K, n)
+        Motor commands.
+    status : tuple of str
+        Outcome of each step.
+    reference : array, shape (K, 3)
+        Pose asked for.
+    """
+
+    time: Float[np.ndarray, " K"]
+    command: Float[np.ndarray, "K n"]
+    status: tuple[Status, ...]
+    reference: Float[np.ndarray, "K 3"]
+
+
+def fly(
+    pilot: Pilot, link: Link, duration: float, period: float = 0.01, *, on_board: bool = False
+) -> FlightLog:
+    """Fly for a while.
+
+    Each period: take what has arrived, compute a command, send it. A reference is announced when it
+    changes.
+
+    Parameters
+    ----------
+    pilot : Pilot
+        Computes the commands.
+    link : Link
+        The craft.
+    duration : float
+        How long [s].
+    period : float, default 0.01
+        Time between commands [s].
+    on_board : bool, default False
+        Whether the pilot is told what the sensors on the craft say.
+
+    Returns
+    -------
+    FlightLog
+        What was sent, and why.
+    """
+    start, announced = link.now, np.full(6, np.nan)
+    times, commands, status, references = [], [], [], []
+    for k in range(round(duration / period)):
+        due = start + k * period
+        for measurement in link.wait_until(due):
+            _tell(pilot, measurement, on_board)
+        now = link.now
+        asked = pilot.reference.at(now, 0.0).state
+        if not np.array_equal(asked, announced):
+            link.announce(asked)
+            announced = asked
+        step = pilot.step(now)
+        link.send(step.command)
+        pilot.sent(now, step.command)
+        times.append(now)
+        commands.append(step.command)
+        status.append(step.status)
+        references.append(asked[:3])
+    link.wait_until(start + duration)
+    return FlightLog(np.array(times), np.array(commands), tuple(status), np.array(references))
+
+
+def _tell(pilot: Pilot, measurement: Measurement, on_board: bool) -> None:
+    """Hand a measurement to the pilot."""
+    stamp, values = measurement.stamp, measurement.values
+    if measurement.kind == "pose":
+        pilot.pose(stamp, values)
+    elif on_board and measurement.kind == "imu":
+        pilot.imu(stamp, values[:2], float(values[5]))
+    elif on_board:
+        pilot.mouse(stamp, values)

@@ -1,0 +1,87 @@
+"""Motors that do not do what they are told: not armed, slow to start, stalled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.errors import InputError
+from airpuck.twin.settings import Motors
+
+
+class MotorUnit:
+    """From the received command to what the motors follow.
+
+    Parameters
+    ----------
+    settings : Motors
+        Arming, slow starts, stalls.
+    names : tuple of str
+        Names of the motors.
+
+    Raises
+    ------
+    InputError
+        If a stall names no motor.
+    """
+
+    def __init__(self, settings: Motors, names: tuple[str, ...]) -> None:
+        for stall in settings.stalls:
+            if stall.motor not in names:
+                raise InputError(f"there is no motor called {stall.motor!r}", field="motors.stalls")
+        self._settings = settings
+        self._stalls = [(names.index(s.motor), s.start_s, s.stop_s) for s in settings.stalls]
+        self._edges = sorted(
+            {settings.unarmed_s, *(t for s in settings.stalls for t in (s.start_s, s.stop_s))}
+        )
+        #: When each motor may follow its command; never while it idles.
+        self._released = np.full(len(names), np.inf)
+
+    def next_change(self, now: float) -> float:
+        """Return when something changes by itself.
+
+        Parameters
+        ----------
+        now : float
+            Time [s].
+
+        Returns
+        -------
+        float
+            The next such time, or infinity [s].
+        """
+        times = [t for t in (*self._edges, *self._released.tolist()) if now < t < math.inf]
+        return min(times, default=math.inf)
+
+    def follow(self, now: float, command: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Return what the motors follow now.
+
+        Parameters
+        ----------
+        now : float
+            Time, not before that of an earlier call [s].
+        command : array, shape (n,)
+            What was received.
+
+        Returns
+        -------
+        array, shape (n,)
+            What their speeds tend to.
+        """
+        s = self._settings
+        if now < s.unarmed_s:
+            return np.zeros_like(command)
+        if s.starting_delay_s > 0:
+            idles = command < s.idle_below
+            begins = ~idles & np.isinf(self._released)
+            self._released[idles] = np.inf
+            self._released[begins] = now + s.starting_delay_s
+            follows = idles | (self._released <= now)
+            command = np.where(follows, command, np.minimum(command, s.idle_below))
+        for motor, start, stop in self._stalls:
+            if start <= now < stop:
+                command = command.copy()
+                command[motor] = 0.0
+        return command

@@ -1,0 +1,179 @@
+"""The plant: a craft on a table, as pure functions of its state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from airpuck.model.compiled import for_real_time
+from airpuck.model.rigid_body import Dynamics
+from airpuck.model.rollout import step
+from airpuck.model_file import Model
+from airpuck.table import Table
+
+#: Longest step of the integration [s]: below half the period of control.
+LONGEST_STEP = 1 / 240
+
+
+@dataclass(frozen=True)
+class Disc:
+    """What a rail meets.
+
+    Attributes
+    ----------
+    mass : float
+        [kg].
+    inertia : float
+        About the centre of mass [kg m²].
+    radius : float
+        [m].
+    """
+
+    mass: Any
+    inertia: Any
+    radius: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A craft on a table.
+
+    Attributes
+    ----------
+    model : Model
+        The truth of this world.
+    table : Table
+        Its rails.
+    dynamics : Dynamics
+        The model's coefficients, with optional effects.
+    """
+
+    model: Model
+    table: Table
+    dynamics: Dynamics
+
+    @property
+    def disc(self) -> Disc:
+        """What a rail meets."""
+        vehicle = self.model.vehicle
+        return Disc(vehicle.mass_kg, float(self.model.parameters.inertia), vehicle.radius_m)
+
+    @cached_property
+    def advance(self) -> Callable[..., Any]:
+        """Compiled ``(state, command, duration, thrust scale) -> (state,)`` of one craft."""
+        import jax.numpy as jnp
+
+        def advanced(state: Any, command: Any, duration: Any, scale: Any) -> tuple[Any]:
+            dynamics = scaled(self.dynamics, scale)
+            return (advance(jnp, dynamics, self.disc, self.table, state, command, duration),)
+
+        n = self.model.vehicle.n_propellers
+        return for_real_time(advanced, np.zeros(6 + n), np.zeros(n), 0.0, 1.0)
+
+
+def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
+    """Scale all thrusts.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Coefficients.
+    factor : float or array, shape ()
+        For example of a battery that sags.
+
+    Returns
+    -------
+    Dynamics
+        With scaled thrust curves.
+    """
+    return replace(dynamics, thrust=dynamics.thrust * factor)
+
+
+def advance(
+    xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any, command: Any, duration: Any
+) -> Any:
+    """Advance a craft by one step of the integration; rails push it back.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    disc : Disc
+        What a rail meets.
+    table : Table
+        Rails.
+    state : array, shape (6 + n, ...)
+        x, y, γ, vx, vy, ω and the motor speeds.
+    command : array, shape (n, ...)
+        What the motors are told.
+    duration : array, shape (...) or float
+        At most `LONGEST_STEP` [s].
+
+    Returns
+    -------
+    array, shape (6 + n, ...)
+        The state after `duration`.
+    """
+    state = step(xp, dynamics, state, command, duration)
+    x_reach, y_reach = table.reach(disc.radius)
+    state = _bounce(xp, dynamics, disc, table, state, axis=0, reach=x_reach)
+    return _bounce(xp, dynamics, disc, table, state, axis=1, reach=y_reach)
+
+
+def _bounce(
+    xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any, *, axis: int, reach: float
+) -> Any:
+    """Apply the impulse of the rails across one axis.
+
+    Newton's law of restitution in the normal direction; in the tangential one an impulse that
+    stops the slip if the cone of friction allows that, and otherwise lies on the cone.
+    """
+    position, speed = state[axis], state[3 + axis]
+    side = xp.sign(position)
+    depth = xp.abs(position) - reach
+    meets = (depth > 0) & (side * speed > 0)
+
+    # From the centre of mass to the contact, along the normal (into the table) and the tangent,
+    # the normal turned by 90 degrees.
+    yaw, spin = state[2], state[5]
+    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
+    if dynamics.frame == "body":
+        cos, sin = xp.cos(yaw), xp.sin(yaw)
+        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    nx, ny = (-side, 0.0 * side) if axis == 0 else (0.0 * side, -side)
+    arm_n = -disc.radius - (rx * nx + ry * ny)
+    arm_t = -(ry * nx - rx * ny)
+    normal_speed = state[3] * nx + state[4] * ny
+    slip = state[4] * nx - state[3] * ny - disc.radius * spin
+
+    # Velocity of the contact per impulse.
+    k_nn = 1 / disc.mass + arm_t**2 / disc.inertia
+    k_tt = 1 / disc.mass + arm_n**2 / disc.inertia
+    k_nt = -arm_n * arm_t / disc.inertia
+    wanted_n, wanted_t = -(1 + table.restitution) * normal_speed, -slip
+    determinant = k_nn * k_tt - k_nt**2
+    stick_n = (k_tt * wanted_n - k_nt * wanted_t) / determinant
+    stick_t = (k_nn * wanted_t - k_nt * wanted_n) / determinant
+    sign = xp.sign(wanted_t)
+    slide_n = wanted_n / (k_nn + table.friction * sign * k_nt)
+    sticks = xp.abs(stick_t) <= table.friction * stick_n
+    impulse_n = xp.where(sticks, stick_n, slide_n)
+    impulse_t = xp.where(sticks, stick_t, table.friction * sign * slide_n)
+
+    # Of the centre of mass, then of the geometric centre, which turns about it.
+    turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia
+    gained_x = (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
+    gained_y = (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
+    zero = 0.0 * position
+    # What it went too far it comes back, at the speed it has now.
+    back = -side * depth * (1 + table.restitution)
+    change = [back if axis == 0 else zero, back if axis == 1 else zero]
+    change += [zero, gained_x, gained_y, turned]
+    moved = state[:6] + xp.where(meets, xp.stack(change), 0.0)
+    return xp.concatenate([moved, state[6:]])

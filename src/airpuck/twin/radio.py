@@ -1,0 +1,87 @@
+"""The radio: commands arrive late, in order, or not at all."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.twin.settings import Radio
+
+
+class RadioLink:
+    """Packets on their way, and what the craft received last.
+
+    Parameters
+    ----------
+    settings : Radio
+        Delay, jitter, loss, outages, timeout.
+    rng : Generator
+        Source of everything random.
+    n_propellers : int
+        Size of a command.
+    """
+
+    def __init__(self, settings: Radio, rng: np.random.Generator, n_propellers: int) -> None:
+        self._settings, self._rng = settings, rng
+        self._flying: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
+        self._stopped = np.zeros(n_propellers)
+        self._received, self._received_at = self._stopped, -math.inf
+        self._last_arrival = -math.inf
+
+    def send(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Send a packet.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+        command : array, shape (n,)
+            Its content.
+        """
+        s = self._settings
+        # Both numbers are always drawn, so that one setting does not change what another draws.
+        jitter, luck = self._rng.uniform(-s.jitter_s, s.jitter_s), self._rng.random()
+        arrival = max(time + s.delay_s + jitter, self._last_arrival)
+        if luck < s.loss or any(start <= arrival < stop for start, stop in s.outages_s):
+            return
+        self._last_arrival = arrival
+        self._flying.append((arrival, command))
+
+    def command(self, now: float) -> Float[np.ndarray, " n"]:
+        """Return the command in force: the last one received, or zeros after the timeout.
+
+        Parameters
+        ----------
+        now : float
+            Time, not before that of an earlier call [s].
+
+        Returns
+        -------
+        array, shape (n,)
+            What the craft's electronics tell the motors.
+        """
+        while self._flying and self._flying[0][0] <= now:
+            self._received_at, self._received = self._flying.popleft()
+        if now >= self._received_at + self._settings.timeout_s:
+            return self._stopped
+        return self._received
+
+    def next_change(self, now: float) -> float:
+        """Return when the command in force can change next.
+
+        Parameters
+        ----------
+        now : float
+            Time [s].
+
+        Returns
+        -------
+        float
+            Arrival of the next packet, or the timeout [s].
+        """
+        arrival = self._flying[0][0] if self._flying else math.inf
+        timeout = self._received_at + self._settings.timeout_s
+        return min(time for time in (arrival, timeout, math.inf) if time > now)

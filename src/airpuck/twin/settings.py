@@ -1,0 +1,233 @@
+"""What a twin is made of besides the model: sensors, radio, effects, faults; a TOML file."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import pydantic
+
+from airpuck.files import Section, read_toml, write_toml
+from airpuck.table import Table
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NonNegative = Annotated[float, pydantic.Field(ge=0)]
+Probability = Annotated[float, pydantic.Field(ge=0, le=1)]
+Interval = tuple[NonNegative, NonNegative]
+
+
+class Radio(Section):
+    """The link from the controller to the motors.
+
+    Attributes
+    ----------
+    delay_s, jitter_s : float
+        A packet takes a time that is uniform in delay ± jitter; packets never overtake each other.
+    loss : float
+        Share of packets that never arrive.
+    timeout_s : float
+        The motors stop when no packet came for this long.
+    outages_s : tuple of (start, stop)
+        Times during which nothing arrives.
+    """
+
+    delay_s: NonNegative
+    jitter_s: NonNegative = 0.0
+    loss: Probability = 0.0
+    timeout_s: Positive = 0.2
+    outages_s: tuple[Interval, ...] = ()
+
+    @pydantic.model_validator(mode="after")
+    def _causal(self) -> Radio:
+        if self.jitter_s > self.delay_s:
+            raise ValueError("jitter_s must not exceed delay_s: packets cannot arrive before")
+        return self
+
+
+class MotionCapture(Section):
+    """Cameras that measure the pose.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Frames per second.
+    position_noise_m, yaw_noise_rad : float
+        Standard deviations of white noise.
+    latency_s, latency_jitter_s : float
+        From the frame to the controller; the jitter is the mean of an exponential distribution.
+    dropped : float
+        Share of frames that are missing.
+    gaps_s : tuple of (start, stop)
+        Times without any frame.
+    clock_offset_s, clock_drift : float
+        Stamps are (1 + drift) t + offset, t the recorder's time.
+    """
+
+    rate_hz: Positive = 240.0
+    position_noise_m: NonNegative
+    yaw_noise_rad: NonNegative
+    latency_s: NonNegative = 0.001
+    latency_jitter_s: NonNegative = 0.0003
+    dropped: Probability = 0.0
+    gaps_s: tuple[Interval, ...] = ()
+    clock_offset_s: float = 0.0
+    clock_drift: float = 0.0
+
+
+class OnBoard(Section):
+    """Inertial and optical sensors on the craft; their noise is not verified.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Measurements per second of each; 0: there are none.
+    latency_s : float
+        From the measurement to the controller.
+    acceleration_noise_m_s2, gyro_noise_rad_s, mouse_noise_m_s : float
+        Standard deviations of white noise.
+    """
+
+    rate_hz: NonNegative = 100.0
+    latency_s: NonNegative = 0.01
+    acceleration_noise_m_s2: NonNegative = 0.35
+    gyro_noise_rad_s: NonNegative = 0.015
+    mouse_noise_m_s: NonNegative = 0.01
+
+
+class Effects(Section):
+    """Optional physics (`airpuck.model.effects`); zero: off.
+
+    Attributes
+    ----------
+    drag_linear_1_s, drag_quadratic_1_m : float
+        Of the velocity.
+    spin_drag_linear_1_s, spin_drag_quadratic_1_rad : float
+        Of the spin.
+    inflow_s_m : float
+        Loss of thrust per air speed along the propeller's axis.
+    pair_interaction_1_N : float
+        Loss of thrust per thrust of the twin.
+    tilt_rad : tuple of float
+        Slope of the table along x and y.
+    battery_sag_1_s : float
+        Share of the thrust that is lost per second of flight.
+    """
+
+    drag_linear_1_s: float = 0.0
+    drag_quadratic_1_m: float = 0.0
+    spin_drag_linear_1_s: float = 0.0
+    spin_drag_quadratic_1_rad: float = 0.0
+    inflow_s_m: float = 0.0
+    pair_interaction_1_N: float = 0.0
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    battery_sag_1_s: float = 0.0
+
+
+class Stall(Section):
+    """A motor that does not turn for a while.
+
+    Attributes
+    ----------
+    motor : str
+        Name of its propeller.
+    start_s, stop_s : float
+        When.
+    """
+
+    motor: str
+    start_s: NonNegative
+    stop_s: NonNegative
+
+
+class Motors(Section):
+    """What motors do besides following their command.
+
+    Attributes
+    ----------
+    unarmed_s : float
+        They stand still until then.
+    starting_delay_s : float
+        A motor that idles begins to follow a higher command this much later.
+    idle_below : float
+        Commands below this value count as idling.
+    stalls : tuple of Stall
+        Failures.
+    """
+
+    unarmed_s: NonNegative = 0.0
+    starting_delay_s: NonNegative = 0.0
+    idle_below: Probability = 0.05
+    stalls: tuple[Stall, ...] = ()
+
+
+class TwinSettings(Section):
+    """Everything about a twin besides the model of the craft.
+
+    Attributes
+    ----------
+    table : Table
+        Rails.
+    radio : Radio
+        From the controller to the motors.
+    motion_capture : MotionCapture
+        Poses.
+    on_board : OnBoard
+        Other sensors.
+    effects : Effects
+        Optional physics.
+    motors : Motors
+        Arming, stalls.
+    """
+
+    table: Table = Table()
+    radio: Radio
+    motion_capture: MotionCapture
+    on_board: OnBoard = OnBoard()
+    effects: Effects = Effects()
+    motors: Motors = Motors()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the settings as TOML.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        write_toml(path, self.model_dump(mode="json"), header="Settings of an airpuck twin.")
+
+
+def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
+    """Read the settings of a twin.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file.
+
+    Returns
+    -------
+    TwinSettings
+        The settings.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a field is wrong.
+    """
+    return read_toml(path, TwinSettings)
+
+
+def default_twin_settings() -> TwinSettings:
+    """Return the packaged settings: sensors and radio as in the real recordings, no faults.
+
+    Returns
+    -------
+    TwinSettings
+        The settings.
+    """
+    packaged = resources.files("airpuck") / "packaged" / "twin.toml"
+    with resources.as_file(packaged) as path:
+        return read_twin_settings(Path(path))

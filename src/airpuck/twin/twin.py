@@ -1,0 +1,217 @@
+"""The twin: a simulated table that a flight loop cannot tell from a real one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.flight.link import Kind, Measurement
+from airpuck.model.effects import Drag, Effect, Inflow, PairInteraction, Tilt
+from airpuck.model.rigid_body import acceleration
+from airpuck.model_file import Model
+from airpuck.recording.stream import COLUMNS, Recording, Stream
+from airpuck.twin.motors import MotorUnit
+from airpuck.twin.plant import LONGEST_STEP, Plant
+from airpuck.twin.radio import RadioLink
+from airpuck.twin.sensors import Sensor
+from airpuck.twin.settings import Effects, TwinSettings, default_twin_settings
+
+#: Time of the recorder at the start of a flight [ns since 1970].
+_EPOCH_NS = 1_700_000_000_000_000_000
+
+
+def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
+    """Put a craft on a table.
+
+    Parameters
+    ----------
+    model : Model
+        The truth of the world.
+    settings : TwinSettings, optional
+        Rails and effects; by default the packaged ones.
+
+    Returns
+    -------
+    Plant
+        Compiled once; several twins may share it.
+    """
+    settings = settings or default_twin_settings()
+    effects = _effects(model, settings.effects)
+    return Plant(model, settings.table, replace(model.dynamics, effects=effects))
+
+
+def _effects(model: Model, settings: Effects) -> tuple[Effect, ...]:
+    """Return the effects that are switched on."""
+    s, chosen = settings, []
+    drag = (
+        s.drag_linear_1_s,
+        s.drag_quadratic_1_m,
+        s.spin_drag_linear_1_s,
+        s.spin_drag_quadratic_1_rad,
+    )
+    if s.inflow_s_m:
+        chosen.append(Inflow.of(model.vehicle, s.inflow_s_m))
+    if s.pair_interaction_1_N:
+        chosen.append(PairInteraction.of(model.vehicle, s.pair_interaction_1_N))
+    if any(drag):
+        chosen.append(Drag(*drag))
+    if any(s.tilt_rad):
+        chosen.append(Tilt(*s.tilt_rad))
+    return tuple(chosen)
+
+
+class Twin:
+    """A simulated craft with its sensors and radio; a `Link`.
+
+    Parameters
+    ----------
+    model : Model
+        The truth of this world.
+    settings : TwinSettings, optional
+        Table, sensors, radio, effects, faults; by default the packaged ones.
+    seed : int, default 0
+        Seed of everything random: the same seed gives the same flight.
+    pose : tuple of float, default (0, 0, 0)
+        Where the craft stands at first [m, m, rad].
+    plant : Plant, optional
+        From `build_plant` of the same model and settings, to compile only once.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        settings: TwinSettings | None = None,
+        *,
+        seed: int = 0,
+        pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        plant: Plant | None = None,
+    ) -> None:
+        self.model = model
+        self.settings = settings = settings or default_twin_settings()
+        self.plant = plant or build_plant(model, settings)
+        n = model.vehicle.n_propellers
+        self.now = 0.0
+        self.state = np.concatenate([pose, np.zeros(3 + n)])
+        self._radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
+        self._motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
+        self._sensors = _sensors(settings, seed)
+        self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
+        self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
+        self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
+
+    def wait_until(self, time: float) -> list[Measurement]:
+        """Simulate until a time; see `airpuck.flight.link.Link`."""
+        while True:
+            following = min(sensor.due for sensor in self._sensors)
+            following = min(following, self._radio.next_change(self.now))
+            following = min(following, self._motors.next_change(self.now))
+            self._advance(min(following, time))
+            if following > time:
+                break
+            for sensor in self._sensors:
+                if sensor.due <= self.now:
+                    sensor.measure(self._true_value(sensor.kind))
+                    if sensor.kind == "pose":
+                        self._truth.append((self.now, self.state))
+        arrived = [entry for sensor in self._sensors for entry in sensor.arrived(time)]
+        arrived.sort(key=lambda entry: entry[0])
+        return [measurement for _, measurement in arrived]
+
+    def send(self, command: Float[np.ndarray, " n"]) -> None:
+        """Send a command by radio, now."""
+        command = np.array(command, dtype=float)
+        self._sent.append((self.now, command))
+        self._radio.send(self.now, command)
+
+    def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
+        """Log what the craft is asked to do, now."""
+        self._announced.append((self.now, np.array(reference, dtype=float)))
+
+    @property
+    def truth(self) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N s"]]:
+        """Times [s] and true states of all frames of the motion capture so far."""
+        times, states = zip(*self._truth, strict=True)
+        return np.array(times), np.array(states)
+
+    def recording(self) -> Recording:
+        """Return what a recorder on the network would have logged.
+
+        Returns
+        -------
+        Recording
+            Streams ``pose``, ``command``, and where there are any ``reference``, ``imu``,
+            ``mouse``; stamps as the senders put them, arrivals on the recorder's clock.
+        """
+        names = self.model.vehicle.propeller_names
+        streams = {sensor.kind: sensor.stream(_EPOCH_NS) for sensor in self._sensors}
+        streams = {kind: stream for kind, stream in streams.items() if len(stream)}
+        if self._sent:
+            streams["command"] = _stream(self._sent, names, latency=1e-4)
+        if self._announced:
+            streams["reference"] = _stream(self._announced, COLUMNS["reference"], latency=0.0)
+        return Recording(streams=streams, source=f"twin of {self.model.name}")
+
+    def _advance(self, time: float) -> None:
+        """Integrate to a time; nothing is commanded in between."""
+        while self.now < time:
+            duration = min(time - self.now, LONGEST_STEP)
+            command = self._motors.follow(self.now, self._radio.command(self.now))
+            sag = 1 - self.settings.effects.battery_sag_1_s * self.now
+            (self.state,) = self.plant.advance(self.state, command, duration, max(sag, 0.0))
+            # The last piece ends at the time itself, not a rounding error before it.
+            self.now = time if duration == time - self.now else self.now + duration
+
+    def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
+        """Return what a perfect sensor would say."""
+        if kind == "pose":
+            return self.state[:3]
+        yaw, vx, vy, spin = self.state[2:6].tolist()
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        if kind == "mouse":
+            return np.array([cos * vx + sin * vy, cos * vy - sin * vx])
+        ax, ay, _ = acceleration(np, self.plant.dynamics, self.state[2:6], self.state[6:])
+        return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
+
+
+def _sensors(settings: TwinSettings, seed: int) -> list[Sensor]:
+    """Build the sensors, each with random numbers of its own."""
+    capture, board = settings.motion_capture, settings.on_board
+    sensors = [
+        Sensor(
+            "pose",
+            rate=capture.rate_hz,
+            noise=(capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad),
+            latency=(capture.latency_s, capture.latency_jitter_s),
+            rng=np.random.default_rng([seed, 1]),
+            dropped=capture.dropped,
+            gaps=capture.gaps_s,
+            clock=(capture.clock_offset_s, capture.clock_drift),
+        )
+    ]
+    if board.rate_hz == 0:
+        return sensors
+    inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
+    optical = (board.mouse_noise_m_s,) * 2
+    on_board: tuple[tuple[Kind, tuple[float, ...]], ...] = (("imu", inertial), ("mouse", optical))
+    for number, (kind, noise) in enumerate(on_board, start=2):
+        sensors.append(
+            Sensor(
+                kind,
+                rate=board.rate_hz,
+                noise=noise,
+                latency=(board.latency_s, 0.0),
+                rng=np.random.default_rng([seed, number]),
+            )
+        )
+    return sensors
+
+
+def _stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
+    """Lay out messages that carry the controller's time."""
+    times, values = zip(*logged, strict=True)
+    stamp = _EPOCH_NS + np.rint(np.array(times) * 1e9).astype(np.int64)
+    return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)
