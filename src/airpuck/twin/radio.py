@@ -43,8 +43,8 @@ class RadioLink:
         """
         s = self._settings
         # Both numbers are always drawn, so that one setting does not change what another draws.
-        jitter, luck = self._rng.uniform(-s.jitter_s, s.jitter_s), self._rng.random()
-        arrival = max(time + s.delay_s + jitter, self._last_arrival)
+        jitter, luck = s.jitter_s * self._rng.standard_normal(), self._rng.random()
+        arrival = max(time + max(s.delay_s + jitter, 0.0), self._last_arrival)
         if luck < s.loss or any(start <= arrival < stop for start, stop in s.outages_s):
             return
         self._last_arrival = arrival

@@ -24,7 +24,8 @@ class Radio(Section):
     Attributes
     ----------
     delay_s, jitter_s : float
-        A packet takes a time that is uniform in delay ± jitter; packets never overtake each other.
+        Mean and standard deviation of the time that a packet takes, normal and never negative;
+        packets do not overtake each other.
     loss : float
         Share of packets that never arrive.
     timeout_s : float
@@ -38,12 +39,6 @@ class Radio(Section):
     loss: Probability = 0.0
     timeout_s: Positive = 0.2
     outages_s: tuple[Interval, ...] = ()
-
-    @pydantic.model_validator(mode="after")
-    def _causal(self) -> Radio:
-        if self.jitter_s > self.delay_s:
-            raise ValueError("jitter_s must not exceed delay_s: packets cannot arrive before")
-        return self
 
 
 class MotionCapture(Section):
