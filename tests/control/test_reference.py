@@ -1,0 +1,190 @@
+"""References: values by hand, splines by their definition, and input that is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import trapezoid
+
+from airpuck.control.reference import Reference, SetPoint, SetPoints, TimedPath
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
+from airpuck.errors import InputError
+from airpuck.estimate.kalman import Estimate
+from airpuck.model_file import read_model
+
+time = st.floats(-100, 100)
+
+
+@given(time, st.floats(0, 1))
+def test_a_set_point_is_a_pose_at_rest_for_ever(now, ahead):
+    target = SetPoint(0.1, -0.2, 7.0).at(now, ahead)
+    np.testing.assert_array_equal(target.state, [0.1, -0.2, 7.0, 0, 0, 0])
+    np.testing.assert_array_equal(target.acceleration, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("now", "x"),
+    [(-9.0, 1), (0.0, 1), (0.999, 1), (1.0, 2), (1.5, 2), (2.999, 2), (3.0, 3), (1e6, 3)],
+)
+def test_a_set_point_holds_from_its_time_until_the_next(now, x):
+    points = SetPoints([0.0, 1.0, 3.0], [(1, 10, 0.1), (2, 20, 0.2), (3, 30, 0.3)])
+    target = points.at(now, 0.0)
+    np.testing.assert_allclose(target.state, [x, 10 * x, 0.1 * x, 0, 0, 0])
+    np.testing.assert_array_equal(target.acceleration, np.zeros(3))
+
+
+def test_a_set_point_is_not_anticipated():
+    points = SetPoints([0.0, 1.0], [(1, 0, 0), (2, 0, 0)])
+    assert points.at(0.999, ahead=0.5).state[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("times", "poses", "problem"),
+    [
+        ([], [], "at least one"),
+        ([0.0], [], "as many times as set points"),
+        ([0.0, 1.0], [(0, 0, 0)], "as many times as set points"),
+        ([0.0], [(0, 0, 0), (1, 0, 0)], "as many times as set points"),
+        ([0.0, 0.0], [(0, 0, 0), (1, 0, 0)], "must increase"),
+        ([1.0, 0.0], [(0, 0, 0), (1, 0, 0)], "must increase"),
+        ([0.0, float("nan")], [(0, 0, 0), (1, 0, 0)], "finite"),
+        ([0.0, float("inf")], [(0, 0, 0), (1, 0, 0)], "finite"),
+        ([0.0], [(0, float("nan"), 0)], "finite"),
+    ],
+)
+def test_set_points_that_make_no_sense_are_refused(times, poses, problem):
+    with pytest.raises(InputError, match=problem) as error:
+        SetPoints(times, poses)
+    assert error.value.field == "setpoint"
+
+
+def path(n: int = 6, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    return np.cumsum(random.uniform(0.3, 1.0, n)), random.normal(size=(n, 3))
+
+
+def test_a_path_goes_through_its_poses():
+    times, poses = path()
+    for t, pose in zip(times, poses, strict=True):
+        np.testing.assert_allclose(TimedPath(times, poses).at(float(t), 0).state[:3], pose)
+
+
+def test_between_two_poses_a_path_is_the_smoothstep():
+    # The cubic with its ends at rest: p = 3u² - 2u³.
+    move = np.array([1.0, -2.0, 8.0])
+    line = TimedPath(np.array([1.0, 3.0]), np.array([np.zeros(3), move]))
+    for u in (0.0, 0.1, 0.5, 0.8):
+        target = line.at(1 + 2 * u, 0.0)
+        np.testing.assert_allclose(target.state[:3], (3 * u**2 - 2 * u**3) * move, atol=1e-14)
+        np.testing.assert_allclose(target.state[3:], (6 * u - 6 * u**2) / 2 * move, atol=1e-14)
+        np.testing.assert_allclose(target.acceleration, (6 - 12 * u) / 4 * move, atol=1e-13)
+
+
+@given(st.floats(0, 1), st.integers(0, 9))
+def test_velocity_and_acceleration_are_the_derivatives_of_the_pose(share, seed):
+    times, poses = path(seed=seed)
+    step = 1e-4
+    now = float(times[0] + 2 * step + share * (times[-1] - times[0] - 4 * step))
+    curve = TimedPath(times, poses)
+    before, here, after = (curve.at(now + s, 0.0) for s in (-step, 0.0, step))
+    slope = (after.state[:3] - before.state[:3]) / (2 * step)
+    np.testing.assert_allclose(here.state[3:], slope, atol=1e-5)
+    bend = (after.state[3:] - before.state[3:]) / (2 * step)
+    np.testing.assert_allclose(here.acceleration, bend, atol=2e-2)
+
+
+def test_no_other_curve_through_the_poses_bends_less():
+    # What defines the cubic spline with its ends at rest: the least ∫ a² among all such curves.
+    times, poses = path()
+    fine = np.linspace(times[0], times[-1], 20001)
+    curve = TimedPath(times, poses)
+    x = np.array([curve.at(float(t), 0.0).acceleration[0] for t in fine[::10]])
+    knots = np.prod([np.subtract.outer(fine, t) for t in times], axis=0)
+    bump = knots * (fine - times[0]) * (fine - times[-1])  # zero at the poses, flat at both ends
+    bend = np.gradient(np.gradient(bump, fine), fine)[::10]
+    product = trapezoid(x * bend, fine[::10])
+    scale = np.sqrt(trapezoid(x**2, fine[::10]) * trapezoid(bend**2, fine[::10]))
+    assert abs(product) < 1e-3 * scale
+
+
+@given(time, st.floats(0, 1))
+def test_a_path_is_read_ahead_of_now(now, ahead):
+    times, poses = path()
+    curve = TimedPath(times, poses)
+    early, late = curve.at(now, ahead), curve.at(now + ahead, 0.0)
+    np.testing.assert_array_equal(early.state, late.state)
+    np.testing.assert_array_equal(early.acceleration, late.acceleration)
+
+
+@given(st.floats(1e-9, 1e3))
+def test_outside_its_times_a_path_stands_still(away):
+    times, poses = path()
+    curve = TimedPath(times, poses)
+    for now, pose in ((times[0] - away, poses[0]), (times[-1] + away, poses[-1])):
+        target = curve.at(float(now), 0.0)
+        np.testing.assert_allclose(target.state, np.append(pose, np.zeros(3)), atol=1e-12)
+        np.testing.assert_array_equal(target.acceleration, np.zeros(3))
+
+
+def test_the_yaw_of_a_path_may_go_round():
+    times = np.linspace(0, 4, 41)
+    turning = np.stack([0 * times, 0 * times, 2 * np.pi * times], axis=1)
+    target = TimedPath(times, turning).at(2.0, 0.0)
+    assert target.state[2] == pytest.approx(4 * np.pi)
+    assert target.state[5] == pytest.approx(2 * np.pi, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("times", "poses", "problem"),
+    [
+        ([0.0], [[0, 0, 0]], "at least two"),
+        ([0.0, 0.0], [[0, 0, 0], [1, 0, 0]], "must increase"),
+        ([1.0, 0.0], [[0, 0, 0], [1, 0, 0]], "must increase"),
+        ([0.0, np.nan], [[0, 0, 0], [1, 0, 0]], "finite"),
+        ([0.0, np.inf], [[0, 0, 0], [1, 0, 0]], "finite"),
+        ([0.0, 1.0], [[0, 0, np.nan], [1, 0, 0]], "finite"),
+    ],
+)
+def test_paths_that_make_no_sense_are_refused(times, poses, problem):
+    with pytest.raises(InputError, match=problem) as error:
+        TimedPath(np.array(times), np.array(poses, dtype=float))
+    assert error.value.field == "path"
+
+
+def test_all_of_them_are_references():
+    times, poses = path()
+    for reference in (
+        SetPoint(0, 0, 0),
+        SetPoints([0.0], [(0, 0, 0)]),
+        TimedPath(times, poses),
+    ):
+        assert isinstance(reference, Reference)
+
+
+@given(st.integers(-5, 5), st.floats(-3, 3))
+def test_whole_turns_of_the_target_ask_for_nothing(turns, yaw):
+    controller = turner()
+    craft = Estimate(0.0, np.array([0, 0, yaw, 0, 0, 0.0]), IDLE, np.zeros(3))
+    here, there = SetPoint(0.1, 0, 0.5), SetPoint(0.1, 0, 0.5 + 2 * np.pi * turns)
+    one, other = (controller.steer(craft, point.at(0, 0)).request for point in (here, there))
+    np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+def test_the_shorter_way_round_is_taken():
+    controller = turner()
+    craft = Estimate(0.0, np.array([0, 0, 3.0, 0, 0, 0]), IDLE, np.zeros(3))
+    forward = controller.steer(craft, SetPoint(0, 0, -3.0).at(0, 0)).request
+    back = controller.steer(craft, SetPoint(0, 0, 2.5).at(0, 0)).request
+    k = controller.gain[2, 2]
+    # 2π - 6 ahead, 0.5 back; the idle motors turn it a little in the period that is settled.
+    assert forward[2] - back[2] == pytest.approx(k * (2 * np.pi - 6 + 0.5), rel=1e-9)
+    assert forward[2] > 0 > back[2]
+
+
+MODEL = read_model("paper:M4")
+IDLE = np.full(6, MODEL.vehicle.command_min)
+
+
+def turner() -> TrackingController:
+    return TrackingController(MODEL, SetPoint(0, 0, 0), default_tuning(), compiled=False)
