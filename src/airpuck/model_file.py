@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.errors import InputError
 from airpuck.files import Section, checked, read_toml, write_toml
-from airpuck.model.parameters import QUANTITIES, Parameters
+from airpuck.model.parameters import QUANTITIES, Parameters, nominal_parameters
 from airpuck.model.presets import PRESETS
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
 from airpuck.vehicle import Vehicle, default_vehicle
@@ -316,6 +316,30 @@ def published_model(name: str) -> Model:
         indexing="end",
         transport_delay=vehicle.nominal.transport_delay_s,
         source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
+    )
+
+
+def nominal_model(vehicle: Vehicle) -> Model:
+    """Return what is known of a craft before any flight.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft with its nominal values.
+
+    Returns
+    -------
+    Model
+        The nominal values as a model.
+    """
+    parameters = nominal_parameters(vehicle)
+    return Model(
+        name="nominal",
+        vehicle=vehicle,
+        parameters=parameters,
+        free=parameters.mask(frozenset()),
+        transport_delay=vehicle.nominal.transport_delay_s,
+        source=f"nominal values of {vehicle.name}",
     )
 
 

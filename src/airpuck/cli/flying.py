@@ -8,9 +8,18 @@ from typing import Annotated
 import typer
 
 from airpuck.cli.app import app
-from airpuck.cli.inputs import read_flight
-from airpuck.cli.options import Json, Span, TopicsFile, TuningFile
-from airpuck.cli.output import is_stdout, print_replay, write_json
+from airpuck.cli.inputs import choose, known_flights, read_craft, read_flight
+from airpuck.cli.options import (
+    Json,
+    Quiet,
+    Seed,
+    Span,
+    TopicsFile,
+    TuningFile,
+    TwinFile,
+    VehicleFile,
+)
+from airpuck.cli.output import is_stdout, print_replay, print_tracks, say, write_json
 
 PANEL = "Control and flight"
 
@@ -56,5 +65,124 @@ def replay(
     write_json(json_file, result.to_json())
     if not is_stdout(json_file):
         print_replay(result)
+        if output is not None:
+            print(output / "index.html")
+
+
+@app.command(rich_help_panel=PANEL)
+def excite(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")
+    ],
+    duration: Annotated[float, typer.Option(metavar="S", help="Length [s].")] = 90.0,
+    seed: Seed = 0,
+    vehicle: VehicleFile = None,
+    model: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
+    ] = None,
+    amplitude: Annotated[float, typer.Option(help="Largest random signal.")] = 1.0,
+    hold: Annotated[float, typer.Option(metavar="S", help="Time between its changes.")] = 0.2,
+    twin: TwinFile = None,
+    tuning: TuningFile = None,
+    csv: Annotated[bool, typer.Option("--csv", help="Record CSV files instead of a bag.")] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Fly the excitation experiment on the twin and record it."""
+    from airpuck.control.tuning import read_tuning
+    from airpuck.errors import InputError
+    from airpuck.model_file import nominal_model, read_model
+    from airpuck.recording import write_bag, write_csv
+    from airpuck.twin.experiments import excite
+    from airpuck.twin.settings import read_twin_settings
+
+    craft = read_craft(vehicle)
+    if craft is not None and model is not None:
+        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+    truth = nominal_model(craft) if craft is not None else read_model(model or "paper:M3")
+    # Before the flight: a folder that is in the way should not cost a minute.
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise InputError("exists already; choose a new folder", file=output, field="-o")
+    say(quiet)(f"flying {duration:g} s on a twin of {truth.name}")
+    recording = excite(
+        truth,
+        duration,
+        seed,
+        amplitude=amplitude,
+        hold=hold,
+        settings=None if twin is None else read_twin_settings(twin),
+        tuning=None if tuning is None else read_tuning(tuning),
+    )
+    (write_csv if csv else write_bag)(recording, output)
+    write_json(json_file, {"messages": {k: len(s) for k, s in recording.streams.items()}})
+    if not is_stdout(json_file):
+        print(output)
+
+
+@app.command(rich_help_panel=PANEL)
+def track(
+    models: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--model", metavar="MODEL", help="What the controller believes; repeat for several."
+        ),
+    ] = None,
+    flights: Annotated[
+        list[Path] | None,
+        typer.Option("--flight", metavar="FLIGHT", help="Real flight of each model, to imitate."),
+    ] = None,
+    truth: Annotated[str, typer.Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
+    dwell: Annotated[
+        float | None, typer.Option(metavar="S", help="Time at each set point; imitates no flight.")
+    ] = None,
+    controller: Annotated[
+        str,
+        typer.Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
+    ] = "paper",
+    seed: Seed = 0,
+    twin: TwinFile = None,
+    tuning: TuningFile = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write a page of figures.")
+    ] = None,
+    json_file: Json = None,
+) -> None:
+    """Fly the paper's set points on the twin, beside the real flights."""
+    from airpuck.control.tuning import read_tuning
+    from airpuck.errors import InputError
+    from airpuck.model_file import read_model
+    from airpuck.twin.settings import read_twin_settings
+    from airpuck.twin.tracking_study import DWELL, tracking_study
+
+    choose("--controller", controller, ("paper", "full"))
+    names = models or ["paper:M0", "paper:M4"]
+    if dwell is not None and flights:
+        raise InputError("a flight has its own times; give one of the two", field="--dwell")
+    if dwell is not None and not 0.1 <= dwell <= 1000:
+        raise InputError("must be between 0.1 and 1000 s", field="--dwell")
+    paths = flights or (known_flights(names) if dwell is None and controller == "paper" else [])
+    if len(paths) > len(names):
+        raise InputError("give one for each --model, in the same order", field="--flight")
+    plant = read_model(truth)
+    tracked = tracking_study(
+        [read_model(name) for name in names],
+        plant,
+        flights=[None if path is None else read_flight(path, None) for path in paths],
+        dwell=dwell or DWELL,
+        seed=seed,
+        full_controller=controller == "full",
+        settings=None if twin is None else read_twin_settings(twin),
+        tuning=None if tuning is None else read_tuning(tuning),
+    )
+    if output is not None:
+        from airpuck.report.tracking_report import tracking_report
+
+        tracking_report(tracked, plant.name, output)
+    # The keys of the last model stand at the top, too: for one model nothing need be looked up.
+    flown = [flight.to_json() for flight in tracked]
+    write_json(json_file, {**flown[-1], "flights": flown})
+    if not is_stdout(json_file):
+        print_tracks(tracked)
         if output is not None:
             print(output / "index.html")

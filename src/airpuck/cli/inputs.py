@@ -50,3 +50,18 @@ def read_flight(recording: Path, topics: Path | None) -> Recording:
     from airpuck.recording.topics import read_topics
 
     return read_recording(recording, topics=None if topics is None else read_topics(topics))
+
+
+def known_flights(models: list[str]) -> list[Path | None]:
+    """Find the paper's flights with these models in $AIRPUCK_DATA, if that is set."""
+    import os
+
+    from airpuck.recording.dataset import VARIABLE
+
+    folder = os.environ.get(VARIABLE)
+    flights = []
+    for model in models:
+        path = Path(folder or "") / "control_experiment" / f"data_{model.removeprefix('paper:')}"
+        published = model.startswith("paper:") and bool(folder) and path.is_dir()
+        flights.append(path if published else None)
+    return flights

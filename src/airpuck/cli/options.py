@@ -43,3 +43,10 @@ ModelName = Annotated[
         metavar="MODEL", help="A model.toml, the authors' params.json, or paper:M0 … M4."
     ),
 ]
+TwinFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--twin", metavar="FILE", help="Table, sensors, radio, faults; by default the packaged."
+    ),
+]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of everything random.", min=0)]

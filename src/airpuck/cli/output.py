@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.flight.replay import Replay
     from airpuck.identification.method import Iteration
+    from airpuck.twin.tracking_study import Tracked
 
 
 def say(quiet: bool) -> Any:
@@ -110,3 +111,23 @@ def print_replay(replay: Replay) -> None:
     print(f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items()))
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     print(f"{figures['steps']} of {len(replay.time)} steps compared; outcomes: {outcomes}")
+
+
+def print_tracks(flights: list[Tracked]) -> None:
+    """Print what became of the set points."""
+    for flight in flights:
+        for result in flight.results:
+            x, y, yaw = result.steady_state_error
+            settled = result.settling_time
+            print(
+                f"{flight.model:8s} to ({result.pose[0]:4.1f}, {result.pose[1]:4.1f}, "
+                f"{result.pose[2]:4.1f}): "
+                f"{'did not settle' if settled is None else f'settled in {settled:.2f} s':18s} "
+                f"off by {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad at the end"
+            )
+        if flight.rmse is not None:
+            x, y, yaw = flight.rmse
+            print(
+                f"{flight.model:8s} twin against the real flight, 0.5 to 6.5 s: "
+                f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
+            )

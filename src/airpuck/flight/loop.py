@@ -16,7 +16,10 @@ from airpuck.flight.link import Link, Measurement
 class Pilot(Protocol):
     """Computes commands: a `TrackingController`, or one that adds an excitation to it."""
 
-    reference: Reference
+    @property
+    def reference(self) -> Reference:
+        """What the craft is to track."""
+        ...
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Take note of a pose."""

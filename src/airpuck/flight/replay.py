@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.control.lqr import regulator
-from airpuck.control.reference import Reference, SetPoints, Target
+from airpuck.control.reference import Target
 from airpuck.control.tracking import Status, TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.errors import InputError
 from airpuck.estimate.kalman import Estimate
+from airpuck.flight.track import recorded_set_points
 from airpuck.model.rigid_body import acceleration_map
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model
@@ -201,7 +202,7 @@ def replay(
     latency = np.median(pose.received_ns - pose.stamp_ns) * 1e-9
     controller = TrackingController(
         model,
-        _reference(recording, aligned.epoch),
+        recorded_set_points(recording, aligned.epoch),
         tuning,
         compensate_delay=compensate_delay,
         reject_disturbance=reject_disturbance,
@@ -231,14 +232,6 @@ def replay(
         motors=model.vehicle.propeller_names,
         compared=compared & known,
     )
-
-
-def _reference(recording: Recording, epoch: float) -> Reference:
-    """Return the recorded set points, on the time axis that begins at `epoch`."""
-    logged = recording["reference"]
-    times = logged.received_ns * 1e-9 - epoch
-    first = np.concatenate([[True], np.diff(times) > 0])
-    return SetPoints(times[first].tolist(), [tuple(p) for p in logged.values[first, :3].tolist()])
 
 
 def _fly_through(

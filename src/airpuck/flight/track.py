@@ -1,0 +1,265 @@
+"""How well a flight kept to its set points, the same for simulated and for real ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import SetPoints
+from airpuck.errors import InputError
+from airpuck.preprocessing.clock import align_clocks
+from airpuck.preprocessing.derivative import unwrap_yaw
+from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
+from airpuck.recording.stream import Recording
+from airpuck.vehicle import Vehicle, match_columns
+
+#: A set point counts as reached within these distances [m, m, rad].
+TOLERANCE = (0.02, 0.02, 0.05)
+#: The steady state is the mean over the last second of a dwell, or its last quarter if it is short.
+_STEADY_S, _STEADY_SHARE = 1.0, 0.25
+
+
+@dataclass(frozen=True)
+class SetPointResult:
+    """What became of one set point.
+
+    Attributes
+    ----------
+    start, stop : float
+        When it was in force [s].
+    pose : tuple of float
+        x, y [m], yaw [rad].
+    settling_time : float or None
+        Until the pose stays within `TOLERANCE`; None if it does not [s].
+    overshoot : tuple of float
+        How far x, y, yaw went beyond, seen from where they were at the start [m, m, rad].
+    steady_state_error : tuple of float
+        Mean pose minus set point at the end of the dwell [m, m, rad].
+    effort : float
+        Mean over the dwell of the sum of squared commands above the lowest.
+    """
+
+    start: float
+    stop: float
+    pose: tuple[float, float, float]
+    settling_time: float | None
+    overshoot: tuple[float, float, float]
+    steady_state_error: tuple[float, float, float]
+    effort: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            All attributes; vectors as ``x_m``, ``y_m``, ``yaw_rad``.
+        """
+        return {
+            "start_s": self.start,
+            "stop_s": self.stop,
+            "set_point": _named(self.pose),
+            "settling_time_s": self.settling_time,
+            "overshoot": _named(self.overshoot),
+            "steady_state_error": _named(self.steady_state_error),
+            "effort": self.effort,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A flight to set points.
+
+    Attributes
+    ----------
+    label : str
+        What flew.
+    time : array, shape (N,)
+        Times of the poses, from the first command on [s].
+    pose : array, shape (N, 3)
+        x, y [m], yaw, continuous [rad].
+    set_points : SetPoints
+        What was asked for, on the same time axis.
+    command_time : array, shape (K,)
+        [s].
+    command : array, shape (K, n)
+        Motor commands.
+    motors : tuple of str
+        Names of the motors.
+    command_min : float
+        The lowest command.
+    """
+
+    label: str
+    time: Float[np.ndarray, " N"]
+    pose: Float[np.ndarray, "N 3"]
+    set_points: SetPoints
+    command_time: Float[np.ndarray, " K"]
+    command: Float[np.ndarray, "K n"]
+    motors: tuple[str, ...]
+    command_min: float
+
+    @classmethod
+    def of(cls, recording: Recording, vehicle: Vehicle, label: str) -> Track:
+        """Read a flight off a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+            Poses, commands and references.
+        vehicle : Vehicle
+            The craft.
+        label : str
+            What flew.
+
+        Returns
+        -------
+        Track
+            The flight.
+
+        Raises
+        ------
+        InputError
+            If a stream is missing or cannot be used.
+        """
+        pose, command = recording["pose"], recording["command"]
+        order = match_columns(vehicle, command.columns, source=recording.source)
+        aligned = align_clocks(pose, command)
+        check_poses(pose, aligned.pose_time, recording.source)
+        check_commands(command, aligned.command_time, recording.source)
+        poses = drop_disorder(aligned.pose_time, pose.values, "pose")
+        commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
+        start = float(commands.time[0])
+        set_points = recorded_set_points(recording, aligned.epoch + start)
+        return cls(
+            label=label,
+            time=poses.time - start,
+            pose=np.column_stack([poses.values[:, :2], unwrap_yaw(poses.values[:, 2])]),
+            set_points=set_points,
+            command_time=commands.time - start,
+            command=commands.values,
+            motors=vehicle.propeller_names,
+            command_min=vehicle.command_min,
+        )
+
+    def results(self) -> list[SetPointResult]:
+        """Measure what became of each set point.
+
+        Returns
+        -------
+        list of SetPointResult
+            In order; a set point that was in force for fewer than ten poses is left out.
+        """
+        times = self.set_points.times
+        stops = np.append(times[1:], self.time[-1])
+        found = []
+        for start, stop, pose in zip(times, stops, self.set_points.poses, strict=True):
+            inside = (self.time >= start) & (self.time < stop)
+            if inside.sum() >= 10:
+                found.append(self._result(float(start), float(stop), pose, inside))
+        return found
+
+    def _result(
+        self,
+        start: float,
+        stop: float,
+        pose: Float[np.ndarray, " 3"],
+        inside: Any,
+    ) -> SetPointResult:
+        """Measure one set point."""
+        time, error = self.time[inside], self.pose[inside] - pose
+        # The nearest of the yaws that are the same orientation, where the dwell ends.
+        error[:, 2] -= 2 * np.pi * np.round(error[-1, 2] / (2 * np.pi))
+        outside = np.flatnonzero((np.abs(error) > TOLERANCE).any(axis=1))
+        if len(outside) == 0:
+            settled = 0.0
+        elif outside[-1] == len(error) - 1:
+            settled = None
+        else:
+            settled = float(time[outside[-1] + 1] - start)
+        beyond = np.max(-np.sign(error[0]) * error, axis=0, initial=0.0)
+        steady = time >= stop - min(_STEADY_S, _STEADY_SHARE * (stop - start))
+        given = (self.command_time >= start) & (self.command_time < stop)
+        above = self.command[given] - self.command_min
+        return SetPointResult(
+            start=start,
+            stop=stop,
+            pose=_triple(pose),
+            settling_time=settled,
+            overshoot=_triple(beyond),
+            steady_state_error=_triple(error[steady].mean(axis=0)),
+            effort=float((above**2).sum(axis=1).mean()) if given.any() else 0.0,
+        )
+
+    def difference(
+        self, other: Track, span: tuple[float, float] = (0.5, 6.5)
+    ) -> Float[np.ndarray, "M 3"]:
+        """Compare with another flight, at this one's poses.
+
+        Parameters
+        ----------
+        other : Track
+            Flown to the same set points at the same times.
+        span : (float, float), default (0.5, 6.5)
+            Times to compare [s].
+
+        Returns
+        -------
+        array, shape (M, 3)
+            The other's pose minus this one's, yaw wrapped [m, m, rad].
+
+        Raises
+        ------
+        InputError
+            If the flights have no time in common.
+        """
+        stop = min(span[1], self.time[-1], other.time[-1])
+        inside = (self.time >= max(span[0], other.time[0])) & (self.time <= stop)
+        if not inside.any():
+            raise InputError(f"{self.label} and {other.label} have no time in common")
+        apart = [
+            np.interp(self.time[inside], other.time, other.pose[:, i]) - self.pose[inside, i]
+            for i in range(3)
+        ]
+        apart[2] = (apart[2] + np.pi) % (2 * np.pi) - np.pi
+        return np.stack(apart, axis=1)
+
+
+def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
+    """Return the set points that a recording logged.
+
+    Parameters
+    ----------
+    recording : Recording
+        With a stream ``reference``.
+    epoch : float
+        The recorder's time at which the time axis begins [s].
+
+    Returns
+    -------
+    SetPoints
+        On that axis; repeated times count once.
+
+    Raises
+    ------
+    InputError
+        If there are none, or they are not finite.
+    """
+    logged = recording["reference"]
+    times = logged.received_ns * 1e-9 - epoch
+    first = np.concatenate([[True], np.diff(times) > 0])
+    return SetPoints(times[first].tolist(), [tuple(p) for p in logged.values[first, :3].tolist()])
+
+
+def _triple(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    """Return three plain numbers."""
+    x, y, yaw = values.tolist()
+    return x, y, yaw
+
+
+def _named(values: tuple[float, float, float]) -> dict[str, float]:
+    """Name the channels."""
+    return dict(zip(("x_m", "y_m", "yaw_rad"), values, strict=True))

@@ -1,0 +1,93 @@
+"""A recorded flight as a moving picture."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+from airpuck.errors import InputError
+from airpuck.files import replacing
+from airpuck.recording.stream import Recording
+from airpuck.report.animation_frames import TABLE, read_scene
+from airpuck.vehicle import Vehicle, default_vehicle
+
+#: Browsers show a GIF that asks for more than this slowly instead [1/s].
+_FASTEST_GIF = 50
+
+
+def animate(
+    recording: Recording,
+    path: str | os.PathLike[str],
+    *,
+    vehicle: Vehicle | None = None,
+    span: tuple[float, float] = (0.0, 1.0),
+    speed: float = 1.0,
+    frames_per_second: float = 25.0,
+    table: tuple[float, float] = TABLE,
+) -> Path:
+    """Show a flight from above: the craft on its table, its thrusts, its set point.
+
+    Parameters
+    ----------
+    recording : Recording
+        Poses and commands, and set points where it has any.
+    path : path-like
+        What to write: ``.gif``, or ``.html`` for a page to play, pause and search in.
+    vehicle : Vehicle, optional
+        The craft; by default the paper's.
+    span : (float, float), default (0, 1)
+        Part of the flight, as fractions of its length.
+    speed : float, default 1
+        Seconds of the flight for each second of the animation; a page begins with it.
+    frames_per_second : float, default 25
+        Frames of a GIF for each second [1/s], 50 at most; a page has as many as the screen.
+    table : (float, float), default (2.2, 1.1)
+        Length and width of the table around the origin [m]. It is not drawn if the flight leaves
+        it.
+
+    Returns
+    -------
+    Path
+        The file. An existing one is replaced when the new one is complete.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, a number is out of range, the span is empty, the recording has no
+        poses or commands or they cannot be used, the vehicle has other propellers, or the file
+        cannot be written.
+
+    Examples
+    --------
+    >>> animate(read_recording("flight_07"), "flight.gif", span=(0.2, 0.8))  # doctest: +SKIP
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in (".gif", ".html"):
+        raise InputError("is neither .gif nor .html; an animation is one of them", file=path)
+    _check_positive(speed, "speed")
+    _check_positive(frames_per_second, "frames per second")
+    if suffix == ".gif" and frames_per_second > _FASTEST_GIF:
+        raise InputError(
+            f"a GIF shows {_FASTEST_GIF} frames per second at most", field="frames per second"
+        )
+    for side in table:
+        _check_positive(side, "table")
+    scene = read_scene(recording, vehicle or default_vehicle(), span, table)
+    with replacing(target) as temporary:
+        if suffix == ".gif":
+            from airpuck.report.animation_gif import write_animation_gif
+
+            write_animation_gif(scene, temporary, speed=speed, frames_per_second=frames_per_second)
+        else:
+            from airpuck.report.animation_page import write_animation_page
+
+            write_animation_page(scene, temporary, speed=speed)
+    return target
+
+
+def _check_positive(number: float, field: str) -> None:
+    """Refuse what is no positive number."""
+    if not (math.isfinite(number) and number > 0):
+        raise InputError(f"{number:g} is not a positive number", field=field)

@@ -1,0 +1,405 @@
+"""What an animation of a flight shows, as numbers: where everything is at any moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.errors import InputError
+from airpuck.preprocessing.clock import Aligned, align_clocks
+from airpuck.preprocessing.quality import (
+    COMMAND_GAP_PERIODS,
+    GAP_PERIODS,
+    check_commands,
+    check_poses,
+    drop_disorder,
+    find_frozen,
+)
+from airpuck.recording.stream import Recording, Stream
+from airpuck.vehicle import Vehicle, match_columns
+
+#: Length and width of the authors' air-hockey table; its centre is the origin [m].
+TABLE = (2.2, 1.1)
+#: How far back the trail reaches [s].
+TRAIL = 2.5
+#: Poses farther apart in time than this are not connected [s].
+_LONGEST_PAUSE = 0.05
+#: A flight may reach this far beyond the rails, for motion capture is not exactly centred [m].
+_BEYOND_RAILS = 0.05
+#: Room around a flight that is not shown with its table [m].
+_MARGIN = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A part of a flight, ready to be shown.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The craft.
+    name : str
+        What the recording is called.
+    start, stop : float
+        The part shown, on the time axis of `align_clocks` [s].
+    time : array, shape (N,)
+        Times of the poses, strictly increasing [s].
+    pose : array, shape (N, 3)
+        x, y [m], yaw (continuous) [rad].
+    pause : float
+        Poses farther apart in time than this belong to different stretches [s].
+    command_time : array, shape (K,)
+        Times of the commands, strictly increasing [s].
+    command : array, shape (K, n)
+        Motor commands in [0, 1], in the order of the vehicle's propellers.
+    command_pause : float
+        A command holds no longer than this; then nothing is known [s].
+    reference_time : array, shape (R,)
+        When each set point was given, strictly increasing; empty where none was recorded [s].
+    reference : array, shape (R, 3)
+        Set points: x, y [m], yaw [rad].
+    table : (float, float) or None
+        Length and width of the table around the origin [m]; None if the flight is not on it.
+    view : (float, float, float, float)
+        What to show: least and largest x, least and largest y [m].
+    """
+
+    vehicle: Vehicle
+    name: str
+    start: float
+    stop: float
+    time: Float[np.ndarray, " N"]
+    pose: Float[np.ndarray, "N 3"]
+    pause: float
+    command_time: Float[np.ndarray, " K"]
+    command: Float[np.ndarray, "K n"]
+    command_pause: float
+    reference_time: Float[np.ndarray, " R"]
+    reference: Float[np.ndarray, "R 3"]
+    table: tuple[float, float] | None
+    view: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """A flight at chosen moments.
+
+    Attributes
+    ----------
+    time : array, shape (F,)
+        The moments [s].
+    pose : array, shape (F, 3)
+        Where the craft is, or where it was last seen: x, y [m], yaw (continuous) [rad].
+    known : array of bool, shape (F,)
+        Whether it was seen at that moment.
+    command : array, shape (F, n)
+        The command in force; NaN where none is.
+    reference : array, shape (F, 3)
+        The set point, its yaw within half a turn of the craft's; NaN before the first.
+    """
+
+    time: Float[np.ndarray, " F"]
+    pose: Float[np.ndarray, "F 3"]
+    known: Bool[np.ndarray, " F"]
+    command: Float[np.ndarray, "F n"]
+    reference: Float[np.ndarray, "F 3"]
+
+
+def read_scene(
+    recording: Recording,
+    vehicle: Vehicle,
+    span: tuple[float, float] = (0.0, 1.0),
+    table: tuple[float, float] = TABLE,
+) -> Scene:
+    """Take from a recording what an animation shows.
+
+    Poses that are not finite are left out, and so are poses that repeat exactly for longer than the
+    longest pause: what is missing is then a gap.
+
+    Parameters
+    ----------
+    recording : Recording
+        At least poses and commands.
+    vehicle : Vehicle
+        The craft; its propellers have the names of the command's columns.
+    span : (float, float), default (0, 1)
+        Part to show, as fractions of its length.
+    table : (float, float), default (2.2, 1.1)
+        Length and width of the table [m].
+
+    Returns
+    -------
+    Scene
+        The part. A flight that leaves the table is shown without it.
+
+    Raises
+    ------
+    InputError
+        If there are no poses or no commands, they cannot be used, or the span is empty.
+    """
+    _check_span(span)
+    pose, command = recording["pose"], recording["command"]
+    order = match_columns(vehicle, command.columns, source=recording.source)
+    aligned = align_clocks(pose, command)
+    time, poses = _poses(pose, aligned, recording.source)
+    command_time, commands = _usable(command, aligned.command_time, "command")
+    check_commands(_with_values(command, commands), command_time, recording.source)
+    reference_time, reference = _references(recording, pose, aligned.epoch)
+
+    start, stop = (float(time[0] + share * (time[-1] - time[0])) for share in span)
+    shown = (time >= start) & (time <= stop)
+    if shown.sum() < 2:
+        raise InputError(f"{span[0]:g} {span[1]:g} leaves fewer than two poses", field="span")
+    in_force = _in_force(command_time, start, stop)
+    asked = _in_force(reference_time, start, stop)
+    rails, view = _surroundings(
+        np.concatenate([poses[shown, :2], reference[asked, :2]]), vehicle.radius_m, table
+    )
+    return Scene(
+        vehicle=vehicle,
+        name=Path(recording.source).name,
+        start=start,
+        stop=stop,
+        time=time[shown],
+        pose=poses[shown],
+        pause=_longest_pause(time),
+        command_time=command_time[in_force],
+        command=commands[in_force][:, order],
+        command_pause=COMMAND_GAP_PERIODS * _period(command_time),
+        reference_time=reference_time[asked],
+        reference=reference[asked],
+        table=rails,
+        view=view,
+    )
+
+
+def _check_span(span: tuple[float, float]) -> None:
+    """Refuse what is no part of a recording."""
+    if not 0 <= span[0] < span[1] <= 1:
+        raise InputError(
+            f"{span[0]:g} {span[1]:g} is no part of a recording; give two fractions of its "
+            "length, 0 <= A < B <= 1",
+            field="span",
+        )
+
+
+def _poses(
+    pose: Stream, aligned: Aligned, source: str
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """Return times and poses that were really measured, the yaw continuous."""
+    time, values = _usable(pose, aligned.pose_time, "pose")
+    if len(time) < 2:
+        raise InputError("has fewer than two finite poses; there is nothing to show", file=source)
+    check_poses(_with_values(pose, values), time, source)
+    fresh = np.ones(len(time), dtype=bool)
+    for span in find_frozen(time, values):
+        if span.stop - span.start > _longest_pause(time):
+            fresh[(time > span.start) & (time <= span.stop)] = False
+    fresh[-1] = True  # the flight is as long as it was, even where its end is frozen
+    time, values = time[fresh], values[fresh].copy()
+    values[:, 2] = np.unwrap(values[:, 2])
+    return time, values
+
+
+def _usable(
+    stream: Stream, time: Float[np.ndarray, " N"], kind: str
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M k"]]:
+    """Return the finite samples in strictly increasing time."""
+    finite = np.isfinite(stream.values).all(axis=1)
+    cleaned = drop_disorder(time[finite], stream.values[finite], kind)
+    return cleaned.time, cleaned.values
+
+
+def _with_values(stream: Stream, values: Float[np.ndarray, "M k"]) -> Stream:
+    """Return a stream with other values; its stamps mean nothing."""
+    stamps = np.zeros(len(values), dtype=np.int64)
+    return Stream(stamps, stamps, values, stream.columns)
+
+
+def _references(
+    recording: Recording, pose: Stream, epoch: float
+) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, "R 3"]]:
+    """Return times and poses of the set points, on the clock of the poses."""
+    stream = recording.streams.get("reference")
+    if stream is None or len(stream) == 0:
+        return np.zeros(0), np.zeros((0, 3))
+    aligned = align_clocks(pose, stream)
+    time, values = _usable(stream, aligned.command_time + (aligned.epoch - epoch), "reference")
+    return time, values[:, :3]
+
+
+def _in_force(time: Float[np.ndarray, " K"], start: float, stop: float) -> slice:
+    """Return the samples that are in force at some moment of a span."""
+    first = int(np.searchsorted(time, start, side="right")) - 1
+    return slice(max(first, 0), int(np.searchsorted(time, stop, side="right")))
+
+
+def _period(time: Float[np.ndarray, " K"]) -> float:
+    """Return the median time between samples; infinite for fewer than two."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
+
+
+def _longest_pause(time: Float[np.ndarray, " N"]) -> float:
+    """Return how far apart in time two poses may be that belong together."""
+    return max(_LONGEST_PAUSE, GAP_PERIODS * _period(time))
+
+
+def _surroundings(
+    points: Float[np.ndarray, "N 2"], radius: float, table: tuple[float, float]
+) -> tuple[tuple[float, float] | None, tuple[float, float, float, float]]:
+    """Return the table, if the craft stays on it, and what to show of the plane."""
+    half = np.array(table) / 2
+    if np.all(np.abs(points) + radius <= half + _BEYOND_RAILS):
+        return table, (-half[0], half[0], -half[1], half[1])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    reach = (high - low) / 2 + radius + _MARGIN
+    reach = np.max(reach / half) * half  # in the proportions of the table
+    x, y = middle[0], middle[1]
+    return None, (x - reach[0], x + reach[0], y - reach[1], y + reach[1])
+
+
+def frame_times(
+    start: float, stop: float, speed: float, frames_per_second: float
+) -> Float[np.ndarray, " F"]:
+    """Return the moments that are shown.
+
+    Parameters
+    ----------
+    start, stop : float
+        First and last moment of the flight [s].
+    speed : float
+        Seconds of the flight for each second of the animation.
+    frames_per_second : float
+        Frames for each second of the animation.
+
+    Returns
+    -------
+    array, shape (F,)
+        Evenly spaced from `start` on, none after `stop` [s].
+    """
+    step = speed / frames_per_second
+    # A hair's breadth more, so that rounding does not lose the last frame.
+    return start + step * np.arange(int((stop - start) / step * (1 + 1e-9)) + 1)
+
+
+def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
+    """Say where everything is at given moments.
+
+    Parameters
+    ----------
+    scene : Scene
+        The flight.
+    time : array, shape (F,)
+        Moments [s].
+
+    Returns
+    -------
+    Frames
+        Poses are interpolated linearly, but not across a gap; commands and set points are held.
+    """
+    after = np.searchsorted(scene.time, time, side="right").clip(1, len(scene.time) - 1)
+    before = after - 1
+    apart = scene.time[after] - scene.time[before]
+    share = np.clip((time - scene.time[before]) / apart, 0.0, 1.0)
+    known = (apart <= scene.pause) | (share == 0) | (share == 1)
+    share = np.where(known, share, 0.0)[:, None]
+    pose = (1 - share) * scene.pose[before] + share * scene.pose[after]
+    reference = _held(scene.reference_time, scene.reference, time, np.inf)
+    reference[:, 2] = nearest_turn(reference[:, 2], pose[:, 2])
+    command = _held(scene.command_time, scene.command, time, scene.command_pause)
+    return Frames(time, pose, known, command, reference)
+
+
+def nearest_turn(angle: Float[np.ndarray, " F"], to: Float[np.ndarray, " F"]) -> np.ndarray:
+    """Return angles moved by whole turns until they are nearest to others.
+
+    Parameters
+    ----------
+    angle : array, shape (F,)
+        Angles, possibly NaN [rad].
+    to : array, shape (F,)
+        Where they should be near [rad].
+
+    Returns
+    -------
+    array, shape (F,)
+        The same directions, within half a turn of `to` [rad].
+    """
+    return angle + 2 * np.pi * np.round((to - angle) / (2 * np.pi))
+
+
+def _held(
+    times: Float[np.ndarray, " K"],
+    values: Float[np.ndarray, "K k"],
+    at: Float[np.ndarray, " F"],
+    longest: float,
+) -> Float[np.ndarray, "F k"]:
+    """Return the latest values at given moments; NaN before the first and long after one."""
+    held = np.full((len(at), values.shape[1]), np.nan)
+    latest = np.searchsorted(times, at, side="right") - 1
+    some = latest >= 0
+    some[some] = at[some] - times[latest[some]] <= longest
+    held[some] = values[latest[some]]
+    return held
+
+
+def thinned(scene: Scene, rate: float = 120.0) -> Scene:
+    """Return a scene with no more poses than a screen can show.
+
+    Parameters
+    ----------
+    scene : Scene
+        The flight.
+    rate : float, default 120
+        Poses for each second that are enough [1/s].
+
+    Returns
+    -------
+    Scene
+        Every k-th pose, counted anew after every gap; the ends of every stretch stay.
+    """
+    every = max(1, int(1 / (rate * _period(scene.time)) * (1 + 1e-6)))
+    jump = np.diff(scene.time) > scene.pause
+    first = np.flatnonzero(np.concatenate([[True], jump]))
+    number = np.arange(len(scene.time)) - np.repeat(first, np.diff(first, append=len(scene.time)))
+    kept = (number % every == 0) | np.concatenate([jump, [True]])
+    return replace(scene, time=scene.time[kept], pose=scene.pose[kept])
+
+
+def trail(
+    scene: Scene, until: float, seconds: float
+) -> tuple[Float[np.ndarray, "S 2 2"], Float[np.ndarray, " S"]]:
+    """Return the path that the craft has just come along.
+
+    Parameters
+    ----------
+    scene : Scene
+        The flight.
+    until : float
+        Now [s].
+    seconds : float
+        How far back the trail reaches [s].
+
+    Returns
+    -------
+    lines : array, shape (S, 2, 2)
+        Both ends of short lines, oldest first [m]; none where there are no poses.
+    age : array, shape (S,)
+        Time since the newer end of each, as a share of `seconds`.
+    """
+    since = until - seconds
+    inside = (scene.time > since) & (scene.time < until)
+    # The trail begins and ends between poses.
+    ends = np.array([max(since, scene.time[0]), min(until, scene.time[-1])])
+    points = frames_at(scene, ends)
+    time = np.concatenate([ends[:1], scene.time[inside], ends[1:]])
+    position = np.concatenate([points.pose[:1, :2], scene.pose[inside, :2], points.pose[1:, :2]])
+    joined = np.diff(time) <= scene.pause
+    joined[0] &= points.known[0]
+    joined[-1] &= points.known[1]
+    lines = np.stack([position[:-1], position[1:]], axis=1)[joined]
+    return lines, ((until - time[1:]) / seconds)[joined]

@@ -1,0 +1,162 @@
+"""An animation as one page that needs nothing from outside: play, pause, search, look closely."""
+
+from __future__ import annotations
+
+import json
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.colors import to_rgb
+
+from airpuck.report.animation_frames import TRAIL, Scene, thinned
+from airpuck.report.animation_shapes import (
+    ASKED,
+    FLOOR,
+    GRID,
+    HEAD_LENGTH,
+    HEAD_WIDTH,
+    HOLES,
+    RAIL,
+    SHAFT,
+    arrow_scale,
+    heading_mark,
+    propeller_size,
+    round_thrust,
+    short_names,
+)
+from airpuck.report.style import BLACK, GREY, propeller_colors
+from airpuck.vehicle import Vehicle
+
+#: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
+_UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
+#: Speeds to choose from.
+_PACES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+_STATES = (("x", "m"), ("y", "m"), ("yaw", "rad"))
+
+
+def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
+    """Write an HTML page with the flight within it.
+
+    Parameters
+    ----------
+    scene : Scene
+        The flight; as many of its poses as a screen can show are stored.
+    path : Path
+        The file to write.
+    speed : float
+        Seconds of the flight for each second that the page begins with.
+    """
+    import jinja2
+    import markupsafe
+
+    source = (resources.files("airpuck") / "packaged" / "animation.html.jinja").read_text("utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    x0, x1, y0, y1 = scene.view
+    flight = json.dumps(flight_data(scene), separators=(",", ":"), allow_nan=False)
+    page = environment.from_string(source).render(
+        craft=scene.vehicle.name,
+        recording=scene.name,
+        colors=_COLORS,
+        aspect=f"{(x1 - x0 + 0.14) / (y1 - y0 + 0.13):.4f}",
+        motors_height=f"{2.4 + max(5.4, 1.1 * scene.vehicle.n_propellers):.2f}",
+        paces=sorted({*_PACES, float(speed)}),
+        speed=float(speed),
+        trail=TRAIL,
+        key=round_thrust(scene.vehicle),
+        has_reference=len(scene.reference) > 0,
+        states=_STATES,
+        # Within a script only "<" could end it; in a string of JSON this is the same letter.
+        flight=markupsafe.Markup(flight.replace("<", "\\u003c")),
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+_COLORS: dict[str, Any] = {
+    "ink": BLACK,
+    "grey": GREY,
+    "asked": ASKED,
+    "floor": FLOOR,
+    "holes": HOLES,
+    "grid": GRID,
+    "rail": RAIL,
+    "inkRgb": [round(255 * part) for part in to_rgb(BLACK)],
+    "floorRgb": [round(255 * part) for part in to_rgb(FLOOR)],
+}
+
+
+def flight_data(scene: Scene) -> dict[str, Any]:
+    """Return what the page's script draws, as values that JSON knows.
+
+    Parameters
+    ----------
+    scene : Scene
+        The flight.
+
+    Returns
+    -------
+    dict
+        Streams as differences of whole numbers, each the first value and then the changes, in
+        multiples of ``units``; 120 poses for each second at most, all commands and set points.
+    """
+    shown = thinned(scene)
+    return {
+        "start": round(scene.start, 6),
+        "stop": round(scene.stop, 6),
+        "units": _UNITS,
+        "pose": _poses(shown.time, shown.pose),
+        "pause": scene.pause + _UNITS["time"],
+        "command": {
+            "time": _changes(scene.command_time, "time"),
+            "motors": [_changes(motor, "command") for motor in scene.command.T],
+        },
+        "commandPause": scene.command_pause if math.isfinite(scene.command_pause) else None,
+        "reference": _poses(scene.reference_time, scene.reference),
+        "table": scene.table,
+        "view": scene.view,
+        "trail": TRAIL,
+        "craft": _craft(scene.vehicle),
+        "colors": _COLORS,
+    }
+
+
+def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dict[str, list[int]]:
+    """Return times and poses as changes."""
+    return {
+        "time": _changes(time, "time"),
+        "x": _changes(pose[:, 0], "length"),
+        "y": _changes(pose[:, 1], "length"),
+        "yaw": _changes(pose[:, 2], "angle"),
+    }
+
+
+def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:
+    """Return numbers as changes of whole multiples of a unit: short, and errors do not add up."""
+    whole = np.rint(values / _UNITS[unit]).astype(np.int64)
+    return np.diff(whole, prepend=0).tolist()
+
+
+def _craft(vehicle: Vehicle) -> dict[str, Any]:
+    """Return the shape of the craft and of its arrows."""
+    return {
+        "radius": vehicle.radius_m,
+        "positions": vehicle.positions.tolist(),
+        "directions": vehicle.directions.tolist(),
+        "thrust": vehicle.nominal_thrust.tolist(),
+        "names": short_names(vehicle.propeller_names),
+        "colors": propeller_colors(vehicle),
+        "propeller": propeller_size(vehicle),
+        "mark": heading_mark(vehicle).tolist(),
+        "key": round_thrust(vehicle),
+        "arrow": {
+            "scale": arrow_scale(vehicle),
+            "shaft": SHAFT,
+            "headWidth": HEAD_WIDTH,
+            "headLength": HEAD_LENGTH,
+        },
+    }

@@ -1,0 +1,159 @@
+"""Experiments on the twin: excitation, and tracking of set points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.excitation import Excitation
+from airpuck.control.reference import Reference
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Tuning
+from airpuck.errors import InputError
+from airpuck.flight.loop import FlightLog, fly
+from airpuck.model_file import Model, nominal_model
+from airpuck.recording.stream import Recording
+from airpuck.twin.plant import Plant
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin
+
+
+def excite(
+    model: Model,
+    duration: float = 90.0,
+    seed: int = 0,
+    *,
+    amplitude: float = 1.0,
+    hold: float = 0.2,
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+    plant: Plant | None = None,
+) -> Recording:
+    """Fly the excitation experiment on the twin (sec:experiment).
+
+    The controller knows only the vehicle's nominal values, as before a first identification.
+
+    Parameters
+    ----------
+    model : Model
+        The truth of the twin.
+    duration : float, default 90
+        Length [s].
+    seed : int, default 0
+        Seed of signals, noise and radio.
+    amplitude : float, default 1
+        Largest signal.
+    hold : float, default 0.2
+        Time between changes of the signals [s].
+    settings : TwinSettings, optional
+        Table, sensors, radio, faults; by default the packaged ones.
+    tuning : Tuning, optional
+        Of the controller; by default the packaged one.
+    plant : Plant, optional
+        From `airpuck.twin.twin.build_plant`, to compile only once.
+
+    Returns
+    -------
+    Recording
+        As a recorder on the network would have logged it.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+    if not duration > 0:
+        raise InputError("must be positive", field="duration")
+    settings = settings or default_twin_settings()
+    twin = Twin(model, settings, seed=seed, plant=plant)
+    pilot = Excitation(
+        nominal_model(model.vehicle),
+        tuning=tuning,
+        amplitude=amplitude,
+        hold=hold,
+        seed=seed,
+        table=settings.table,
+    )
+    fly(pilot, twin, duration, pilot.controller.tuning.period_s)
+    return replace(twin.recording(), source=f"excitation of {model.name} on the twin, seed {seed}")
+
+
+def track(
+    model: Model,
+    reference: Reference,
+    duration: float,
+    *,
+    truth: Model | None = None,
+    seed: int = 0,
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    gain: Float[np.ndarray, "3 6"] | None = None,
+    compensate_delay: bool = True,
+    reject_disturbance: bool = True,
+    on_board: bool = False,
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+    plant: Plant | None = None,
+) -> tuple[Recording, FlightLog]:
+    """Fly the twin along a reference.
+
+    Parameters
+    ----------
+    model : Model
+        What the controller believes the craft to be.
+    reference : Reference
+        What to track.
+    duration : float
+        Length [s].
+    truth : Model, optional
+        The truth of the twin; by default what the controller believes.
+    seed : int, default 0
+        Seed of noise and radio.
+    pose : tuple of float, default (0, 0, 0)
+        Where the craft stands at first [m, m, rad].
+    gain : array, shape (3, 6), optional
+        Of the regulator; by default that of the tuning's weights.
+    compensate_delay, reject_disturbance : bool, default True
+        See `TrackingController`.
+    on_board : bool, default False
+        Whether the controller uses the IMU and the optical sensor too.
+    settings : TwinSettings, optional
+        Table, sensors, radio, faults; by default the packaged ones.
+    tuning : Tuning, optional
+        Of the controller; by default the packaged one.
+    plant : Plant, optional
+        From `airpuck.twin.twin.build_plant`, to compile only once.
+
+    Returns
+    -------
+    recording : Recording
+        As a recorder on the network would have logged it.
+    log : FlightLog
+        What the controller did.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+    if not duration > 0:
+        raise InputError("must be positive", field="duration")
+    truth = truth or model
+    if truth.vehicle.n_propellers != model.vehicle.n_propellers:
+        raise InputError(
+            f"the controller's model has {model.vehicle.n_propellers} propellers, the twin "
+            f"{truth.vehicle.n_propellers}"
+        )
+    twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
+    pilot = TrackingController(
+        model,
+        reference,
+        tuning,
+        gain=gain,
+        compensate_delay=compensate_delay,
+        reject_disturbance=reject_disturbance,
+    )
+    log = fly(pilot, twin, duration, pilot.tuning.period_s, on_board=on_board)
+    source = f"{model.name} tracking on a twin of {truth.name}, seed {seed}"
+    return replace(twin.recording(), source=source), log

@@ -1,0 +1,176 @@
+"""The tracking study: the paper's set points on the twin, beside the real flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.lqr import regulator
+from airpuck.control.reference import SetPoints
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.flight.replay import Gains, replay
+from airpuck.flight.track import SetPointResult, Track
+from airpuck.model_file import Model
+from airpuck.recording.stream import Recording
+from airpuck.twin.experiments import track
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import build_plant
+
+#: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from and back to the middle.
+SET_POINTS = ((0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.5, -0.3, -1.0), (0.0, 0.0, 0.0))
+#: Time before the first one [s], and from one to the next in the paper [s].
+_LEAD, DWELL = 0.9, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """One model's flight to the set points.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model that the controller believed.
+    gains : Gains
+        Of the regulator.
+    twin : Track
+        The flight on the twin.
+    real : Track or None
+        The real flight that it imitates.
+    outcomes : mapping of str to int
+        How many control steps ended how.
+    recording : Recording
+        Of the flight on the twin.
+    """
+
+    model: str
+    gains: Gains
+    twin: Track
+    real: Track | None
+    outcomes: Mapping[str, int]
+    recording: Recording
+
+    @property
+    def results(self) -> list[SetPointResult]:
+        """What became of the set points on the twin, the start in the middle left out."""
+        return self.twin.results()[-(len(SET_POINTS) - 1) :]
+
+    @property
+    def rmse(self) -> Float[np.ndarray, " 3"] | None:
+        """Difference between twin and real flight, 0.5 to 6.5 s, root mean square [m, m, rad]."""
+        if self.real is None:
+            return None
+        return np.sqrt(np.mean(self.real.difference(self.twin) ** 2, axis=0))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``model``, ``gains``, ``setpoints``, ``outcomes``, and where there is a real flight
+            ``against_flight`` (``rmse``) and ``flight_setpoints``.
+        """
+        figures: dict[str, Any] = {
+            "model": self.model,
+            "gains": vars(self.gains),
+            "setpoints": [result.to_json() for result in self.results],
+            "outcomes": dict(self.outcomes),
+        }
+        if self.real is not None and self.rmse is not None:
+            names = ("x_m", "y_m", "yaw_rad")
+            figures["against_flight"] = {
+                "rmse": dict(zip(names, self.rmse.tolist(), strict=True)),
+                "span_s": [0.5, 6.5],
+            }
+            real = self.real.results()[-(len(SET_POINTS) - 1) :]
+            figures["flight_setpoints"] = [result.to_json() for result in real]
+        return figures
+
+
+def tracking_study(
+    models: Sequence[Model],
+    truth: Model,
+    *,
+    flights: Sequence[Recording | None] = (),
+    dwell: float = DWELL,
+    seed: int = 0,
+    full_controller: bool = False,
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+) -> list[Tracked]:
+    """Fly the paper's set points on the twin with several models.
+
+    Beside a real flight the twin flies that flight's set points at its times, from where it
+    started, with the regulator's gains fitted to its log; otherwise the paper's set points with the
+    tuning's gains.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        What the controller believes, one flight each.
+    truth : Model
+        The truth of the twin.
+    flights : sequence of Recording or None, optional
+        The real flight of each model, if there is one.
+    dwell : float, default 2
+        Time from one set point to the next, where no flight is imitated [s].
+    seed : int, default 0
+        Seed of noise and radio.
+    full_controller : bool, default False
+        Whether the controller compensates the transport delay and rejects disturbances; the
+        paper's did neither.
+    settings : TwinSettings, optional
+        Table, sensors, radio, faults; by default the packaged ones.
+    tuning : Tuning, optional
+        Of the controller; by default the packaged one.
+
+    Returns
+    -------
+    list of Tracked
+        One for each model.
+
+    Raises
+    ------
+    InputError
+        If a model does not fit the twin, or a recording lacks a stream.
+    """
+    tuning = tuning or default_tuning()
+    settings = settings or default_twin_settings()
+    plant = build_plant(truth, settings)
+    found = []
+    padded = [*flights, *[None] * (len(models) - len(flights))]
+    for model, flight in zip(models, padded, strict=True):
+        if flight is None:
+            real = None
+            times = [0.0, *(_LEAD + dwell * np.arange(len(SET_POINTS) - 1)).tolist()]
+            set_points, pose = SetPoints(times, SET_POINTS), (0.0, 0.0, 0.0)
+            duration = _LEAD + dwell * (len(SET_POINTS) - 1)
+            gains = Gains.of(regulator(tuning.weights, tuning.period_s))
+        else:
+            real = Track.of(flight, model.vehicle, f"{model.name}, real")
+            gains = replay(flight, model, tuning=tuning, fit_gains=True).gains
+            set_points, duration = real.set_points, float(real.command_time[-1])
+            x, y, yaw = real.pose[int(np.searchsorted(real.time, 0.0))].tolist()
+            pose = (x, y, yaw)
+        recording, log = track(
+            model,
+            set_points,
+            duration,
+            truth=truth,
+            seed=seed,
+            pose=pose,
+            gain=gains.matrix(),
+            compensate_delay=full_controller,
+            reject_disturbance=full_controller,
+            settings=settings,
+            tuning=tuning,
+            plant=plant,
+        )
+        outcomes = {status: log.status.count(status) for status in sorted(set(log.status))}
+        twin = Track.of(recording, truth.vehicle, f"{model.name}, twin")
+        found.append(Tracked(model.name, gains, twin, real, outcomes, recording))
+    return found
