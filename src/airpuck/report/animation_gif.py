@@ -77,6 +77,7 @@ def write_animation_gif(
         path,
         stage.pictures(frames, range(len(frames.time))),
         list(stage.pictures(frames, some.tolist())),
+        [_rgb(color) for color in dict.fromkeys((*stage.colors, BLACK, GREY, ASKED))],
         frames_per_second,
     )
 
@@ -398,6 +399,12 @@ def _key(axes: Axes, x: float, words: str, per_inch: float) -> float:
     """Write an entry of the legend; return where the next may begin."""
     text = axes.text(x, 0, words, fontsize=8.5, va="center_baseline")
     return x + (text.get_window_extent().width / RESOLUTION + 0.3) * per_inch
+
+
+def _rgb(color: str) -> tuple[int, int, int]:
+    """Return red, green, blue in 0 … 255."""
+    red, green, blue = (round(255 * part) for part in to_rgb(color))
+    return red, green, blue
 
 
 def _blend(color: str, ground: str, share: Float[np.ndarray, " S"]) -> list[RGBColorType]:

@@ -20,6 +20,7 @@ def write_gif(
     path: Path,
     pictures: Iterable[UInt8[np.ndarray, "height width 3"]],
     samples: Sequence[UInt8[np.ndarray, "height width 3"]],
+    colors: Sequence[tuple[int, int, int]],
     frames_per_second: float,
 ) -> None:
     """Write pictures as an animation that repeats for ever.
@@ -33,12 +34,14 @@ def write_gif(
     pictures : iterable of array of uint8, shape (height, width, 3)
         Red, green, blue; taken one at a time.
     samples : sequence of array of uint8, shape (height, width, 3)
-        Some of the pictures, to choose the colours by.
+        Some of the pictures, to choose the palette by.
+    colors : sequence of (int, int, int)
+        Colours that must be exact, 128 at most: red, green, blue in 0 … 255.
     frames_per_second : float
         Pictures for each second. A GIF counts in hundredths; pictures are shown so much longer or
         shorter that the whole takes the right time.
     """
-    palette = _Palette(samples)
+    palette = _Palette(samples, colors)
     with path.open("wb") as file:
         before = None
         for number, picture in enumerate(pictures):
@@ -56,13 +59,18 @@ def write_gif(
 class _Palette:
     """Up to 255 colours, and for every colour which of them is nearest."""
 
-    def __init__(self, samples: Sequence[UInt8[np.ndarray, "height width 3"]]) -> None:
+    def __init__(
+        self,
+        samples: Sequence[UInt8[np.ndarray, "height width 3"]],
+        wanted: Sequence[tuple[int, int, int]],
+    ) -> None:
         together = np.concatenate(samples)
         codes, counts = np.unique(_codes(together), return_counts=True)
         common = _unpacked(codes[np.argsort(-counts, kind="stable")[:_EXACT]])
-        mixed = Image.fromarray(together).quantize(_COLORS - len(common), dither=Image.Dither.NONE)
+        exact = np.concatenate([np.array(wanted, dtype=np.uint8).reshape(-1, 3), common])
+        mixed = Image.fromarray(together).quantize(_COLORS - len(exact), dither=Image.Dither.NONE)
         others = np.array(mixed.getpalette(), dtype=np.uint8).reshape(-1, 3)
-        self.colors = np.concatenate([common, others])[:_COLORS]
+        self.colors = np.concatenate([exact, others])[:_COLORS]
         # Pillow looks colours up coarsely, which tints white; this table is exact. It fills as
         # colours come up.
         self._nearest = np.full(2**24, _UNCHANGED, dtype=np.uint8)

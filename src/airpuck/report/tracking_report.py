@@ -61,8 +61,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
             rows += [[f"{flight.model}, real flight", *_row(result)] for result in real]
     table = Table(
         "What became of each set point. Settled: within 20 mm and 0.05 rad. Steady-state error: "
-        "mean over the last second, or the last quarter of a short dwell. Effort: mean of the sum of "
-        "squared commands above the lowest.",
+        "mean over the last second, or the last quarter of a short dwell. Effort: mean of the sum "
+        "of squared commands above the lowest.",
         ["flight", "set point", "settled [s]", "overshoot", "steady-state error", "effort"],
         rows,
     )
@@ -82,14 +82,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
                 "Twin against the real flight, 0.5 to 6.5 s, root mean square.",
                 ["flight", "x [mm]", "y [mm]", "yaw [rad]"],
                 [
-                    [
-                        f.model,
-                        f"{1e3 * f.rmse[0]:.1f}",
-                        f"{1e3 * f.rmse[1]:.1f}",
-                        f"{f.rmse[2]:.3f}",
-                    ]
-                    for f in apart
-                    if f.rmse is not None
+                    [model, f"{1e3 * rmse[0]:.1f}", f"{1e3 * rmse[1]:.1f}", f"{rmse[2]:.3f}"]
+                    for model, rmse in apart
                 ],
             )
         )
