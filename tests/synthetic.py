@@ -7,8 +7,8 @@ import numpy as np
 from airpuck.model_file import Model, published_model
 from airpuck.recording.stream import Recording
 from airpuck.trajectory import Trajectory
-from airpuck.twin.random_flight import POSE_RATE as RATE
-from airpuck.twin.random_flight import random_flight, random_recording
+from tests.random_flight import POSE_RATE as RATE
+from tests.random_flight import random_flight, random_recording
 
 __all__ = ["RATE", "fly", "record"]
 

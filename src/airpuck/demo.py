@@ -1,29 +1,39 @@
-"""The whole way on simulated recordings: no download, no hardware."""
+"""The paper's study without hardware: fly, record, identify, validate, and fly with the result."""
 
 from __future__ import annotations
 
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from airpuck.model.presets import PRESETS
 from airpuck.model_file import published_model
 
-#: Length of the simulated recordings [s] and their seeds: to learn from, and to validate on.
-_DURATION, _SEEDS = 45.0, {"training": 1, "validation": 2}
+#: Excitation experiments: seeds of the one to learn from and the one to validate on.
+_SEEDS = {"training": 1, "validation": 2}
+#: Models that fly the set points.
+_PILOTS = ("M0", "M4")
 
 
-def demo(out: str | os.PathLike[str], *, progress: Callable[[str], None] = lambda _: None) -> Path:
-    """Simulate two recordings, preprocess them, identify M0 … M4, evaluate, and write a report.
+def demo(
+    out: str | os.PathLike[str],
+    *,
+    duration: float = 90.0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Fly the excitation experiment twice on the twin, identify M0 … M4, fly with the result.
 
-    The recordings are flights of the published M3 under random signals, with pose noise and
-    transport delay, saved and read back as ROS 2 bags.
+    The truth of the twin is the published M3; sensors and radio are as in the real recordings,
+    which are saved and read back as ROS 2 bags.
 
     Parameters
     ----------
     out : path-like
         Folder to write to; its ``bags`` are made anew.
+    duration : float, default 90
+        Length of each experiment [s].
     progress : callable, optional
         Told what is being done.
 
@@ -37,16 +47,21 @@ def demo(out: str | os.PathLike[str], *, progress: Callable[[str], None] = lambd
     from airpuck.preprocessing.pipeline import preprocess
     from airpuck.recording import read_recording, write_bag
     from airpuck.report.fit_report import fit_report
-    from airpuck.twin.random_flight import random_recording
+    from airpuck.report.tracking_report import tracking_sections
+    from airpuck.twin.experiments import excite
+    from airpuck.twin.tracking_study import tracking_study
+    from airpuck.twin.twin import build_plant
 
     out = Path(out)
-    truth = published_model("M3")
+    # The offset of a real craft's centre of mass turns with it.
+    truth = replace(published_model("M3"), frame="body", indexing="start")
+    plant = build_plant(truth)
     trajectories = {}
     for name, seed in _SEEDS.items():
         folder = out / "bags" / name
         shutil.rmtree(folder, ignore_errors=True)
-        progress(f"flying the {name} experiment: {_DURATION:g} s, simulated")
-        write_bag(random_recording(truth, _DURATION, seed), folder)
+        progress(f"flying the {name} experiment on the twin: {duration:g} s")
+        write_bag(excite(truth, duration, seed, plant=plant), folder)
         trajectories[name] = preprocess(read_recording(folder))
         delay = 1e3 * trajectories[name].delay
         progress(f"preprocessed {folder}: transport delay {delay:.1f} ms")
@@ -62,4 +77,20 @@ def demo(out: str | os.PathLike[str], *, progress: Callable[[str], None] = lambd
             f"{evaluation.model}: after 0.2 s off by {1e3 * x:.2f} mm, {1e3 * y:.2f} mm, "
             f"{yaw:.4f} rad"
         )
-    return fit_report(fits, evaluations, trajectories["training"], out, truth=truth)
+    pilots = [fit.model for fit in fits if fit.model.name in _PILOTS]
+    progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
+    flights = tracking_study(pilots, truth)
+    for flight in flights:
+        write_flight = out / "bags" / f"set_points_{flight.model}"
+        shutil.rmtree(write_flight, ignore_errors=True)
+        write_bag(flight.recording, write_flight)
+    progress("writing the report")
+    return fit_report(
+        fits,
+        evaluations,
+        trajectories["training"],
+        out,
+        truth=truth,
+        title="The paper's study on the twin",
+        more=tracking_sections(flights),
+    )

@@ -32,6 +32,7 @@ def fit_report(
     *,
     truth: Model | None = None,
     title: str | None = None,
+    more: Sequence[Section] = (),
 ) -> Path:
     """Write a report on one or several fits.
 
@@ -49,6 +50,8 @@ def fit_report(
         What the recordings were simulated with, to compare the model of the same name with.
     title : str, optional
         Heading of the page.
+    more : sequence of Section, optional
+        What else to say, before the sources.
 
     Returns
     -------
@@ -82,6 +85,7 @@ def fit_report(
         thrust_section(study),
         optimiser_section(study),
         parameter_section(study),
+        *more,
         sources_section(training),
     ]
     lead = (
