@@ -186,3 +186,33 @@ def track(
         print_tracks(tracked)
         if output is not None:
             print(output / "index.html")
+
+
+@app.command(rich_help_panel=PANEL)
+def animate(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSVs.")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="flight.gif or flight.html")
+    ],
+    span: Span = None,
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    speed: Annotated[float, typer.Option(help="Seconds of flight per second.")] = 1.0,
+    fps: Annotated[float, typer.Option(help="Frames of a GIF per second.")] = 25.0,
+) -> None:
+    """Show a flight from above, as a GIF or an interactive page."""
+    from airpuck.report.animation import animate
+
+    flight = read_flight(recording, topics)
+    print(
+        animate(
+            flight,
+            output,
+            vehicle=read_craft(vehicle),
+            span=span or (0.0, 1.0),
+            speed=speed,
+            frames_per_second=fps,
+        )
+    )

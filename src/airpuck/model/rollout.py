@@ -112,3 +112,29 @@ def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, input
         carry, output = body(carry, values)
         outputs.append(output)
     return carry, np.stack(outputs)
+
+
+def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
+    """Apply a function if a condition holds for any of a batch: `jax.lax.cond` under JAX.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    condition : array of bool
+        The function must leave what belongs to False as it is.
+    function : callable
+        From an array to one of the same shape.
+    value : array
+        What to apply it to.
+
+    Returns
+    -------
+    array
+        ``function(value)`` or ``value``.
+    """
+    if xp is not np:
+        import jax
+
+        return jax.lax.cond(condition.any(), function, lambda same: same, value)
+    return function(value) if condition.any() else value

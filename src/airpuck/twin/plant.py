@@ -11,7 +11,7 @@ import numpy as np
 
 from airpuck.model.compiled import for_real_time
 from airpuck.model.rigid_body import Dynamics
-from airpuck.model.rollout import step
+from airpuck.model.rollout import if_any, step
 from airpuck.model_file import Model
 from airpuck.table import Table
 
@@ -122,8 +122,14 @@ def advance(
     """
     state = step(xp, dynamics, state, command, duration)
     x_reach, y_reach = table.reach(disc.radius)
-    state = _bounce(xp, dynamics, disc, table, state, axis=0, reach=x_reach)
-    return _bounce(xp, dynamics, disc, table, state, axis=1, reach=y_reach)
+    beyond = (xp.abs(state[0]) > x_reach) | (xp.abs(state[1]) > y_reach)
+
+    def bounced(state: Any) -> Any:
+        state = _bounce(xp, dynamics, disc, table, state, axis=0, reach=x_reach)
+        return _bounce(xp, dynamics, disc, table, state, axis=1, reach=y_reach)
+
+    # A rail is met rarely, and its impulse costs more than the step of the integration.
+    return if_any(xp, beyond, bounced, state)
 
 
 def _bounce(
