@@ -143,7 +143,7 @@ def read_scene(
     _check_span(span)
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
-    aligned = align_clocks(pose, command)
+    aligned = _aligned(pose, command)
     time, poses = _poses(pose, aligned, recording.source)
     command_time, commands = _usable(command, aligned.command_time, "command")
     check_commands(_with_values(command, commands), command_time, recording.source)
@@ -186,6 +186,25 @@ def _check_span(span: tuple[float, float]) -> None:
         )
 
 
+def _aligned(pose: Stream, other: Stream) -> Aligned:
+    """Put two streams on one time axis, however short they are."""
+    # align_clocks looks at the quarters of a stream, and a flight may have a single set point.
+    four = align_clocks(*(_repeated(stream, 4) for stream in (pose, other)))
+    return replace(
+        four, pose_time=four.pose_time[: len(pose)], command_time=four.command_time[: len(other)]
+    )
+
+
+def _repeated(stream: Stream, times: int) -> Stream:
+    """Return a stream several times over."""
+    return Stream(
+        np.tile(stream.stamp_ns, times),
+        np.tile(stream.received_ns, times),
+        np.tile(stream.values, (times, 1)),
+        stream.columns,
+    )
+
+
 def _poses(
     pose: Stream, aligned: Aligned, source: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
@@ -209,6 +228,8 @@ def _usable(
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M k"]]:
     """Return the finite samples in strictly increasing time."""
     finite = np.isfinite(stream.values).all(axis=1)
+    if not finite.any():
+        return time[:0], stream.values[:0]
     cleaned = drop_disorder(time[finite], stream.values[finite], kind)
     return cleaned.time, cleaned.values
 
@@ -226,7 +247,7 @@ def _references(
     stream = recording.streams.get("reference")
     if stream is None or len(stream) == 0:
         return np.zeros(0), np.zeros((0, 3))
-    aligned = align_clocks(pose, stream)
+    aligned = _aligned(pose, stream)
     time, values = _usable(stream, aligned.command_time + (aligned.epoch - epoch), "reference")
     return time, values[:, :3]
 
