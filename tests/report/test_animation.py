@@ -470,6 +470,7 @@ def test_empty_spans_are_refused(tmp_path, suffix, span):
         {"frames_per_second": np.inf},
         {"frames_per_second": 60.0},
         {"table": (0.0, 1.0)},
+        {"speed": 1e-6},
     ],
 )
 def test_numbers_out_of_range_are_refused(tmp_path, settings):
@@ -547,6 +548,14 @@ def test_any_vehicle_can_be_drawn(tmp_path, name):
     for suffix in (".gif", ".html"):
         path = animate(flight(vehicle, duration=0.3), tmp_path / f"a{suffix}", vehicle=vehicle)
         assert path.stat().st_size > 5_000
+
+
+def test_a_set_point_far_away_is_no_trouble(tmp_path):
+    recording = flight(duration=0.3)
+    far = stream([0.0], [[1e7, -2e6, 1.0, 0, 0, 0]], COLUMNS["reference"])
+    odd = Recording({**recording.streams, "reference": far}, "x")
+    for suffix in (".gif", ".html"):
+        assert animate(odd, tmp_path / f"a{suffix}").stat().st_size < 300_000
 
 
 @pytest.mark.data

@@ -12,6 +12,8 @@ from airpuck.recording.stream import Recording
 from airpuck.report.animation_frames import TABLE, read_scene
 from airpuck.vehicle import Vehicle, default_vehicle
 
+#: A GIF of more frames would be hundreds of megabytes.
+_MOST_FRAMES = 10_000
 #: Browsers show a GIF that asks for more than this slowly instead [1/s].
 _FASTEST_GIF = 50
 
@@ -75,6 +77,13 @@ def animate(
     for side in table:
         _check_positive(side, "table")
     scene = read_scene(recording, vehicle or default_vehicle(), span, table)
+    n_frames = (scene.stop - scene.start) / speed * frames_per_second
+    if suffix == ".gif" and n_frames > _MOST_FRAMES:
+        raise InputError(
+            f"would have {n_frames:.0f} frames, more than {_MOST_FRAMES}; show a part of the "
+            "flight, show it faster or with fewer frames per second, or write an .html",
+            file=path,
+        )
     with replacing(target) as temporary:
         if suffix == ".gif":
             from airpuck.report.animation_gif import write_animation_gif

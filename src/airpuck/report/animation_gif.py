@@ -148,7 +148,9 @@ class _Stage:
         self.trail.set_linewidth((2.4 - 1.4 * age).tolist())
         self.asked.move(frames.reference[k], seen=True)
         self.craft.move(frames.pose[k], seen=bool(frames.known[k]))
-        self.arrows.set_verts(list(arrow_shapes(arrows, self.scene.vehicle.radius_m)))
+        # Where the craft is not seen, nobody knows where its propellers push.
+        seen = arrows if frames.known[k] else arrows[:0]
+        self.arrows.set_verts(list(arrow_shapes(seen, self.scene.vehicle.radius_m)))
         self.clock.set_text(f"{now:.2f} s")
         for i, cursor in enumerate(self.panels):
             seen = frames.pose[k, i] if frames.known[k] else np.nan
@@ -267,14 +269,14 @@ def _from_top(figure: Figure, inches: float) -> float:
 
 
 def _draw_table(axes: Axes, scene: Scene) -> None:
-    """Draw the floor, the rails and the grid of half metres."""
+    """Draw the floor, the rails and a grid."""
     x0, x1, y0, y1 = scene.view
     axes.set(xlim=(x0 - _RAIL, x1 + _RAIL), ylim=(y0 - _RAIL, y1 + _RAIL))
     axes.set_aspect("equal")
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.tick_params(length=0, pad=2)
-    step = 0.5 if max(x1 - x0, y1 - y0) < 6 else 2.0
+    step = _nice_step(max(x1 - x0, y1 - y0) / 5)
     axes.set_xticks(_multiples(x0, x1, step))
     axes.set_yticks(_multiples(y0, y1, step))
     axes.grid(False)
@@ -288,7 +290,7 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
         axis.set_label_coords(*((share, -0.008) if sideways else (-0.016, share)))
         axis.label.set_fontsize(8)
     axes.xaxis.label.set_verticalalignment("top")
-    dots = np.meshgrid(_multiples(x0, x1, 0.1), _multiples(y0, y1, 0.1))
+    dots = np.meshgrid(_multiples(x0, x1, step / 5), _multiples(y0, y1, step / 5))
     axes.plot(*(dot.ravel() for dot in dots), ".", color=HOLES, ms=2.6, mew=0, zorder=0.6)
     if scene.table is None:
         axes.set_facecolor(FLOOR)
@@ -307,6 +309,12 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
         )
     )
     axes.plot(0, 0, "+", color=RAIL, ms=9, mew=1.2, zorder=0.7)
+
+
+def _nice_step(least: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, not below a number."""
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(next(k * power for k in (1, 2, 5, 10) if k * power >= least * (1 - 1e-9)))
 
 
 def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " ticks"]:
@@ -361,8 +369,11 @@ def _draw_motors(axes: Axes, scene: Scene) -> None:
         axes.fill_between(edges, row, row + values, step="post", color=color, lw=0)
     axes.set_ylim(-0.1, n)
     axes.grid(False)
-    axes.set_yticks(np.arange(n)[::-1] + 0.4, short_names(scene.vehicle.propeller_names))
-    axes.tick_params(axis="y", length=0, labelsize=min(8.0, 50.0 / n))
+    names = short_names(scene.vehicle.propeller_names)
+    axes.set_yticks(np.arange(n)[::-1] + 0.4, names)
+    # Many rows and long names take small letters.
+    size = max(min(8.0, 50.0 / n, 48.0 / max(map(len, names))), 4.0)
+    axes.tick_params(axis="y", length=0, labelsize=size)
     for text, color in zip(axes.get_yticklabels(), propeller_colors(scene.vehicle), strict=True):
         text.set_color(color)
 
