@@ -1,0 +1,193 @@
+"""The radio, by statistics and by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.twin.radio import RadioLink
+from airpuck.twin.settings import Radio
+
+PERIOD = 0.01
+
+
+def link(seed=0, **values):
+    return RadioLink(Radio(**{"delay_s": 0.02, **values}), np.random.default_rng(seed), 1)
+
+
+def packet(number):
+    return np.array([float(number)])
+
+
+def flown(radio, packets, *, start=0.0):
+    """Send numbered packets at 100 Hz; times and contents of all changes, as the twin sees them."""
+    now, sent, seen = start, 0, []
+    while sent < packets or radio.next_change(now) < math.inf:
+        due = start + sent * PERIOD if sent < packets else math.inf
+        now = min(due, radio.next_change(now))
+        if now == due:
+            sent += 1
+            radio.send(now, packet(sent))
+        number = radio.command(now)[0]
+        if not seen or seen[-1][1] != number:
+            seen.append((now, number))
+    return np.array(seen)
+
+
+def received(seen):
+    """Times and numbers of the packets, without the zeros before and after."""
+    return seen[seen[:, 1] > 0].T
+
+
+def test_without_jitter_a_packet_acts_exactly_after_its_delay():
+    radio = link(delay_s=0.03)
+    radio.send(1.0, packet(7))
+    assert radio.command(1.0) == 0
+    assert radio.next_change(1.0) == 1.03
+    assert radio.command(np.nextafter(1.03, 0)) == 0
+    assert radio.command(1.03) == 7
+
+
+def test_packets_in_flight_arrive_one_after_the_other():
+    times, numbers = received(flown(link(delay_s=0.025), 50))
+    np.testing.assert_array_equal(numbers, np.arange(1, 51))
+    np.testing.assert_allclose(times, 0.025 + PERIOD * np.arange(50), atol=1e-12)
+
+
+def test_delays_have_mean_and_spread_as_set():
+    # So little jitter that no packet meets another, and none goes below zero.
+    times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.001), 5000))
+    late = times - PERIOD * (numbers - 1)
+    assert len(late) == 5000
+    assert late.mean() == pytest.approx(0.02, abs=5 * 0.001 / math.sqrt(5000))
+    assert late.std() == pytest.approx(0.001, rel=0.05)
+
+
+def test_much_jitter_never_changes_the_order_nor_goes_back_in_time():
+    times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.06), 5000))
+    assert (np.diff(numbers) > 0).all()
+    assert (times >= PERIOD * (numbers - 1)).all()
+    # Packets that caught up arrive together, and only the last of them is seen.
+    assert len(numbers) < 3000
+
+
+def test_a_packet_waits_for_the_one_before_it():
+    # Two packets 10 ms apart with delays of 50 and of 0 ms, drawn by a generator of our own.
+    class Draws(np.random.Generator):
+        drawn = iter([3.0, -2.0])
+
+        def standard_normal(self, *_):
+            return next(self.drawn)
+
+        def random(self, *_):
+            return 0.5
+
+    radio = RadioLink(Radio(delay_s=0.02, jitter_s=0.01), Draws(np.random.PCG64()), 1)
+    radio.send(0.0, packet(1))
+    radio.send(0.01, packet(2))
+    assert radio.command(0.049) == 0
+    assert radio.command(0.05) == 2
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1, 0.3, 1.0])
+def test_packets_are_lost_as_often_as_set(loss):
+    seen = flown(link(loss=loss), 4000)
+    numbers = received(seen)[1]
+    share = 1 - len(set(numbers)) / 4000
+    assert share == pytest.approx(loss, abs=4 * math.sqrt(loss * (1 - loss) / 4000) + 1e-12)
+
+
+def test_losses_are_independent():
+    numbers = received(flown(link(loss=0.3), 8000))[1]
+    arrived = np.isin(np.arange(1, 8001), numbers)
+    after_loss = arrived[1:][~arrived[:-1]]
+    assert after_loss.mean() == pytest.approx(0.7, abs=4 * math.sqrt(0.21 / len(after_loss)))
+
+
+def test_nothing_arrives_during_an_outage_and_the_last_command_holds():
+    seen = flown(link(delay_s=0.02, outages_s=((0.503, 0.603),)), 100)
+    times, numbers = received(seen)
+    assert not ((times >= 0.503) & (times < 0.603)).any()
+    # What would arrive at 0.51 … 0.60 s, the packets sent 20 ms earlier, is gone for good.
+    lost = set(range(1, 101)) - set(numbers)
+    assert lost == set(range(50, 60))
+    assert 0 not in seen[1:-1, 1]
+
+
+def test_motors_stop_after_the_timeout_and_the_next_packet_restarts_them():
+    radio = link(delay_s=0.02, timeout_s=0.2)
+    radio.send(0.0, packet(5))
+    assert radio.next_change(0.0) == 0.02
+    assert radio.command(0.02) == 5
+    assert radio.next_change(0.02) == pytest.approx(0.22)
+    assert radio.command(0.219) == 5
+    assert radio.command(radio.next_change(0.02)) == 0
+    assert radio.command(3.0) == 0
+    radio.send(4.0, packet(6))
+    assert radio.command(4.019) == 0
+    assert radio.command(4.02) == 6
+
+
+def test_a_long_outage_stops_the_motors():
+    seen = flown(link(outages_s=((0.5, 0.9),), timeout_s=0.2), 100)
+    stops = seen[1:-1][seen[1:-1, 1] == 0]
+    np.testing.assert_allclose(stops[:, 0], [0.49 + 0.2], atol=1e-9)
+    again = seen[seen[:, 0] > 0.7][0]
+    assert again[0] == pytest.approx(0.9, abs=1e-9)
+
+
+def test_before_the_first_packet_the_motors_stand():
+    radio = link()
+    assert radio.command(10.0) == 0
+    assert radio.next_change(10.0) == math.inf
+
+
+def test_the_same_seed_gives_the_same_delays_and_another_seed_others():
+    one, same, other = (flown(link(seed, jitter_s=0.007, loss=0.1), 300) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one[:50], other[:50])
+
+
+def test_loss_takes_packets_away_without_moving_the_others():
+    jitter = {"jitter_s": 0.001, "delay_s": 0.02}
+    whole, part = (received(flown(link(3, loss=p, **jitter), 500)) for p in (0.0, 0.3))
+    np.testing.assert_array_equal(part[0], whole[0][np.isin(whole[1], part[1])])
+
+
+spans = st.tuples(st.floats(0, 1), st.floats(0, 0.3)).map(lambda s: (s[0], s[0] + s[1]))
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 10**6),
+    delay=st.floats(0, 0.1),
+    jitter=st.floats(0, 0.06),
+    loss=st.floats(0, 1),
+    timeout=st.floats(0.001, 0.5),
+    outages=st.lists(spans, max_size=2).map(tuple),
+    sending=st.lists(st.floats(0, 0.3), min_size=1, max_size=30),
+)
+def test_the_next_change_is_never_past_and_nothing_changes_before_it(
+    seed, delay, jitter, loss, timeout, outages, sending
+):
+    radio = link(
+        seed, delay_s=delay, jitter_s=jitter, loss=loss, timeout_s=timeout, outages_s=outages
+    )
+    last, now = 0.0, 0.0
+    for number, due in enumerate(np.cumsum(sending), start=1):
+        while True:
+            command, change = radio.command(now)[0], radio.next_change(now)
+            assert change > now
+            if change >= due:
+                break
+            # Up to the moment before, the same command is in force.
+            assert radio.command(np.nextafter(change, 0))[0] == command
+            now = change
+        assert radio.command(np.nextafter(due, 0))[0] == command
+        now = due
+        radio.send(now, packet(number))
+        if command > 0:
+            assert command >= last
+            last = command
