@@ -1,0 +1,120 @@
+"""Motors that do not do what they are told."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.errors import InputError
+from airpuck.twin.motors import MotorUnit
+from airpuck.twin.settings import Motors, Stall
+
+NAMES = ("left", "right")
+BOTH = np.array([0.6, 0.3])
+
+
+def unit(**values):
+    return MotorUnit(Motors(**values), NAMES)
+
+
+def test_healthy_motors_follow_their_command():
+    motors = unit()
+    for now, command in enumerate([BOTH, 1 - BOTH, np.zeros(2), np.array([0.01, 1.0])]):
+        np.testing.assert_array_equal(motors.follow(float(now), command), command)
+    assert motors.next_change(0.0) == math.inf
+
+
+def test_motors_stand_until_they_are_armed():
+    motors = unit(unarmed_s=2.0)
+    assert motors.next_change(0.0) == 2.0
+    np.testing.assert_array_equal(motors.follow(0.0, BOTH), 0)
+    np.testing.assert_array_equal(motors.follow(np.nextafter(2.0, 0), BOTH), 0)
+    np.testing.assert_array_equal(motors.follow(2.0, BOTH), BOTH)
+    assert motors.next_change(2.0) == math.inf
+
+
+def test_an_idling_motor_follows_a_higher_command_later():
+    motors = unit(starting_delay_s=0.1, idle_below=0.05)
+    np.testing.assert_array_equal(motors.follow(0.0, np.array([0.03, 0.03])), [0.03, 0.03])
+    # Only the first is told to go; until it does, it turns at no more than the idle speed.
+    go = np.array([0.6, 0.03])
+    np.testing.assert_array_equal(motors.follow(1.0, go), [0.05, 0.03])
+    assert motors.next_change(1.0) == pytest.approx(1.1)
+    np.testing.assert_array_equal(motors.follow(1.05, go), [0.05, 0.03])
+    np.testing.assert_array_equal(motors.follow(motors.next_change(1.05), go), go)
+    # From then on it follows at once.
+    np.testing.assert_array_equal(motors.follow(1.2, BOTH)[0], 0.6)
+
+
+def test_changing_the_command_while_starting_does_not_begin_anew():
+    motors = unit(starting_delay_s=0.1)
+    motors.follow(0.0, np.array([0.2, 0.0]))
+    motors.follow(0.06, np.array([0.9, 0.0]))
+    np.testing.assert_array_equal(motors.follow(0.11, np.array([0.9, 0.0])), [0.9, 0.0])
+
+
+def test_a_motor_that_idled_again_starts_slowly_again():
+    motors, go, idle = unit(starting_delay_s=0.1), np.array([0.6, 0.6]), np.array([0.0, 0.6])
+    motors.follow(0.0, go)
+    np.testing.assert_array_equal(motors.follow(0.2, go), go)
+    np.testing.assert_array_equal(motors.follow(0.3, idle), idle)
+    np.testing.assert_array_equal(motors.follow(0.4, go), [0.05, 0.6])
+    assert motors.next_change(0.4) == pytest.approx(0.5)
+    np.testing.assert_array_equal(motors.follow(0.51, go), go)
+
+
+def test_a_start_given_up_does_not_count():
+    motors, go = unit(starting_delay_s=0.1), np.array([0.6, 0.0])
+    motors.follow(0.0, go)
+    motors.follow(0.05, np.zeros(2))
+    np.testing.assert_array_equal(motors.follow(0.12, go), [0.05, 0.0])
+
+
+def test_a_stalled_motor_stands_and_the_other_does_not():
+    motors = unit(stalls=(Stall(motor="right", start_s=1.0, stop_s=1.5),))
+    assert motors.next_change(0.0) == 1.0
+    np.testing.assert_array_equal(motors.follow(0.99, BOTH), BOTH)
+    np.testing.assert_array_equal(motors.follow(1.0, BOTH), [0.6, 0.0])
+    assert motors.next_change(1.0) == 1.5
+    np.testing.assert_array_equal(motors.follow(1.49, BOTH), [0.6, 0.0])
+    np.testing.assert_array_equal(motors.follow(1.5, BOTH), BOTH)
+
+
+def test_the_command_handed_in_is_left_alone():
+    command = BOTH.copy()
+    unit(stalls=(Stall(motor="right", start_s=0.0, stop_s=9.0),)).follow(1.0, command)
+    unit(starting_delay_s=1.0).follow(0.0, command)
+    np.testing.assert_array_equal(command, BOTH)
+
+
+def test_a_stall_of_an_unknown_motor_is_refused():
+    with pytest.raises(InputError, match="middle") as caught:
+        unit(stalls=(Stall(motor="middle", start_s=0.0, stop_s=1.0),))
+    assert caught.value.field == "motors.stalls"
+
+
+@settings(max_examples=100)
+@given(
+    unarmed=st.floats(0, 1),
+    delay=st.floats(0, 0.3),
+    stall=st.tuples(st.floats(0, 2), st.floats(0, 1)),
+    commands=st.lists(
+        st.tuples(st.floats(1e-3, 0.5), st.floats(0, 1), st.floats(0, 1)), max_size=10
+    ),
+)
+def test_nothing_changes_by_itself_before_the_next_change(unarmed, delay, stall, commands):
+    start, length = stall
+    stalls = (Stall(motor="left", start_s=start, stop_s=start + length),)
+    motors = unit(unarmed_s=unarmed, starting_delay_s=delay, stalls=stalls)
+    now = 0.0
+    for wait, *command in commands:
+        command, end = np.array(command), now + wait
+        while now < end:
+            follows, change = motors.follow(now, command), motors.next_change(now)
+            assert change > now
+            assert ((follows >= 0) & (follows <= command)).all()
+            before = np.nextafter(min(change, end), 0)
+            np.testing.assert_array_equal(motors.follow(before, command), follows)
+            now = min(change, end)
