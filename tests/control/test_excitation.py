@@ -1,0 +1,284 @@
+"""The excitation experiment's pilot: signals, mixing, and keeping to the table."""
+
+import copy
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+import airpuck.control.excitation as excitation_module
+from airpuck.control.excitation import Excitation
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.errors import InputError
+from airpuck.model_file import nominal_model
+from airpuck.vehicle import Vehicle, default_vehicle
+
+VEHICLE = default_vehicle()
+MODEL = nominal_model(VEHICLE)
+IDLE = VEHICLE.command_min
+PERIOD = 0.01
+#: A hair of a command above idle.
+ABOVE = IDLE + 1e-9
+#: What the controller alone asks of a motor at rest in the middle: hardly more than idling.
+AT_REST = 0.02
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """Compile the controller of each craft only once; copies share the programs."""
+    built = {}
+
+    def controller(model, reference, *arguments, **options):
+        key = model.vehicle.model_dump_json()
+        if key not in built:
+            built[key] = TrackingController(model, reference, *arguments, **options)
+        copied = copy.deepcopy(built[key])
+        copied.reference = reference
+        return copied
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(excitation_module, "TrackingController", controller)
+        yield
+
+
+def pilot(model=MODEL, **values):
+    return Excitation(model, **values)
+
+
+def at_rest(excitation, steps, pose=(0.0, 0.0, 0.0), start=0.0):
+    """Commands while the craft is held where it is, whatever the motors do."""
+    commands = []
+    for k in range(steps):
+        now = start + k * PERIOD
+        excitation.pose(now, np.array(pose))
+        commands.append(excitation.step(now).command)
+    return np.array(commands)
+
+
+def craft(count, pairs=()):
+    """Propellers that push in directions all around, and turn the craft either way."""
+    propellers = []
+    for i in range(count):
+        push = 90 + 360 * i / count
+        angle = np.deg2rad(push + (90 if i % 2 else -90))
+        position = (0.05 * np.cos(angle), 0.05 * np.sin(angle))
+        propellers.append({"name": f"m{i}", "position_m": position, "direction_deg": push})
+    content = {**VEHICLE.model_dump(), "propellers": propellers, "pairs": pairs}
+    return nominal_model(Vehicle.model_validate(content))
+
+
+def signal_of(commands):
+    """The signal of each pair: what its two motors do, with the sign of the one that blows."""
+    first, second = commands[:, 0::2], commands[:, 1::2]
+    return np.where(first > second, first, -second)
+
+
+def test_at_rest_one_motor_of_each_pair_blows_and_the_other_idles():
+    commands = at_rest(pilot(), 600)
+    first, second = commands[:, 0::2], commands[:, 1::2]
+    np.testing.assert_allclose(np.minimum(first, second), IDLE, atol=1e-12)
+    assert (np.maximum(first, second) > ABOVE).mean() > 0.9
+    # Each of the six has its turn.
+    assert ((commands > 0.2).mean(axis=0) > 0.15).all()
+
+
+def test_the_first_motor_gets_the_signal_and_the_second_its_opposite():
+    # The same numbers as the generator's: seed 5, uniform in ± 0.8, one per pair and 200 ms.
+    commands = at_rest(pilot(amplitude=0.8, seed=5), 100)
+    signals = np.random.default_rng(5).uniform(-0.8, 0.8, (5, 3))
+    expected = np.repeat(signals, 20, axis=0)
+    np.testing.assert_allclose(commands[:, 0::2], np.clip(expected, IDLE, 1), atol=1e-6)
+    np.testing.assert_allclose(commands[:, 1::2], np.clip(-expected, IDLE, 1), atol=1e-6)
+
+
+def test_signals_are_held_for_200_ms():
+    commands = at_rest(pilot(seed=2), 1000)
+    changed = np.flatnonzero(np.abs(np.diff(commands, axis=0)).max(axis=1) > 1e-3) + 1
+    np.testing.assert_array_equal(changed, np.arange(20, 1000, 20))
+
+
+@pytest.mark.parametrize("hold", [0.01, 0.05, 0.33])
+def test_signals_are_held_as_long_as_asked(hold):
+    commands = at_rest(pilot(hold=hold, seed=2), 500)
+    times = PERIOD * np.arange(500)
+    turn = np.floor((times + 1e-6) / hold)
+    changed = np.abs(np.diff(commands, axis=0)).max(axis=1) > 1e-3
+    np.testing.assert_array_equal(changed, np.diff(turn) > 0)
+
+
+def test_signals_go_on_with_the_time_though_steps_are_missed():
+    whole = at_rest(pilot(seed=3), 200)
+    excitation = pilot(seed=3)
+    at_rest(excitation, 1)
+    late = at_rest(excitation, 40, start=1.6)
+    np.testing.assert_allclose(late, whole[160:], atol=1e-6)
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 0.4])
+def test_signals_are_uniform_and_independent(amplitude):
+    commands = at_rest(pilot(amplitude=amplitude, hold=PERIOD, seed=7), 3000)
+    signals = signal_of(commands)
+    # Below idle, the motor does not say what the signal was.
+    told = np.abs(signals) > ABOVE
+    assert 1 - told.mean() == pytest.approx(IDLE / amplitude, abs=0.006)
+    for column, clear in zip(signals.T, told.T, strict=True):
+        size = (np.abs(column[clear]) - IDLE) / (amplitude - IDLE)
+        assert kstest(size, "uniform").pvalue > 1e-3
+        assert (column[clear] > 0).mean() == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(3000))
+    assert np.abs(np.corrcoef(signals.T) - np.eye(3)).max() < 4 / np.sqrt(3000)
+    assert np.abs((signals[1:] * signals[:-1]).mean(axis=0)).max() < 4 * amplitude**2 / 3 / 54
+
+
+def test_the_seed_decides():
+    one, same, other = (at_rest(pilot(seed=seed), 60) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert np.abs(one - other).max() > 0.1
+
+
+def test_the_signal_comes_on_top_of_what_the_controller_wants_of_the_pair():
+    # Held 10 cm to the left: w is the difference of what the controller alone gives the two.
+    pose = (0.0, 0.1, 0.3)
+    excitation = pilot(amplitude=0.3, seed=4)
+    found = at_rest(excitation, 10, pose)
+    alone = pilot(seed=4).controller
+    alone.pose(0.0, np.array(pose))
+    command = alone.step(0.0).command
+    signal = np.random.default_rng(4).uniform(-0.3, 0.3, 3)
+    wanted = command[0::2] - command[1::2] + signal
+    assert np.abs(command[0::2] - command[1::2]).max() > 0.1
+    np.testing.assert_allclose(found[0, 0::2], np.clip(wanted, IDLE, 1), atol=1e-6)
+    np.testing.assert_allclose(found[0, 1::2], np.clip(-wanted, IDLE, 1), atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_propellers_without_partner_have_signals_of_their_own(count):
+    model = craft(count)
+    commands = at_rest(pilot(model, amplitude=0.5, seed=6), 400)
+    alone = pilot(model, seed=6).controller
+    alone.pose(0.0, np.zeros(3))
+    base = alone.step(0.0).command
+    signals = np.random.default_rng(6).uniform(-0.5, 0.5, (20, count))
+    expected = np.clip(base + np.repeat(signals, 20, axis=0), IDLE, 1)
+    np.testing.assert_allclose(commands, expected, atol=0.02)
+    assert (np.ptp(commands, axis=0) > 0.2).all()
+
+
+def test_pairs_and_single_propellers_go_together():
+    commands = at_rest(pilot(craft(4, [("m0", "m2")]), seed=8), 400)
+    np.testing.assert_allclose(np.minimum(commands[:, 0], commands[:, 2]), IDLE, atol=AT_REST)
+    both = (commands[:, 1] > 0.1) & (commands[:, 3] > 0.1)
+    assert both.mean() > 0.1
+
+
+def moving(excitation, position, velocity, steps=15):
+    """The last command to a craft that passes a place at a constant velocity."""
+    for k in range(steps):
+        now = k * PERIOD
+        back = (steps - 1 - k) * PERIOD
+        excitation.pose(now, np.array([*(np.array(position) - back * np.array(velocity)), 0.0]))
+        step = excitation.step(now)
+    return step
+
+
+def controlled(position, velocity):
+    """What the controller alone would do."""
+    controller = pilot().controller
+    moving(controller, position, velocity)
+    return controller.step(14 * PERIOD).command
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity"),
+    [
+        ((0.99, 0.0), (0.0, 0.0)),
+        ((-0.99, 0.0), (0.0, 0.0)),
+        ((0.0, 0.44), (0.0, 0.0)),
+        ((0.0, -0.44), (0.0, 0.0)),
+        ((0.0, 0.35), (0.0, 1.2)),
+        ((0.9, 0.0), (1.5, 0.0)),
+    ],
+)
+def test_signals_pause_where_the_craft_could_not_stop(position, velocity):
+    excitation = pilot(seed=1)
+    step = moving(excitation, position, velocity)
+    assert excitation.pauses > 0
+    # The controller's own command, not one motor of each pair.
+    np.testing.assert_allclose(step.command, controlled(position, velocity), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity"),
+    [((0.4, 0.0), (0.0, 0.0)), ((0.0, 0.35), (0.0, 0.0)), ((0.7, 0.0), (-1.5, 0.0))],
+)
+def test_signals_go_on_where_the_craft_can_stop(position, velocity):
+    excitation = pilot(seed=1)
+    step = moving(excitation, position, velocity)
+    assert excitation.pauses == 0
+    assert np.abs(step.command - controlled(position, velocity)).max() > 0.02
+    np.testing.assert_allclose(np.minimum(step.command[0::2], step.command[1::2]), IDLE)
+
+
+def test_how_far_a_craft_needs_to_stop_by_hand():
+    # In its weakest direction the paper's craft pushes with two and with one half propeller …
+    full = sum(VEHICLE.nominal.thrust_N)
+    weakest = min(
+        sum(max(np.cos(np.deg2rad(p.direction_deg) - a), 0) for p in VEHICLE.propellers)
+        for a in np.linspace(0, 2 * np.pi, 3601)
+    )
+    braking = 0.5 * weakest * full / VEHICLE.mass_kg
+    # … so that at 0.8 m/s it must begin this far from where it may be at most.
+    reach = 2.2 / 2 - 0.07 - 0.05
+    limit = reach - 0.8**2 / (2 * braking)
+    for offset, pauses in ((-0.01, False), (0.01, True)):
+        excitation = pilot(seed=1)
+        moving(excitation, (limit + offset, 0.0), (0.8, 0.0), steps=30)
+        now = excitation.controller.filter.predict(29 * PERIOD).state
+        assert now[3] == pytest.approx(0.8, abs=0.02)
+        paused = excitation.pauses
+        excitation.step(29 * PERIOD)
+        assert (excitation.pauses > paused) == pauses
+
+
+def test_without_a_pose_the_motors_idle():
+    step = pilot().step(0.0)
+    np.testing.assert_array_equal(step.command, IDLE)
+    assert step.status == "no pose"
+
+
+def test_without_poses_for_long_the_motors_idle_and_then_go_on():
+    excitation = pilot(seed=3)
+    at_rest(excitation, 10)
+    step = excitation.step(0.09 + 0.2)
+    assert not step.flies
+    np.testing.assert_array_equal(step.command, IDLE)
+    assert at_rest(excitation, 5, start=0.4).max() > 0.1
+
+
+@pytest.mark.parametrize("amplitude", [0.0, -0.5, 1.01, np.nan])
+def test_an_amplitude_out_of_range_is_refused(amplitude):
+    with pytest.raises(InputError) as caught:
+        pilot(amplitude=amplitude)
+    assert caught.value.field == "amplitude"
+
+
+@pytest.mark.parametrize("hold", [0.0, -1.0, 0.009, np.nan])
+def test_a_hold_shorter_than_a_period_is_refused(hold):
+    with pytest.raises(InputError, match=r"0\.01 s") as caught:
+        pilot(hold=hold)
+    assert caught.value.field == "hold"
+
+
+def test_it_steers_to_the_middle_unless_told_otherwise():
+    np.testing.assert_array_equal(pilot().reference.at(0.0, 0.0).state, 0)
+    elsewhere = pilot(reference=SetPoint(0.5, 0.1, 1.0)).reference
+    np.testing.assert_array_equal(elsewhere.at(0.0, 0.0).state, [0.5, 0.1, 1.0, 0, 0, 0])
+
+
+def test_commands_stay_within_the_limits_whatever_the_craft_does():
+    rng, excitation = np.random.default_rng(0), pilot(seed=9)
+    for k in range(500):
+        pose = rng.normal(size=3) if k % 7 == 0 else np.array([0.9 * np.sin(k / 9), 0.2, k / 50])
+        excitation.pose(k * PERIOD, pose)
+        command = excitation.step(k * PERIOD).command
+        assert ((command >= IDLE) & (command <= VEHICLE.command_max)).all()
