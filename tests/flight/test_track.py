@@ -1,0 +1,271 @@
+"""How well a flight kept to its set points, against numbers worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.control.reference import SetPoints
+from airpuck.errors import InputError
+from airpuck.flight.track import TOLERANCE, Track, recorded_set_points
+from airpuck.recording.stream import COLUMNS, Recording, Stream
+from airpuck.vehicle import default_vehicle
+
+VEHICLE = default_vehicle()
+MOTORS = VEHICLE.propeller_names
+RATE, TAU = 240.0, 0.4
+EPOCH = 1_700_000_000_000_000_000
+
+
+def track(pose, set_points, *, duration=4.0, command=None, label="a"):
+    """A flight whose pose is a function of time."""
+    time = np.arange(round(duration * RATE)) / RATE
+    command_time = np.arange(round(duration * 100)) / 100
+    if command is None:
+        command = np.full((len(command_time), 6), 0.03)
+    times, poses = set_points
+    return Track(
+        label=label,
+        time=time,
+        pose=np.array([pose(t) for t in time], dtype=float),
+        set_points=SetPoints(times, poses),
+        command_time=command_time,
+        command=command,
+        motors=MOTORS,
+        command_min=0.03,
+    )
+
+
+def approach(t):
+    """From (0, 0, 0) to (1, 0.3, 1.5) exponentially."""
+    left = np.exp(-t / TAU)
+    return 1 - left, 0.3 * (1 - left), 1.5 * (1 - left)
+
+
+TO_ONE = ([0.0], [(1.0, 0.3, 1.5)])
+
+
+def test_the_settling_time_of_an_exponential_approach():
+    # x is within 20 mm after τ ln(1/0.02), y after τ ln(0.3/0.02), yaw after τ ln(1.5/0.05).
+    (result,) = track(approach, TO_ONE).results()
+    expected = TAU * max(np.log(1 / 0.02), np.log(0.3 / 0.02), np.log(1.5 / 0.05))
+    assert TOLERANCE == (0.02, 0.02, 0.05)
+    assert expected <= result.settling_time <= expected + 1 / RATE
+    assert result.overshoot == (0, 0, 0)
+    assert (result.start, result.pose) == (0, (1.0, 0.3, 1.5))
+    assert result.stop == pytest.approx(4, abs=1.01 / RATE)
+
+
+def test_the_slowest_coordinate_settles_last():
+    def slow_yaw(t):
+        return 1.0, 0.3, 1.5 * (1 - np.exp(-t / TAU))
+
+    (result,) = track(slow_yaw, TO_ONE).results()
+    assert result.settling_time == pytest.approx(TAU * np.log(1.5 / 0.05), abs=1.01 / RATE)
+
+
+def test_overshoot_is_seen_from_the_start():
+    # A damped oscillation: the first swing beyond is exp(-π d/w) of the step, on either side.
+    damping, frequency = 2.0, 5.0
+
+    def swinging(t):
+        left = np.exp(-damping * t) * (
+            np.cos(frequency * t) + damping / frequency * np.sin(frequency * t)
+        )
+        return 1 - left, -0.3 * (1 - left), 0.0
+
+    (result,) = track(swinging, ([0.0], [(1.0, -0.3, 0.0)])).results()
+    beyond = np.exp(-np.pi * damping / frequency)
+    assert result.overshoot == pytest.approx((beyond, 0.3 * beyond, 0.0), rel=1e-3, abs=1e-12)
+
+
+def test_what_leaves_again_has_not_settled_before_it_is_back():
+    def leaving(t):
+        return 1.0 + (0.03 if 2.0 <= t < 2.5 else 0.0), 0.3, 1.5
+
+    (result,) = track(leaving, TO_ONE).results()
+    assert result.settling_time == pytest.approx(2.5, abs=1.01 / RATE)
+
+
+def test_what_does_not_stay_within_the_tolerance_never_settles():
+    (result,) = track(lambda t: (1.021, 0.3, 1.5), TO_ONE).results()
+    assert result.settling_time is None
+    assert result.to_json()["settling_time_s"] is None
+
+
+def test_what_is_there_from_the_start_settles_at_once():
+    (result,) = track(lambda t: (1.0, 0.3, 1.54), TO_ONE).results()
+    assert result.settling_time == 0
+
+
+def test_the_steady_state_error_is_the_mean_over_the_last_second():
+    # A ramp of 10 mm/s: the mean over 3 … 4 s is what it was at 3.5 s.
+    (result,) = track(lambda t: (1.0 + 0.01 * t, 0.3, 1.5 - 0.02 * t), TO_ONE).results()
+    assert result.steady_state_error == pytest.approx((0.035, 0, -0.07), abs=1e-4)
+
+
+def test_the_steady_state_of_a_short_dwell_is_its_last_quarter():
+    set_points = ([0.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    first, second = track(lambda t: (0.01 * t, 0.0, 0.0), set_points).results()
+    assert first.steady_state_error[0] == pytest.approx(0.01 * 1.75, abs=5e-5)
+    assert second.steady_state_error[0] == pytest.approx(0.01 * 3.75 - 1, abs=1e-4)
+    assert (first.stop, second.start) == (2.0, 2.0)
+
+
+def test_the_effort_is_the_mean_of_squares_above_idle_of_its_dwell():
+    # Two motors 0.2 above idle, then three 0.5 above it.
+    command = np.full((400, 6), 0.03)
+    command[:200, :2] += 0.2
+    command[200:, 3:] += 0.5
+    set_points = ([0.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    first, second = track(lambda t: (0.0, 0.0, 0.0), set_points, command=command).results()
+    assert first.effort == pytest.approx(2 * 0.2**2, rel=1e-9)
+    assert second.effort == pytest.approx(3 * 0.5**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 1, 3])
+def test_whole_turns_are_no_error(turns):
+    def turned(t):
+        x, y, yaw = approach(t)
+        return x, y, yaw + 2 * np.pi * turns
+
+    (plain,), (found,) = track(approach, TO_ONE).results(), track(turned, TO_ONE).results()
+    assert found.settling_time == plain.settling_time
+    assert found.steady_state_error == pytest.approx(plain.steady_state_error, abs=1e-12)
+    assert found.overshoot == pytest.approx(plain.overshoot, abs=1e-12)
+
+
+def test_a_set_point_in_force_for_fewer_than_ten_poses_is_left_out():
+    set_points = ([0.0, 1.0, 1.03], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.0, 0.0)])
+    assert [r.start for r in track(lambda t: (0.0, 0.0, 0.0), set_points).results()] == [0, 1.03]
+
+
+def test_json_names_what_it_holds():
+    content = track(approach, TO_ONE).results()[0].to_json()
+    assert content["set_point"] == {"x_m": 1.0, "y_m": 0.3, "yaw_rad": 1.5}
+    assert (
+        set(content["overshoot"]) == set(content["steady_state_error"]) == set(content["set_point"])
+    )
+    assert set(content) == {
+        "start_s", "stop_s", "set_point", "settling_time_s", "overshoot",
+        "steady_state_error", "effort",
+    }  # fmt: skip
+
+
+def test_a_flight_does_not_differ_from_itself():
+    flight = track(approach, TO_ONE, duration=7.0)
+    difference = flight.difference(flight)
+    np.testing.assert_array_equal(difference, 0)
+    assert len(difference) == pytest.approx(6 * RATE, abs=1)
+
+
+def test_a_difference_is_the_others_pose_minus_ones_own():
+    one = track(lambda t: (t, 0.0, 0.0), TO_ONE)
+    other = track(lambda t: (t + 0.1, -0.2, 0.3), TO_ONE)
+    np.testing.assert_allclose(
+        one.difference(other, (1.0, 2.0)), np.tile([0.1, -0.2, 0.3], (241, 1)), atol=1e-12
+    )
+
+
+def test_flights_at_different_times_are_compared_in_between():
+    one = track(lambda t: (t, 2 * t, -t), TO_ONE)
+    shifted = replace(one, time=one.time + 0.3 / RATE)
+    np.testing.assert_allclose(
+        one.difference(shifted), np.tile(np.array([-1, -2, 1]) * 0.3 / RATE, (840, 1)), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("turns", [-1, 1, 2])
+def test_a_difference_does_not_count_whole_turns(turns):
+    one = track(lambda t: (0.0, 0.0, 3.0), TO_ONE)
+    other = track(lambda t: (0.0, 0.0, 3.1 + 2 * np.pi * turns), TO_ONE)
+    np.testing.assert_allclose(one.difference(other)[:, 2], 0.1, atol=1e-9)
+
+
+def test_flights_without_common_time_are_refused():
+    one = track(approach, TO_ONE)
+    later = replace(one, time=one.time + 100, label="b")
+    with pytest.raises(InputError, match="a and b"):
+        one.difference(later)
+
+
+def recording(*, columns=MOTORS, poses=None, order=None, start=0.5):
+    """4 s of poses; commands and set points from `start` on."""
+    time = np.arange(960) / RATE
+    poses = np.array([approach(t) for t in time]) if poses is None else poses
+    command_time = start + np.arange(300) / 100
+    commands = np.linspace(0.1, 0.6, 6) * np.ones((300, 1))
+    set_point_times = np.array([start, start, start + 2.0])
+    set_points = np.array([[0, 0, 0], [9, 9, 9], [1, 0.3, 1.5]], dtype=float)
+
+    def stream(times, values, names):
+        stamp = EPOCH + np.rint(times * 1e9).astype(np.int64)
+        return Stream(stamp, stamp, values, names)
+
+    return Recording(
+        streams={
+            "pose": stream(time, poses, COLUMNS["pose"]),
+            "command": stream(command_time, commands, columns),
+            "reference": stream(
+                set_point_times, np.hstack([set_points, np.zeros((3, 3))]), COLUMNS["reference"]
+            ),
+        },
+        source="made up",
+    )
+
+
+def test_a_recording_is_read_from_its_first_command_on():
+    found = Track.of(recording(), VEHICLE, "flight")
+    assert found.time[0] == pytest.approx(-0.5, abs=1e-6)
+    assert found.command_time[0] == 0
+    np.testing.assert_allclose(found.set_points.times, [0.0, 2.0], atol=1e-6)
+    # Of two set points at the same time the first counts.
+    np.testing.assert_array_equal(found.set_points.poses, [[0, 0, 0], [1, 0.3, 1.5]])
+    np.testing.assert_allclose(found.command[0], np.linspace(0.1, 0.6, 6))
+    assert (found.motors, found.command_min, found.label) == (MOTORS, 0.03, "flight")
+
+
+def test_columns_of_commands_are_put_in_the_vehicles_order():
+    found = Track.of(recording(columns=MOTORS[::-1]), VEHICLE, "flight")
+    np.testing.assert_allclose(found.command[0], np.linspace(0.6, 0.1, 6))
+
+
+def test_yaw_is_made_continuous():
+    time = np.arange(960) / RATE
+    wrapped = (3.0 * time + np.pi) % (2 * np.pi) - np.pi
+    poses = np.column_stack([time, time, wrapped])
+    found = Track.of(recording(poses=poses), VEHICLE, "flight")
+    np.testing.assert_allclose(np.diff(found.pose[:, 2]), 3.0 / RATE, atol=1e-9)
+
+
+@pytest.mark.parametrize("missing", ["pose", "command", "reference"])
+def test_a_recording_without_a_stream_is_refused(missing):
+    whole = recording()
+    streams = {name: stream for name, stream in whole.streams.items() if name != missing}
+    with pytest.raises(InputError, match=missing):
+        Track.of(replace(whole, streams=streams), VEHICLE, "flight")
+
+
+def test_other_motors_are_refused():
+    with pytest.raises(InputError) as caught:
+        Track.of(recording(columns=("a", *MOTORS[1:])), VEHICLE, "flight")
+    assert caught.value.field == "a"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_poses_that_are_not_numbers_are_refused(bad):
+    poses = np.zeros((960, 3))
+    poses[100, 1] = bad
+    with pytest.raises(InputError):
+        Track.of(recording(poses=poses), VEHICLE, "flight")
+
+
+def test_set_points_that_are_not_numbers_are_refused():
+    whole = recording()
+    logged = whole["reference"]
+    values = logged.values.copy()
+    values[0, 0] = np.nan
+    streams = {**whole.streams, "reference": replace(logged, values=values)}
+    with pytest.raises(InputError) as caught:
+        recorded_set_points(replace(whole, streams=streams), 0.0)
+    assert caught.value.field == "setpoint"
