@@ -62,7 +62,7 @@ def test_imports_go_downwards(path):
     ("package", "rooms"),
     [
         ("matplotlib", {"report"}),
-        ("jax", {"model", "estimate", "identification", "control"}),
+        ("jax", {"model", "estimate", "identification", "control", "twin"}),
         ("optax", {"identification"}),
         ("typer", {"cli"}),
         ("rosbags", {"recording"}),

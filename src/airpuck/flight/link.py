@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +32,7 @@ class Measurement:
     values: Float[np.ndarray, " k"]
 
 
+@runtime_checkable
 class Link(Protocol):
     """A connection to a craft, simulated or real."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from airpuck.control.tracking import Status, Step
 from airpuck.flight.link import Link, Measurement
 
 
+@runtime_checkable
 class Pilot(Protocol):
     """Computes commands: a `TrackingController`, or one that adds an excitation to it."""
 

@@ -80,10 +80,8 @@ def estimate_delay(
         # Sample k of the motion is paired with the motor speed `shift` samples before.
         motion = slice(max(shift, 0), len(time) + min(shift, 0))
         cause = slice(max(-shift, 0), len(time) - max(shift, 0))
-        modelled = (
-            np.stack(model_acceleration(np, dynamics, state[motion, 2:].T, speed[cause].T))
-            * usable[motion]
-        )
+        modelled = np.stack(model_acceleration(np, dynamics, state[motion, 2:].T, speed[cause].T))
+        # Only one of the two is masked: what both lack would correlate, at no lag.
         measured = acceleration[motion].T * usable[motion]
         lags, peaks = zip(
             *(_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)), strict=True

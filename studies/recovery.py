@@ -1,0 +1,82 @@
+"""Is the truth recovered? Excitation flights of a known craft on the twin, identified one by one.
+
+    python studies/recovery.py --seeds 20
+
+Prints the error of every quantity over the seeds: mean, standard deviation, worst.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from airpuck import identify, preprocess
+from airpuck.model_file import Model, published_model
+from airpuck.twin.experiments import excite
+from airpuck.twin.plant import Plant
+from airpuck.twin.twin import build_plant
+
+#: Speeds over which thrust curves are compared.
+SPEEDS = np.linspace(0.03, 1, 200)
+#: What must not be exceeded; thrust: of the worst motor, delay: in samples.
+BOUNDS = {"thrust %": 2.0, "tau %": 5.0, "I %": 2.0, "alpha mrad": 5.0, "r mm": 0.3, "delay": 1.0}
+
+
+def truth() -> Model:
+    """Return the craft: the published M3, its centre of mass fixed to the body."""
+    return replace(published_model("M3"), frame="body", indexing="start")
+
+
+def thrust_error(model: Model, truth: Model) -> np.ndarray:
+    """Return the error of each thrust curve, root mean square relative to that of the curve."""
+    degree = truth.parameters.thrust.shape[1]
+    powers = SPEEDS[:, None] ** np.arange(1, degree + 1)
+    true, found = (powers @ m.parameters.thrust.T for m in (truth, model))
+    return np.sqrt(np.mean((found - true) ** 2, axis=0) / np.mean(true**2, axis=0))
+
+
+def recovered(model: Model, plant: Plant, seed: int, duration: float = 90.0) -> dict[str, float]:
+    """Fly, identify, and compare with the truth."""
+    trajectory = preprocess(excite(model, duration, seed, plant=plant))
+    found = identify(trajectory, "M3").model
+    p, q = found.parameters, model.parameters
+    return {
+        "thrust %": 100 * float(thrust_error(found, model).max()),
+        "tau %": 100 * (p.motor_time_constant / q.motor_time_constant - 1),
+        "I %": 100 * (p.inertia / q.inertia - 1),
+        "alpha mrad": 1e3 * (p.angle_offset - q.angle_offset),
+        "r mm": 1e3 * float(np.linalg.norm(p.center_of_mass - q.center_of_mass)),
+        "delay": (trajectory.delay - plant_delay()) * 240,
+    }
+
+
+def plant_delay() -> float:
+    """Return the mean delay of the default radio [s]."""
+    from airpuck.twin.settings import default_twin_settings
+
+    return default_twin_settings().radio.delay_s
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=90.0)
+    options = parser.parse_args()
+    model = truth()
+    plant = build_plant(model)
+    rows = []
+    for seed in range(options.seeds):
+        rows.append(recovered(model, plant, seed, options.duration))
+        print(seed, {name: round(value, 3) for name, value in rows[-1].items()}, flush=True)
+    for name, bound in BOUNDS.items():
+        values = np.array([row[name] for row in rows])
+        print(
+            f"{name:12s} mean {values.mean():7.3f}   spread {values.std(ddof=1):6.3f}   "
+            f"worst {np.abs(values).max():6.3f}   bound {bound}"
+        )
+
+
+if __name__ == "__main__":
+    main()

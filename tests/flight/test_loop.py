@@ -1,0 +1,185 @@
+"""The flight loop, with a link and a pilot made up for it."""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from airpuck.control.reference import SetPoint, SetPoints
+from airpuck.control.tracking import Step
+from airpuck.flight.link import Measurement
+from airpuck.flight.loop import fly
+
+IDLE = np.full(6, 0.03)
+
+
+class FakeLink:
+    """A clock, and measurements that arrive at given times."""
+
+    def __init__(self, measurements=(), now=0.0):
+        self.now = now
+        self.waits, self.sent, self.announced = [], [], []
+        self._waiting = sorted(measurements, key=lambda entry: entry[0])
+
+    def wait_until(self, time):
+        assert time >= self.now
+        self.now = time
+        self.waits.append(time)
+        arrived = [m for arrival, m in self._waiting if arrival <= time]
+        self._waiting = self._waiting[len(arrived) :]
+        return arrived
+
+    def send(self, command):
+        self.sent.append((self.now, command.copy()))
+
+    def announce(self, reference):
+        self.announced.append((self.now, reference.copy()))
+
+
+class LateLink(FakeLink):
+    """Returns a little after it was asked to."""
+
+    def wait_until(self, time):
+        arrived = super().wait_until(max(time, self.now))
+        self.now = time + 0.002
+        return arrived
+
+
+class FakePilot:
+    """Counts, and writes down what it is told, in order."""
+
+    outcomes: ClassVar = ("no pose", "exact", "scaled")
+
+    def __init__(self, reference=None):
+        self.reference = reference or SetPoint(0.1, 0.2, 0.3)
+        self.events = []
+
+    def pose(self, time, pose):
+        self.events.append(("pose", time, tuple(pose)))
+
+    def imu(self, time, acceleration, gyro):
+        assert isinstance(gyro, float)
+        self.events.append(("imu", time, (*acceleration, gyro)))
+
+    def mouse(self, time, velocity):
+        self.events.append(("mouse", time, tuple(velocity)))
+
+    def step(self, time):
+        count = sum(event[0] == "step" for event in self.events)
+        self.events.append(("step", time, ()))
+        return Step(IDLE + 0.001 * count, self.outcomes[count % 3], np.zeros(3), None)
+
+    def sent(self, time, command):
+        self.events.append(("sent", time, tuple(command)))
+
+    def told(self, kind):
+        return [event[1:] for event in self.events if event[0] == kind]
+
+
+def pose(stamp, x=0.0):
+    return Measurement("pose", stamp, np.array([x, 0.0, 0.0]))
+
+
+def test_a_command_is_sent_every_period():
+    link, pilot = FakeLink(), FakePilot()
+    log = fly(pilot, link, 1.0)
+    np.testing.assert_allclose([time for time, _ in link.sent], 0.01 * np.arange(100), atol=1e-12)
+    np.testing.assert_allclose(log.time, 0.01 * np.arange(100), atol=1e-12)
+    assert link.now == pytest.approx(1.0)
+
+
+def test_the_period_does_not_drift_though_the_link_is_late():
+    link = LateLink()
+    fly(FakePilot(), link, 1.0)
+    np.testing.assert_allclose(link.waits, 0.01 * np.arange(101), atol=1e-12)
+
+
+@pytest.mark.parametrize(("duration", "period", "count"), [(1.0, 0.02, 50), (0.3, 0.1, 3)])
+def test_duration_and_period_say_how_many_commands_there_are(duration, period, count):
+    link = FakeLink()
+    log = fly(FakePilot(), link, duration, period)
+    assert len(link.sent) == len(log.time) == len(log.status) == len(log.reference) == count
+    np.testing.assert_allclose(np.diff(log.time), period)
+
+
+def test_a_flight_begins_at_the_links_present():
+    link, pilot = FakeLink(now=50.0), FakePilot()
+    log = fly(pilot, link, 0.5)
+    assert log.time[0] == 50.0
+    assert link.now == pytest.approx(50.5)
+    assert pilot.told("step")[0] == (50.0, ())
+
+
+def test_each_measurement_is_told_once_in_order_and_before_the_step_after_its_arrival():
+    rng = np.random.default_rng(0)
+    arrivals = np.sort(rng.uniform(0, 0.985, 200))
+    link, pilot = FakeLink([(t, pose(t - 0.001, x=k)) for k, t in enumerate(arrivals)]), FakePilot()
+    fly(pilot, link, 1.0)
+    assert [values[0] for _, values in pilot.told("pose")] == list(range(200))
+    np.testing.assert_array_equal([stamp for stamp, _ in pilot.told("pose")], arrivals - 0.001)
+    # A pose that arrived between two steps is heard of between them.
+    steps = -1
+    for kind, stamp, _ in pilot.events:
+        steps += kind == "step"
+        if kind == "pose":
+            assert 0.01 * steps < stamp + 0.001 <= 0.01 * (steps + 1) + 1e-9
+
+
+def test_what_is_sent_is_what_the_pilot_computed_and_it_is_told_so():
+    link, pilot = FakeLink(), FakePilot()
+    log = fly(pilot, link, 0.1)
+    for k, (time, command) in enumerate(link.sent):
+        np.testing.assert_array_equal(command, IDLE + 0.001 * k)
+        assert pilot.told("sent")[k] == (time, tuple(command))
+    np.testing.assert_array_equal(log.command, [command for _, command in link.sent])
+    kinds = [event[0] for event in pilot.events]
+    assert kinds == ["step", "sent"] * 10
+
+
+def test_the_log_has_every_outcome():
+    assert fly(FakePilot(), FakeLink(), 0.06).status == ("no pose", "exact", "scaled") * 2
+
+
+def test_a_reference_is_announced_once_while_it_stays():
+    link = FakeLink()
+    fly(FakePilot(), link, 1.0)
+    assert len(link.announced) == 1
+    time, reference = link.announced[0]
+    assert time == 0
+    np.testing.assert_array_equal(reference, [0.1, 0.2, 0.3, 0, 0, 0])
+
+
+def test_a_reference_is_announced_when_it_changes_and_only_then():
+    reference = SetPoints([0.0, 0.305, 0.6], [(0, 0, 0), (1, 0.3, 1.5), (0.5, -0.3, -1)])
+    link = FakeLink()
+    log = fly(FakePilot(reference), link, 1.0)
+    times = [time for time, _ in link.announced]
+    np.testing.assert_allclose(times, [0.0, 0.31, 0.6], atol=1e-9)
+    np.testing.assert_array_equal([state[:3] for _, state in link.announced], reference.poses)
+    np.testing.assert_array_equal(log.reference[:31], np.zeros((31, 3)))
+    np.testing.assert_array_equal(log.reference[31], [1, 0.3, 1.5])
+    np.testing.assert_array_equal(log.reference[-1], [0.5, -0.3, -1])
+
+
+def test_sensors_on_board_are_told_of_if_asked_for():
+    heard = [
+        (0.02, Measurement("imu", 0.015, np.array([1, 2, 9.81, 4, 5, 6.0]))),
+        (0.03, Measurement("mouse", 0.025, np.array([0.7, 0.8]))),
+        (0.04, pose(0.035)),
+    ]
+    deaf, hearing = FakePilot(), FakePilot()
+    fly(deaf, FakeLink(heard), 0.1)
+    fly(hearing, FakeLink(heard), 0.1, on_board=True)
+    assert deaf.told("imu") == deaf.told("mouse") == []
+    assert hearing.told("imu") == [(0.015, (1, 2, 6))]
+    assert hearing.told("mouse") == [(0.025, (0.7, 0.8))]
+    assert len(deaf.told("pose")) == len(hearing.told("pose")) == 1
+
+
+def test_a_failing_pilot_is_not_hidden():
+    class Broken(FakePilot):
+        def step(self, time):
+            raise RuntimeError("broken")
+
+    with pytest.raises(RuntimeError, match="broken"):
+        fly(Broken(), FakeLink(), 0.1)

@@ -1,0 +1,168 @@
+"""Experiments on the twin: excitation, identification of the truth, and set points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.control.reference import SetPoint, SetPoints
+from airpuck.errors import InputError
+from airpuck.flight.track import Track
+from airpuck.identification.fit import identify
+from airpuck.model.thrust import thrust
+from airpuck.model_file import nominal_model, published_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.twin.experiments import excite, track
+from airpuck.twin.settings import Radio, default_twin_settings
+from airpuck.twin.tracking_study import SET_POINTS, tracking_study
+from airpuck.twin.twin import build_plant
+from airpuck.vehicle import Vehicle, default_vehicle
+
+PUBLISHED = published_model("M3")
+TRUTH = replace(
+    PUBLISHED,
+    frame="body",
+    indexing="start",
+    parameters=replace(PUBLISHED.parameters, center_of_mass=np.array([1.5e-3, -1e-3])),
+)
+M0, M4 = published_model("M0"), published_model("M4")
+SETTINGS = default_twin_settings()
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return build_plant(TRUTH)
+
+
+@pytest.fixture(scope="module")
+def plant_m4():
+    return build_plant(M4)
+
+
+@pytest.fixture(scope="module")
+def excited(plant):
+    return excite(TRUTH, 45.0, 3, plant=plant)
+
+
+@pytest.fixture(scope="module")
+def fit(excited):
+    return identify(preprocess(excited), "M3")
+
+
+def test_an_excitation_stays_inside_the_rails_and_moves_about(excited):
+    pose = excited["pose"].values
+    reach = SETTINGS.table.reach(TRUTH.vehicle.radius_m)
+    assert (np.abs(pose[:, :2]) < np.array(reach) - 0.01).all()
+    assert (np.ptp(pose[:, :2], axis=0) > 0.2).all()
+    assert np.abs(np.diff(np.unwrap(pose[:, 2])) * 240).max() > 3
+
+
+def test_the_same_seed_excites_the_same_and_another_one_differently(plant):
+    one, same, other = (excite(TRUTH, 1.0, seed, plant=plant) for seed in (1, 1, 2))
+    assert one.streams.keys() == same.streams.keys() >= {"pose", "command", "reference"}
+    for name, stream in one.streams.items():
+        assert stream == same.streams[name]
+        assert name == "reference" or stream != other.streams[name]
+
+
+def test_amplitude_and_hold_reach_the_signals(plant):
+    recording = excite(TRUTH, 2.0, 1, amplitude=0.1, hold=0.5, plant=plant)
+    commands = recording["command"].values[10:]  # the first ones wait for a pose
+    # From rest at the set point, the controller adds little.
+    assert commands[:40].max() < 0.25
+    held = np.abs(np.diff(recording["command"].values, axis=0)).max(axis=1)
+    assert held[49] > 2 * np.median(held)
+
+
+def test_identification_recovers_the_truth(fit):
+    found, truth = fit.model.parameters, TRUTH.parameters
+    grid = np.tile(np.linspace(0.03, 1, 98), (6, 1))
+    true = thrust(truth.thrust, grid)
+    apart = np.sqrt(np.mean((thrust(found.thrust, grid) - true) ** 2, axis=1))
+    assert (apart < 0.04 * np.sqrt(np.mean(true**2, axis=1))).all()
+    assert found.motor_time_constant == pytest.approx(truth.motor_time_constant, rel=0.08)
+    assert found.inertia == pytest.approx(truth.inertia, rel=0.03)
+    assert found.angle_offset == pytest.approx(truth.angle_offset, abs=0.01)
+    np.testing.assert_allclose(found.center_of_mass, truth.center_of_mass, atol=0.5e-3)
+
+
+def test_identification_does_not_just_return_its_start(fit):
+    start, truth = nominal_model(TRUTH.vehicle).parameters, TRUTH.parameters
+    assert abs(start.inertia / truth.inertia - 1) > 0.1
+    assert abs(start.angle_offset - truth.angle_offset) > 0.03
+    assert np.abs(start.center_of_mass - truth.center_of_mass).max() > 0.9e-3
+
+
+def test_identification_recovers_the_delay_to_a_sample(fit):
+    assert fit.model.transport_delay == pytest.approx(SETTINGS.radio.delay_s, abs=1.01 / 240)
+
+
+def test_the_true_model_reaches_its_set_points_within_six_seconds():
+    (flight,) = tracking_study([M4], M4, dwell=6.0)
+    for result, pose in zip(flight.results, SET_POINTS[1:], strict=True):
+        assert result.pose == pytest.approx(pose)
+        assert np.abs(result.steady_state_error[:2]).max() < 5e-3
+        assert abs(result.steady_state_error[2]) < 0.02
+    assert set(flight.outcomes) <= {"exact", "scaled", "nearest", "no pose"}
+
+
+def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near():
+    poor, true = tracking_study([M0, M4], M4)
+    poor, true = (
+        np.abs([result.steady_state_error for result in flight.results]) for flight in (poor, true)
+    )
+    assert poor[:, :2].max() > 0.02
+    assert poor[:, :2].max() > 2 * true[:, :2].max()
+
+
+def test_rejecting_the_disturbance_brings_a_poor_model_to_its_set_points(plant_m4):
+    reference = SetPoints([0.0, 0.5, 6.5], SET_POINTS[:3])
+    recording, _ = track(M0, reference, 12.5, truth=M4, plant=plant_m4)
+    results = Track.of(recording, M0.vehicle, "").results()[-2:]
+    found = np.abs([result.steady_state_error for result in results])
+    assert found[:, :2].max() < 5e-3
+    assert found[:, 2].max() < 0.02
+
+
+def test_set_points_are_reached_over_a_bad_radio(plant_m4):
+    radio = Radio(
+        delay_s=0.03, jitter_s=0.03, loss=0.3, outages_s=((1.0, 1.1), (2.5, 2.6), (7.0, 7.1))
+    )
+    settings = SETTINGS.model_copy(update={"radio": radio})
+    reference = SetPoints([0.0, 0.5, 5.5], SET_POINTS[:3])
+    recording, log = track(M4, reference, 10.5, settings=settings, plant=plant_m4)
+    found = np.abs(
+        [r.steady_state_error for r in Track.of(recording, M4.vehicle, "").results()[-2:]]
+    )
+    assert found[:, :2].max() < 0.02
+    assert found[:, 2].max() < 0.1
+    reach = np.array(settings.table.reach(M4.vehicle.radius_m))
+    assert (np.abs(recording["pose"].values[:, :2]) < reach - 1e-3).all()
+    assert np.isfinite(log.command).all()
+
+
+def test_a_flight_begins_where_it_is_told_to(plant_m4):
+    recording, log = track(M4, SetPoint(0.3, -0.1, 2.0), 0.5, pose=(0.3, -0.1, 2.0), plant=plant_m4)
+    np.testing.assert_allclose(recording["pose"].values[0], [0.3, -0.1, 2.0], atol=3e-3)
+    np.testing.assert_allclose(recording["pose"].values[-1], [0.3, -0.1, 2.0], atol=6e-3)
+    np.testing.assert_array_equal(log.reference, np.tile([0.3, -0.1, 2.0], (50, 1)))
+    np.testing.assert_array_equal(recording["command"].values, log.command)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan])
+def test_a_duration_that_is_not_positive_is_refused(duration):
+    for attempt in (
+        lambda: excite(TRUTH, duration),
+        lambda: track(M4, SetPoint(0, 0, 0), duration),
+    ):
+        with pytest.raises(InputError) as caught:
+            attempt()
+        assert caught.value.field == "duration"
+
+
+def test_another_number_of_propellers_is_refused():
+    content = default_vehicle().model_dump()
+    content |= {"propellers": content["propellers"][:4], "pairs": content["pairs"][:2]}
+    four = nominal_model(Vehicle.model_validate(content))
+    with pytest.raises(InputError, match="4 propellers, the twin 6"):
+        track(four, SetPoint(0, 0, 0), 1.0, truth=M4)
