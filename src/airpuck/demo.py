@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from airpuck.errors import InputError
 from airpuck.model.presets import PRESETS
 from airpuck.model_file import published_model
 
@@ -15,6 +15,8 @@ from airpuck.model_file import published_model
 _SEEDS = {"training": 1, "validation": 2}
 #: Models that fly the set points.
 _PILOTS = ("M0", "M4")
+#: A file with this name says that a folder may be made anew.
+_MARKER = "written-by-airpuck-demo"
 
 
 def demo(
@@ -41,6 +43,11 @@ def demo(
     -------
     Path
         The report.
+
+    Raises
+    ------
+    InputError
+        If ``bags`` in that folder holds something that no demonstration wrote.
     """
     from airpuck.evaluation.evaluate import compare
     from airpuck.identification.fit import identify
@@ -53,13 +60,13 @@ def demo(
     from airpuck.twin.twin import build_plant
 
     out = Path(out)
+    bags = _own_folder(out / "bags")
     # The offset of a real craft's centre of mass turns with it.
     truth = replace(published_model("M3"), frame="body", indexing="start")
     plant = build_plant(truth)
     trajectories = {}
     for name, seed in _SEEDS.items():
-        folder = out / "bags" / name
-        shutil.rmtree(folder, ignore_errors=True)
+        folder = bags / name
         progress(f"flying the {name} experiment on the twin: {duration:g} s")
         write_bag(excite(truth, duration, seed, plant=plant), folder)
         trajectories[name] = preprocess(read_recording(folder))
@@ -81,9 +88,7 @@ def demo(
     progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
     flights = tracking_study(pilots, truth)
     for flight in flights:
-        write_flight = out / "bags" / f"set_points_{flight.model}"
-        shutil.rmtree(write_flight, ignore_errors=True)
-        write_bag(flight.recording, write_flight)
+        write_bag(flight.recording, bags / f"set_points_{flight.model}")
     progress("writing the report")
     return fit_report(
         fits,
@@ -94,3 +99,15 @@ def demo(
         title="The paper's study on the twin",
         more=tracking_sections(flights),
     )
+
+
+def _own_folder(folder: Path) -> Path:
+    """Make a folder anew, unless it holds what somebody else put there."""
+    import shutil
+
+    if folder.exists() and any(folder.iterdir()) and not (folder / _MARKER).is_file():
+        raise InputError("holds recordings of yours; choose another --out", file=folder)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / _MARKER).touch()
+    return folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import tempfile
@@ -80,7 +81,9 @@ def checked(
         If it does not fit the schema.
     """
     try:
-        return schema.model_validate(content)
+        # As JSON: there, strictness is about types (no truth value is a number, no text either)
+        # and not about Python's containers.
+        return schema.model_validate_json(json.dumps(content, default=str), strict=True)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         # Discriminator tags and function names are pydantic's business, not the user's.

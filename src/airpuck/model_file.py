@@ -253,6 +253,13 @@ def read_model(name: str | os.PathLike[str]) -> Model:
 def _from_file(content: _ModelFile) -> Model:
     """Assemble the model that a checked file describes."""
     parameters = content.parameters.parameters(content.vehicle)
+    known = {quantity.name for quantity in parameters.quantities}
+    for name in content.free:
+        if name not in known:
+            raise InputError(
+                f"is not a known key; it must be one of {', '.join(sorted(known))}",
+                field=f"free.{name}",
+            )
     masks = []
     for quantity in parameters.quantities:
         size = np.size(getattr(parameters, quantity.name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -14,6 +15,7 @@ from jaxtyping import Float, Int
 
 from airpuck.errors import InputError
 from airpuck.files import replacing
+from airpuck.vehicle import Vehicle
 
 _FORMAT = "airpuck trajectory 1"
 
@@ -244,7 +246,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
                 "recording again",
                 file=path,
             )
-        return Trajectory(
+        trajectory = Trajectory(
             time=content["t"],
             state=content["state"],
             acceleration=content["acceleration"],
@@ -258,14 +260,48 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             hashes=about["hashes"],
             warnings=tuple(about["warnings"]),
         )
+        _check(trajectory, path)
+        return trajectory
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
     except InputError:
         raise
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except KeyError as error:
+        raise InputError(
+            "is missing; write the file with `airpuck preprocess`", file=path, field=str(error)
+        ) from error
+    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
             f"is not a trajectory that `airpuck preprocess` wrote ({error})", file=path
         ) from error
+
+
+def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Refuse content that preprocessing cannot have written."""
+    t, n, k = trajectory, len(trajectory.time), len(trajectory.command_time)
+    shapes = (
+        ("t", t.time, (n,)),
+        ("state", t.state, (n, 6)),
+        ("acceleration", t.acceleration, (n, 3)),
+        ("command_time", t.command_time, (k,)),
+        ("command", t.command, (k, len(t.propellers))),
+    )
+    for name, values, shape in shapes:
+        if values.shape != shape or values.dtype != np.float64:
+            problem = f"has shape {values.shape}, not {shape}, or is not of float64"
+        elif not np.isfinite(values).all():
+            problem = "has numbers that are not finite"
+        else:
+            continue
+        raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
+    wrong = (
+        ("t", n < 2 or (np.diff(t.time) <= 0).any(), "must increase"),
+        ("command_time", k < 1 or (np.diff(t.command_time) < 0).any(), "must not decrease"),
+        ("command", ((t.command < 0) | (t.command > 1)).any(), "must be in [0, 1]"),
+    )
+    for name, is_wrong, problem in wrong:
+        if is_wrong:
+            raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
 
 
 def hold(
@@ -291,3 +327,27 @@ def hold(
     """
     index = np.searchsorted(event_time, time, side="right") - 1
     return values[np.clip(index, 0, None)]
+
+
+def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
+    """Refuse a trajectory of another craft.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft that is expected, for example a model's.
+    trajectory : Trajectory
+        The data.
+
+    Raises
+    ------
+    InputError
+        If their propellers differ in number, name or order.
+    """
+    mine, theirs = vehicle.propeller_names, trajectory.propellers
+    if mine != theirs:
+        raise InputError(
+            f"has {len(theirs)} motors ({', '.join(theirs)}), but the vehicle {vehicle.name!r} has "
+            f"{len(mine)} ({', '.join(mine)}); give the right vehicle file or model",
+            file=trajectory.source,
+        )

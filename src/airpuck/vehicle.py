@@ -164,6 +164,8 @@ def _nominal_thrust(
         coefficients = np.array(thrust, dtype=float)
     except ValueError:
         raise ValueError("nominal.thrust_N: every propeller needs as many coefficients") from None
+    if coefficients.size == 0:
+        raise ValueError("nominal.thrust_N: every propeller needs at least one coefficient")
     if coefficients.ndim == 1:
         coefficients = np.tile(coefficients, (n_propellers, 1))
     if len(coefficients) != n_propellers:
@@ -233,7 +235,7 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
     if len(columns) != len(names):
         raise InputError(
             f"has {len(columns)} motors ({', '.join(columns)}), but the vehicle "
-            f"{vehicle.name!r} has {len(names)} propellers; give the right vehicle file",
+            f"{vehicle.name!r} has {len(names)} propellers; give the right file or model",
             file=source,
         )
     unknown = [column for column in columns if column not in names]

@@ -52,7 +52,9 @@ def test_two_recordings_at_once():
     fit = identify(flights, stride=3, encoder=LONG)
     assert fit.windows == sum(len(range(0, len(f) - 249, 3)) for f in flights)
     np.testing.assert_allclose(fit.model.parameters.inertia, truth.parameters.inertia, rtol=1e-3)
-    assert set(fit.model.data) == {"synthetic"}
+    assert len(fit.model.data) == 2
+    with pytest.raises(InputError, match="given twice"):
+        identify([flights[0], flights[0]])
 
 
 def four_propellers() -> Model:

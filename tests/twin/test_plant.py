@@ -232,7 +232,6 @@ def test_rails_never_give_energy_to_an_off_center_disc(motion, position, restitu
     assert gained(motion, position, restitution, friction, (r, 0.0)) <= 1e-9
 
 
-@pytest.mark.xfail(strict=True, reason="Newton's restitution of an eccentric hit with friction")
 def test_elastic_rails_with_friction_never_give_energy_to_an_off_center_disc():
     # Kane and Levinson, "Dynamics: Theory and Applications", 1985, section 5.10.
     motion = np.array([4.70093807, 1.28510586, 0.05205187, -4.08070582]) / [3, 2, 2, 20]

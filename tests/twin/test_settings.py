@@ -166,7 +166,6 @@ def test_the_packaged_settings_are_those_of_the_paper_without_faults():
     assert settings.motion_capture.clock_offset_s == settings.motion_capture.clock_drift == 0
 
 
-@pytest.mark.xfail(strict=True, reason="accepted, and then never in force")
 def test_an_interval_that_ends_before_it_begins_is_refused(tmp_path):
     text = LEAST.replace("delay_s = 0.02", "delay_s = 0.02\noutages_s = [[2.0, 1.0]]")
     refusal(tmp_path / "twin.toml", text)

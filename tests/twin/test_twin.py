@@ -253,7 +253,6 @@ def test_preprocessing_finds_the_delay_to_a_sample(plant, delay):
     assert found_delay(settings, plant) == pytest.approx(delay, abs=1.5 / 240)
 
 
-@pytest.mark.xfail(strict=True, reason="the mask of unusable samples correlates at no delay")
 def test_preprocessing_finds_the_delay_though_frames_are_missing(plant):
     assert found_delay(NOISY, plant) == pytest.approx(0.0208, abs=1.5 / 240)
 

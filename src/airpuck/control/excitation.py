@@ -17,6 +17,8 @@ from airpuck.table import Table
 
 #: Distance to the rails at which the craft must be able to stop [m].
 _MARGIN = 0.05
+#: Least acceleration in any direction with which a flight can be safe [m/s²].
+_LEAST_PUSH = 1e-2
 #: Share of the greatest acceleration that a stop may need.
 _BRAKING = 0.5
 
@@ -87,7 +89,13 @@ class Excitation:
         self._signed, self._mixer = _mixing(model)
         vehicle = model.vehicle
         self._reach = np.array((table or Table()).reach(vehicle.radius_m)) - _MARGIN
-        self._braking = _BRAKING * _weakest_push(model)
+        weakest = _weakest_push(model)
+        if weakest < _LEAST_PUSH:
+            raise InputError(
+                f"the propellers of {vehicle.name!r} cannot push in every direction: the craft "
+                "could not be kept on the table"
+            )
+        self._braking = _BRAKING * weakest
         self._begun: float | None = None
         self._changes = 0
         self._signal = np.zeros(self._mixer.shape[1])

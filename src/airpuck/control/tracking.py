@@ -109,7 +109,7 @@ class TrackingController:
     ) -> None:
         tuning = tuning or default_tuning()
         vehicle, dynamics = model.vehicle, model.dynamics
-        if np.linalg.matrix_rank(dynamics.configuration) < 3:
+        if not _commands_all_directions(model):
             raise InputError(
                 f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
                 "check their positions and directions"
@@ -351,6 +351,15 @@ class TrackingController:
         """Start the filter anew at a pose, keeping what is known of commands."""
         self._doubts.clear()
         self.filter.restart(time, pose)
+
+
+def _commands_all_directions(model: Model) -> bool:
+    """Say whether the propellers' forces and moments span all accelerations."""
+    # Moments as forces at the radius of gyration: one unit for all three rows.
+    arm = np.sqrt(model.parameters.inertia / model.vehicle.mass_kg)
+    rows = np.array([1.0, 1.0, arm])[:, None] * np.asarray(model.dynamics.configuration)
+    strength = np.linalg.svd(rows, compute_uv=False)
+    return len(strength) == 3 and bool(strength[2] > 1e-6 * strength[0])
 
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
 from airpuck.estimate.encoder import Encoder, PaperEncoder
 from airpuck.evaluation.prediction import prediction_errors
 from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.windows import make_windows
 
 #: Names of the channels in every result, with their units.
@@ -61,7 +60,7 @@ class Evaluation:
     sample_period : float
         Time of one step [s].
     left_out : int
-        Windows of the trajectory that touch an excluded span.
+        Windows fewer than the length of the trajectory would hold, because of excluded spans.
     """
 
     model: str
@@ -156,7 +155,7 @@ def evaluate(
     InputError
         If the model is of another craft, or the trajectory is shorter than one window.
     """
-    check_propellers(model, trajectory)
+    check_propellers(model.vehicle, trajectory)
     encoder = encoder or PaperEncoder(protocol.encoder_length, model.indexing)
     length = protocol.encoder_length + protocol.prediction_length
     windows = make_windows(
@@ -192,28 +191,3 @@ def compare(
         One for each model, in their order.
     """
     return [evaluate(model, trajectory, protocol=protocol) for model in models]
-
-
-def check_propellers(model: Model, trajectory: Trajectory) -> None:
-    """Refuse a model and a trajectory of different craft.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    trajectory : Trajectory
-        The data.
-
-    Raises
-    ------
-    InputError
-        If their propellers differ in number, name or order.
-    """
-    mine, theirs = model.vehicle.propeller_names, trajectory.propellers
-    if mine != theirs:
-        raise InputError(
-            f"the recording has {len(theirs)} motors ({', '.join(theirs)}), but the model "
-            f"{model.name} has {len(mine)} ({', '.join(mine)}); "
-            "they must be the same, in the same order",
-            file=trajectory.source,
-        )

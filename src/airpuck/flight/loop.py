@@ -23,23 +23,23 @@ class Pilot(Protocol):
         ...
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose."""
+        """Take note of a pose; see `TrackingController.pose`."""
         ...
 
     def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
-        """Take note of an inertial measurement."""
+        """Take note of an inertial measurement; see `TrackingController.imu`."""
         ...
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
-        """Take note of a velocity."""
+        """Take note of a velocity; see `TrackingController.mouse`."""
         ...
 
     def step(self, time: float) -> Step:
-        """Compute the command to send now."""
+        """Compute the command to send now; see `TrackingController.step`."""
         ...
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of the command that was sent."""
+        """Take note of the command that was sent; see `TrackingController.sent`."""
         ...
 
 

@@ -21,7 +21,7 @@ from airpuck.model.presets import Preset, preset
 from airpuck.model.rigid_body import CenterOfMassFrame
 from airpuck.model.thrust import lowest_slope
 from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.vehicle import Vehicle, default_vehicle
 from airpuck.windows import make_windows
 
@@ -85,6 +85,8 @@ class Fit:
         }
 
 
+#: A motor whose command stays within this range says nothing about its thrust.
+_HARDLY = 0.02
 #: Samples of the past from which a fit's encoder estimates the present.
 _PAST = 40
 
@@ -155,7 +157,8 @@ def identify(
     encoder = encoder or PaperEncoder(length=_PAST)
     method = method or LevenbergMarquardt()
     for trajectory in trajectories:
-        _check_craft(vehicle, trajectory)
+        check_propellers(vehicle, trajectory)
+    _refuse_twins(trajectories)
     windows = make_windows(trajectories, encoder.length, prediction_length, stride)
     start = initial or rung.initial(vehicle, degree)
     free = rung.mask(start)
@@ -182,7 +185,7 @@ def identify(
             "weights": list(weights),
             "airpuck": __version__,
         },
-        data={name: digest for t in trajectories for name, digest in t.hashes.items()},
+        data=_hashes(trajectories),
         # The last two names of the path: a model file must not tell where its author's home is.
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in trajectories),
     )
@@ -194,24 +197,52 @@ def identify(
         message=outcome.message,
         windows=len(windows),
         wall_s=wall,
-        warnings=tuple(_warnings(identified, outcome.converged, outcome.message)),
+        warnings=tuple(
+            _idle_motors(trajectories) + _warnings(identified, outcome.converged, outcome.message)
+        ),
     )
 
 
-def _check_craft(vehicle: Vehicle, trajectory: Trajectory) -> None:
-    """Refuse data of another craft."""
-    if vehicle.propeller_names != trajectory.propellers:
-        raise InputError(
-            f"has the motors {', '.join(trajectory.propellers)}, but the vehicle {vehicle.name!r} "
-            f"has {', '.join(vehicle.propeller_names)}; give the right vehicle file",
-            file=trajectory.source,
-        )
+def _hashes(trajectories: Sequence[Trajectory]) -> dict[str, str]:
+    """Return the hashes of all files; names that several recordings share get their folder's."""
+    names = [name for trajectory in trajectories for name in trajectory.hashes]
+    found: dict[str, str] = {}
+    for number, trajectory in enumerate(trajectories, start=1):
+        for name, digest in trajectory.hashes.items():
+            key = name
+            if names.count(name) > 1:
+                key = f"{Path(trajectory.source).name}/{name}"
+            if key in found:
+                key = f"{number}/{key}"
+            found[key] = digest
+    return found
+
+
+def _refuse_twins(trajectories: Sequence[Trajectory]) -> None:
+    """Refuse the same recording twice: it would count double."""
+    seen: set[str] = set()
+    for trajectory in trajectories:
+        # What identifies a recording: all its files together.
+        digest = " ".join(sorted(trajectory.hashes.values()))
+        if digest and digest in seen:
+            raise InputError("is given twice; give each recording once", file=trajectory.source)
+        seen.add(digest)
 
 
 def _delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     """Return the transport delay found in the data, or the nominal one where none can be."""
     known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
     return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
+
+
+def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
+    """Name the motors of which the data can say nothing."""
+    ranges = np.max([np.ptp(t.command, axis=0) for t in trajectories], axis=0)
+    return [
+        f"the command of {name} hardly changes: these data do not determine its thrust"
+        for name, extent in zip(trajectories[0].propellers, ranges, strict=True)
+        if extent < _HARDLY
+    ]
 
 
 def _warnings(model: Model, converged: bool, message: str) -> list[str]:
@@ -222,6 +253,12 @@ def _warnings(model: Model, converged: bool, message: str) -> list[str]:
     labels = model.parameters.labels(model.vehicle.propeller_names)
     at_bound = model.free & ((vector <= lower) | (vector >= upper))
     warnings += [f"{labels[entry]} is at its bound" for entry in np.flatnonzero(at_bound)]
+    nominal = model.vehicle.nominal.inertia_kg_m2
+    if not 0.05 < float(model.parameters.inertia) / nominal < 20:
+        warnings.append(
+            f"the inertia, {float(model.parameters.inertia):.3g} kg m², is far from the nominal "
+            f"{nominal:.3g}: do the data excite the yaw?"
+        )
     slopes, speeds = lowest_slope(model.parameters.thrust)
     for name, slope, speed in zip(model.vehicle.propeller_names, slopes, speeds, strict=True):
         if slope < 0:

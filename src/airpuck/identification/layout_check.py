@@ -11,7 +11,7 @@ from jaxtyping import Float
 from airpuck.model.motor import motor_speeds
 from airpuck.model.parameters import nominal_parameters
 from airpuck.model.thrust import thrust
-from airpuck.trajectory import Trajectory, hold
+from airpuck.trajectory import Trajectory, check_propellers, hold
 from airpuck.vehicle import Vehicle
 
 #: Longest transport delay that is tried [s].
@@ -138,6 +138,7 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
     LayoutCheck
         A verdict for each propeller, and for the layout as a whole.
     """
+    check_propellers(vehicle, trajectory)
     nominal = nominal_parameters(vehicle)
     # Forces and moments in one unit: the moment as a force at the radius of gyration.
     gyration = np.sqrt(nominal.inertia / vehicle.mass_kg)
@@ -192,7 +193,9 @@ def _regress(
     """Least squares for the effect of each force, and the share of variance explained."""
     effect = np.linalg.lstsq(forces.T, measured.T, rcond=None)[0].T
     residual = measured - effect @ forces
-    shares = 1 - np.sum(residual**2, axis=1) / np.sum(measured**2, axis=1)
+    total = np.sum(measured**2, axis=1)
+    shares = 1 - np.sum(residual**2, axis=1) / np.where(total > 0, total, np.inf)
+    shares = np.where(total > 0, shares, 0.0)
     return effect, float(np.mean(shares))
 
 
@@ -208,11 +211,15 @@ def _whole_layout(
     """Find the rotation that carries stated forces into measured ones; and whether a mirror helps.
 
     In complex numbers, forces f → f exp(iα) for a rotation and conj(f) exp(iα) for a mirror; the
-    best α is the argument of the inner product (two-dimensional Procrustes).
+    best α is the argument of the inner product (two-dimensional Procrustes). A rotation leaves
+    all moments as they are and a mirror turns them round, which tells it from single propellers
+    that are wrong.
     """
     mine, theirs = measured[0] + 1j * measured[1], stated[0] + 1j * stated[1]
     turned, flipped = np.vdot(theirs, mine), np.sum(theirs * mine)
-    return float(np.angle(turned)), bool(abs(flipped) > 1.5 * abs(turned))
+    moments = float(measured[2] @ stated[2])
+    mirrored = abs(flipped) - moments > 1.5 * max(abs(turned) + moments, 0.0)
+    return float(np.angle(turned)), bool(mirrored)
 
 
 def _verdict(agreement: float, likeness: float, other: str) -> str:

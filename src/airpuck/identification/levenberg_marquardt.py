@@ -9,10 +9,14 @@ import numpy as np
 import piqp
 from jaxtyping import Bool, Float
 
+from airpuck.errors import InputError
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.monotone import SlopeConstraints
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.parameters import Parameters
+
+#: Damping, relative to the curvature, above which steps are too short to say anything.
+_OVERDAMPED = 1e6
 
 
 @dataclass(frozen=True)
@@ -58,11 +62,26 @@ class LevenbergMarquardt:
         damping, growth, reason = self.damping, 2.0, "most iterations reached"
         for number in range(1, self.max_iterations + 1):
             step = np.zeros_like(point)
-            step[free] = self._step(here, point, free, lower, upper, damping, slopes, shape)
+            try:
+                step[free] = self._step(here, point, free, lower, upper, damping, slopes, shape)
+            except ArithmeticError:
+                # More damping makes the problem better conditioned.
+                damping *= growth
+                growth *= 2
+                if damping > _OVERDAMPED:
+                    raise InputError(
+                        "the data do not determine this many parameters (a step's quadratic "
+                        "program has no solution); use more data, fewer free parameters or a "
+                        "lower degree",
+                        field="recording",
+                    ) from None
+                history.append(Iteration(number, here.loss))
+                continue
             promised = -(here.gradient @ step + step @ here.hessian @ step / 2)
             standstill = np.all(np.abs(step) <= 1e-14 + 1e-12 * np.abs(point))
             if promised <= self.tolerance * here.loss or standstill:
-                reason = "converged"
+                # A step that only the damping keeps short says nothing about the optimum.
+                reason = "converged" if damping < _OVERDAMPED else "no step lowers the loss"
                 break
             there = loss.quadratic(parameters.with_vector(point + step))
             gain = (here.loss - there.loss) / promised

@@ -124,7 +124,7 @@ class Inflow(Effect):
     axes: Any
 
     @classmethod
-    def of(cls, vehicle: Vehicle, coefficient: Any) -> Inflow:
+    def of(cls, vehicle: Vehicle, coefficient: Any, angle_offset: float = 0.0) -> Inflow:
         """Take the axes from a vehicle.
 
         Parameters
@@ -133,6 +133,8 @@ class Inflow(Effect):
             Positions and directions of the propellers.
         coefficient : float
             c [s/m].
+        angle_offset : float, default 0
+            Rotation α of the layout against the measured yaw [rad].
 
         Returns
         -------
@@ -140,7 +142,9 @@ class Inflow(Effect):
             The effect.
         """
         (px, py), (dx, dy) = vehicle.positions.T, vehicle.directions.T
-        return cls(coefficient, np.stack([dx, dy, px * dy - py * dx], axis=1))
+        cos, sin = np.cos(angle_offset), np.sin(angle_offset)
+        turned = [cos * dx - sin * dy, sin * dx + cos * dy, px * dy - py * dx]
+        return cls(coefficient, np.stack(turned, axis=1))
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""

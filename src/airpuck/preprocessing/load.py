@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from airpuck.errors import InputError
 from airpuck.recording.topics import Topics
 from airpuck.trajectory import Trajectory, read_trajectory
 from airpuck.vehicle import Vehicle
@@ -42,10 +43,17 @@ def load_trajectory(
         If the file cannot be read or does not fit the vehicle.
     """
     path = Path(path)
+    archive = path / "data.pt" if path.is_dir() else path
+    preprocessed = path.suffix == ".npz" or (archive.suffix == ".pt" and archive.is_file())
+    if preprocessed and (delay is not None or topics is not None):
+        raise InputError(
+            "is preprocessed already: its transport delay is settled and it has no topics",
+            file=path,
+            field="delay" if delay is not None else "topics",
+        )
     if path.suffix == ".npz":
         return read_trajectory(path)
-    archive = path / "data.pt" if path.is_dir() else path
-    if archive.suffix == ".pt" and archive.is_file():
+    if preprocessed:
         from airpuck.recording.torch_archive import read_authors_experiment
 
         return read_authors_experiment(archive)

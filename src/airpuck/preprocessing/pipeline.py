@@ -12,7 +12,7 @@ from airpuck.errors import InputError
 from airpuck.model.parameters import nominal_parameters
 from airpuck.model.rigid_body import Dynamics
 from airpuck.preprocessing.clock import align_clocks
-from airpuck.preprocessing.delay import DelayEstimate, estimate_delay
+from airpuck.preprocessing.delay import LONGEST, DelayEstimate, estimate_delay
 from airpuck.preprocessing.derivative import (
     ACCELERATION_WINDOW,
     acceleration,
@@ -33,6 +33,7 @@ from airpuck.vehicle import Vehicle, default_vehicle, match_columns
 
 #: A command this far above the lowest one means that the experiment has begun.
 _BEGINS_ABOVE_MINIMUM = 0.02
+_NO_COMMANDS = "no commands"
 #: Correlation below which the commands hardly explain the motion.
 _WEAK_CORRELATION = 0.5
 
@@ -72,6 +73,11 @@ def preprocess(
         If the recording lacks a stream or holds numbers that cannot be what they should be, or if
         poses and commands do not overlap.
     """
+    if delay is not None and not 0 <= delay <= LONGEST:
+        raise InputError(
+            f"must be between 0 and {LONGEST:g} s, not {delay:g}; radios take some 10 ms",
+            field="delay",
+        )
     vehicle = vehicle or default_vehicle()
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
@@ -91,7 +97,7 @@ def preprocess(
     time, values = poses.time[first:last], poses.values[first:last]
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
     spans = [*find_gaps(time), *find_frozen(time, values)]
-    spans += find_gaps(commands.time, "no commands", COMMAND_GAP_PERIODS)
+    spans += find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS)
     rates, accelerations, short = _differentiate_between_gaps(time, values, find_gaps(time))
     state = np.concatenate([values, rates], axis=1)
     trajectory = Trajectory(
@@ -210,11 +216,16 @@ def _with_delay(trajectory: Trajectory, delay: float | None, nominal: Dynamics) 
         delay=float(delay),
         excluded=tuple(
             Span(span.start - start, span.stop - start, span.cause)
-            for span in trajectory.excluded
+            for span in (_acting(span, delay) for span in trajectory.excluded)
             if span.stop >= start
         ),
         warnings=tuple(warnings),
     )
+
+
+def _acting(span: Span, delay: float) -> Span:
+    """Extend a pause of the commands to when the next one acts."""
+    return replace(span, stop=span.stop + delay) if span.cause == _NO_COMMANDS else span
 
 
 def _judge(estimate: DelayEstimate) -> list[str]:

@@ -68,7 +68,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     # In radians a wrapped yaw stays within ±π and a continuous one has no jumps.
     wraps_at_360 = np.any((jumps > 300) & (jumps < 361))
     period = np.median(np.diff(time)) if len(time) > 1 else 0.0
-    spins_too_fast = period > 0 and np.quantile(jumps, 0.9) / period > 100
+    spins_too_fast = len(jumps) > 0 and period > 0 and np.quantile(jumps, 0.9) / period > 100
     if np.abs(yaw).max() > 2 * np.pi and (wraps_at_360 or spins_too_fast):
         raise InputError(
             f"yaw reaches {np.abs(yaw).max():.0f} and looks like degrees; convert it to radians",
@@ -139,6 +139,8 @@ def drop_disorder(
     Cleaned
         The samples in strictly increasing time; the first of equal stamps is kept.
     """
+    if len(time) == 0:
+        return Cleaned(time, values, ())
     latest = np.maximum.accumulate(time)
     ahead = np.concatenate([[True], time[1:] > latest[:-1]])
     duplicated = np.concatenate([[False], time[1:] == latest[:-1]])

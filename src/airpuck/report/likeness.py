@@ -67,15 +67,12 @@ def likeness_figure(flights: Mapping[str, Trajectory]) -> Figure:
     panels = figure.subplots(2, 2, sharey=True)
     handles = []
     for number, (name, trajectory) in enumerate(flights.items()):
-        style = {
-            "color": _COLORS[number % len(_COLORS)],
-            "linestyle": "-" if number < 3 else "--",
-        }
-        handles.append(Line2D([], [], label=name, **style))
+        color, dashes = _COLORS[number % len(_COLORS)], "-" if number < 3 else "--"
+        handles.append(Line2D([], [], label=name, color=color, linestyle=dashes))
         for axes, (label, values) in zip(panels.ravel(), motion(trajectory).items(), strict=True):
             ordered = np.sort(values)
             above = 1 - (np.arange(len(ordered)) + 0.5) / len(ordered)
-            axes.semilogy(ordered, above, **style)
+            axes.semilogy(ordered, above, color=color, linestyle=dashes)
             axes.set_xlabel(label)
             axes.set_ylim(1e-3, 1.0)
             axes.set_xlim(left=0)

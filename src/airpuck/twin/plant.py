@@ -171,6 +171,13 @@ def _bounce(
     sticks = xp.abs(stick_t) <= table.friction * stick_n
     impulse_n = xp.where(sticks, stick_n, slide_n)
     impulse_t = xp.where(sticks, stick_t, table.friction * sign * slide_n)
+    # With friction and an offset centre of mass, Newton's law can add energy (Kane and Levinson
+    # 1985). Where it would, the rail is taken to be smooth.
+    work = impulse_n * (normal_speed + (k_nn * impulse_n + k_nt * impulse_t) / 2) + impulse_t * (
+        slip + (k_nt * impulse_n + k_tt * impulse_t) / 2
+    )
+    impulse_n = xp.where(work > 0, wanted_n / k_nn, impulse_n)
+    impulse_t = xp.where(work > 0, 0.0, impulse_t)
 
     # Of the centre of mass, then of the geometric centre, which turns about it.
     turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia

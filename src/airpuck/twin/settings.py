@@ -15,7 +15,16 @@ from airpuck.table import Table
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
 Probability = Annotated[float, pydantic.Field(ge=0, le=1)]
-Interval = tuple[NonNegative, NonNegative]
+
+
+def _forward(interval: tuple[float, float]) -> tuple[float, float]:
+    """Refuse an interval that ends before it starts."""
+    if interval[0] > interval[1]:
+        raise ValueError("must end after it starts")
+    return interval
+
+
+Interval = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_forward)]
 
 
 class Radio(Section):
@@ -110,14 +119,14 @@ class Effects(Section):
         Share of the thrust that is lost per second of flight.
     """
 
-    drag_linear_1_s: float = 0.0
-    drag_quadratic_1_m: float = 0.0
-    spin_drag_linear_1_s: float = 0.0
-    spin_drag_quadratic_1_rad: float = 0.0
-    inflow_s_m: float = 0.0
-    pair_interaction_1_N: float = 0.0
+    drag_linear_1_s: NonNegative = 0.0
+    drag_quadratic_1_m: NonNegative = 0.0
+    spin_drag_linear_1_s: NonNegative = 0.0
+    spin_drag_quadratic_1_rad: NonNegative = 0.0
+    inflow_s_m: NonNegative = 0.0
+    pair_interaction_1_N: NonNegative = 0.0
     tilt_rad: tuple[float, float] = (0.0, 0.0)
-    battery_sag_1_s: float = 0.0
+    battery_sag_1_s: NonNegative = 0.0
 
 
 class Stall(Section):
@@ -134,6 +143,11 @@ class Stall(Section):
     motor: str
     start_s: NonNegative
     stop_s: NonNegative
+
+    @pydantic.model_validator(mode="after")
+    def _ends_after_it_starts(self) -> Stall:
+        _forward((self.start_s, self.stop_s))
+        return self
 
 
 class Motors(Section):

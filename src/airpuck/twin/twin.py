@@ -54,7 +54,7 @@ def _effects(model: Model, settings: Effects) -> tuple[Effect, ...]:
         s.spin_drag_quadratic_1_rad,
     )
     if s.inflow_s_m:
-        chosen.append(Inflow.of(model.vehicle, s.inflow_s_m))
+        chosen.append(Inflow.of(model.vehicle, s.inflow_s_m, float(model.parameters.angle_offset)))
     if s.pair_interaction_1_N:
         chosen.append(PairInteraction.of(model.vehicle, s.pair_interaction_1_N))
     if any(drag):
@@ -122,13 +122,13 @@ class Twin:
         return [measurement for _, measurement in arrived]
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
-        """Send a command by radio, now."""
+        """Send a command by radio, now; see `airpuck.flight.link.Link`."""
         command = np.array(command, dtype=float)
         self._sent.append((self.now, command))
         self._radio.send(self.now, command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
-        """Log what the craft is asked to do, now."""
+        """Log what the craft is asked to do; see `airpuck.flight.link.Link`."""
         self._announced.append((self.now, np.array(reference, dtype=float)))
 
     @property
