@@ -11,7 +11,6 @@ from airpuck.cli.app import app
 from airpuck.cli.inputs import choose, known_flights, read_craft, read_flight
 from airpuck.cli.options import (
     Json,
-    Quiet,
     Seed,
     Span,
     TopicsFile,
@@ -19,7 +18,13 @@ from airpuck.cli.options import (
     TwinFile,
     VehicleFile,
 )
-from airpuck.cli.output import is_stdout, print_replay, print_tracks, say, write_json
+from airpuck.cli.output import (
+    check_destinations,
+    is_stdout,
+    print_replay,
+    print_tracks,
+    write_json,
+)
 
 PANEL = "Control and flight"
 
@@ -49,6 +54,7 @@ def replay(
     from airpuck.flight.replay import replay
     from airpuck.model_file import read_model
 
+    check_destinations(output=output, json=json_file)
     craft = read_model(model)
     settings = default_tuning() if tuning is None else read_tuning(tuning)
     result = replay(
@@ -87,7 +93,6 @@ def excite(
     tuning: TuningFile = None,
     csv: Annotated[bool, typer.Option("--csv", help="Record CSV files instead of a bag.")] = False,
     json_file: Json = None,
-    quiet: Quiet = False,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
     from airpuck.control.tuning import read_tuning
@@ -104,7 +109,7 @@ def excite(
     # Before the flight: a folder that is in the way should not cost a minute.
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
-    say(quiet)(f"flying {duration:g} s on a twin of {truth.name}")
+    check_destinations(output=output, json=json_file)
     recording = excite(
         truth,
         duration,
@@ -164,6 +169,7 @@ def track(
     paths = flights or (known_flights(names) if dwell is None and controller == "paper" else [])
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
+    check_destinations(output=output, json=json_file)
     plant = read_model(truth)
     tracked = tracking_study(
         [read_model(name) for name in names],
@@ -205,6 +211,7 @@ def animate(
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.animation import animate
 
+    check_destinations(output=output)
     flight = read_flight(recording, topics)
     print(
         animate(

@@ -10,7 +10,14 @@ import typer
 from airpuck.cli.app import app
 from airpuck.cli.inputs import choose, cut, load, read_craft
 from airpuck.cli.options import Json, ModelName, Quiet, RecordingPath, Span, TopicsFile, VehicleFile
-from airpuck.cli.output import is_stdout, print_table, show_progress, warn, write_json
+from airpuck.cli.output import (
+    check_destinations,
+    is_stdout,
+    print_table,
+    show_progress,
+    warn,
+    write_json,
+)
 
 PANEL = "From a recording to a validated model"
 
@@ -28,11 +35,12 @@ def preprocess(
     quiet: Quiet = False,
 ) -> None:
     """Turn a recording into a trajectory: states, commands, delay, what not to use."""
-    trajectory = load(recording, read_craft(vehicle), topics, delay)
     if output.suffix != ".npz":
         from airpuck.errors import InputError
 
         raise InputError("must end in .npz", file=output, field="-o")
+    check_destinations(output=output, json=json_file)
+    trajectory = load(recording, read_craft(vehicle), topics, delay)
     trajectory.save(output)
     figures = {
         "samples": len(trajectory),
@@ -84,14 +92,20 @@ def identify(
     quiet: Quiet = False,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
+    from airpuck.errors import InputError
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import identify
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
     from airpuck.model.presets import preset
 
-    preset(model)
+    rung = preset(model)
     choose("--method", method, ("lm", "adam"))
     choose("--com-frame", com_frame, ("body", "world"))
+    if epochs is not None and method != "adam":
+        raise InputError("is of adam only; add --method adam", field="--epochs")
+    if degree is not None and rung.powers is not None:
+        raise InputError(f"is fixed for the model {model}", field="--degree")
+    check_destinations(output=output, json=json_file, report=report)
     craft = read_craft(vehicle)
     trajectories = [cut(load(path, craft, topics), span) for path in recordings]
     warn([w for t in trajectories for w in t.warnings], quiet)

@@ -14,6 +14,35 @@ if TYPE_CHECKING:
     from airpuck.twin.tracking_study import Tracked
 
 
+def check_destinations(**paths: Path | None) -> None:
+    """Refuse places that cannot be written to, before any work is done for them."""
+    import tempfile
+
+    from airpuck.errors import InputError
+
+    taken: dict[Path, str] = {}
+    for option, path in paths.items():
+        if path is None or is_stdout(path):
+            continue
+        option = "-o" if option == "output" else f"--{option}"
+        whole = path.absolute()
+        if whole in taken:
+            raise InputError(f"is the place of {taken[whole]}, too", file=path, field=option)
+        taken[whole] = option
+        existing = next(folder for folder in (whole, *whole.parents) if folder.exists())
+        if existing == whole and existing.is_file():
+            existing = whole.parent
+        try:
+            with tempfile.TemporaryFile(dir=existing):
+                pass
+        except OSError as error:
+            raise InputError(
+                f"cannot be written ({error.strerror}); choose another place",
+                file=path,
+                field=option,
+            ) from None
+
+
 def say(quiet: bool) -> Any:
     """Return a function that prints what is being done."""
     return (lambda _: None) if quiet else (lambda text: print(text, file=sys.stderr, flush=True))

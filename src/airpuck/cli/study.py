@@ -9,7 +9,7 @@ import typer
 
 from airpuck.cli.app import app
 from airpuck.cli.options import Json, Quiet
-from airpuck.cli.output import is_stdout, say, write_json
+from airpuck.cli.output import check_destinations, is_stdout, say, write_json
 
 PANEL = "The paper's study"
 
@@ -43,6 +43,7 @@ def reproduce(
     """Reproduce the paper's tables and figures, published against ours."""
     from airpuck.report.reproduce import reproduce
 
+    check_destinations(out=out, json=json_file)
     result = reproduce(data, out, side_claims=side_claims, progress=say(quiet))
     write_json(json_file, result.to_json())
     if not is_stdout(json_file):
@@ -57,4 +58,5 @@ def demo(
     """Walk the whole way on recordings that are simulated: no download, no hardware."""
     from airpuck.demo import demo
 
+    check_destinations(out=out)
     print(demo(out, progress=say(quiet)))

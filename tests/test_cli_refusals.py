@@ -1,0 +1,141 @@
+"""What the command line refuses, in one line and with nothing written."""
+
+import json
+
+import numpy as np
+import pytest
+
+from airpuck.recording import write_bag
+
+from .synthetic import record
+from .test_cli import airpuck, refused
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags") / "flight"
+    write_bag(record(duration=4.0, noise=1e-4), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def archive(bag):
+    path = bag.parent / "flight.npz"
+    assert airpuck("preprocess", bag, "-o", path, "-q").returncode == 0
+    return path
+
+
+def damaged(archive, path, name, change):
+    """Copy an archive with one array changed."""
+    with np.load(archive) as content:
+        arrays = dict(content)
+    arrays[name] = change(arrays[name])
+    np.savez(path, **{key: value for key, value in arrays.items() if value is not None})
+    return path
+
+
+def with_nan(values):
+    values = values.copy()
+    values[10] = np.nan
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "word"),
+    [
+        ("state", with_nan, "not finite"),
+        ("t", lambda t: t[::-1], "must increase"),
+        ("state", lambda x: x[:-5], "shape"),
+        ("command", lambda u: 100 * u, "[0, 1]"),
+        ("command_time", lambda t: t[::-1], "must not decrease"),
+        ("state", lambda x: x.astype(np.float32), "float64"),
+        ("acceleration", lambda _: None, "is missing"),
+    ],
+)
+def test_a_damaged_trajectory(archive, tmp_path, name, change, word):
+    path = damaged(archive, tmp_path / "bad.npz", name, change)
+    assert refused(airpuck("evaluate", "paper:M3", path), "bad.npz", name, word)
+
+
+def test_a_trajectory_with_flipped_bytes(archive, tmp_path):
+    content = bytearray(archive.read_bytes())
+    for at in range(2000, 3000, 7):
+        content[at] ^= 0xFF
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    assert refused(airpuck("evaluate", "paper:M3", path), "bad.npz")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("preprocess", "{bag}", "-o", "t.npz", "--delay", "-1"), ("delay",)),
+        (("preprocess", "{bag}", "-o", "t.npz", "--delay", "nan"), ("delay",)),
+        (("preprocess", "{archive}", "-o", "t.npz", "--delay", "0.02"), ("delay", "already")),
+        (("identify", "{bag}", "{bag}", "-o", "m.toml"), ("twice",)),
+        (("identify", "{bag}", "-o", "m.toml", "--json", "m.toml"), ("--json", "m.toml")),
+        (("identify", "{bag}", "-o", "m.toml", "--json", "/proc/x.json"), ("--json",)),
+        (("identify", "{bag}", "-o", "m.toml", "--epochs", "3"), ("--epochs",)),
+        (
+            ("identify", "{bag}", "-o", "m.toml", "--model", "quadratic", "--degree", "1"),
+            ("--deg",),
+        ),
+        (("replay", "{bag}", "--model", "paper:M4", "-o", "r"), ("reference",)),
+        (("replay", "{bag}", "--model", "nonsense.toml", "-o", "r"), ("nonsense.toml",)),
+        (("excite", "-o", "{bag}"), ("-o", "exists")),
+        (("excite", "-o", "b", "--duration", "-3"), ("duration",)),
+        (("excite", "-o", "b", "--amplitude", "2"), ("amplitude",)),
+        (("track", "--model", "paper:M7"), ("M7",)),
+        (("track", "--dwell", "0"), ("--dwell",)),
+        (("track", "--controller", "none"), ("--controller",)),
+        (("animate", "{bag}", "-o", "flight.mp4"), (".gif",)),
+    ],
+)
+def test_bad_usage_writes_nothing(bag, archive, tmp_path, arguments, words):
+    filled = [argument.format(bag=bag, archive=archive) for argument in arguments]
+    assert refused(airpuck(*filled, cwd=tmp_path), *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_demo_deletes_nothing_of_yours(tmp_path):
+    mine = tmp_path / "bags" / "training" / "flight.mcap"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    assert refused(airpuck("demo", "--out", tmp_path), "bags", "--out")
+    assert mine.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("inertia_kg_m2 = ", "inertia_kg_m2 = true #", "inertia_kg_m2"),
+        ("inertia_kg_m2 = ", 'inertia_kg_m2 = "0.1" #', "inertia_kg_m2"),
+        ("inertia_kg_m2 = ", "inertia_kg_m2 = nan #", "inertia_kg_m2"),
+        ("[free]", "[free]\ninertai = true", "inertai"),
+    ],
+)
+def test_wrong_types_in_a_model_file(archive, tmp_path, old, new, word):
+    from airpuck.model_file import published_model
+
+    path = tmp_path / "model.toml"
+    published_model("M3").save(path)
+    path.write_text(path.read_text().replace(old, new, 1))
+    assert refused(airpuck("evaluate", path, archive), "model.toml", word)
+
+
+def test_motors_that_never_move_are_named(tmp_path):
+    recording = record(duration=4.0, noise=1e-4)
+    command = recording.streams["command"]
+    command.values[:, 2] = 0.3
+    write_bag(recording, tmp_path / "bag")
+    process = airpuck("identify", tmp_path / "bag", "-o", tmp_path / "m.toml", "--json", "-")
+    assert process.returncode == 0, process.stderr
+    assert any("motor_b_1" in w for w in json.loads(process.stdout)["warnings"])
+
+
+def test_too_little_data_is_no_failure_of_ours(tmp_path):
+    recording = record(duration=0.6, noise=1e-4)
+    write_bag(recording, tmp_path / "bag")
+    process = airpuck("identify", tmp_path / "bag", "-o", "m.toml", "--degree", "9", cwd=tmp_path)
+    assert process.returncode in (0, 2), process.stderr
+    assert "Traceback" not in process.stderr
