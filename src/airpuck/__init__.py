@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from airpuck.recording.read import read_recording
     from airpuck.recording.stream import Recording, Stream
     from airpuck.trajectory import Span, Trajectory, read_trajectory
+    from airpuck.twin.experiments import excite, track
+    from airpuck.twin.fleet import fly_fleet
+    from airpuck.twin.settings import TwinSettings, read_twin_settings
+    from airpuck.twin.twin import Twin
     from airpuck.vehicle import Vehicle, default_vehicle, read_vehicle
 
 #: Public name -> the module that defines it.
@@ -57,11 +61,15 @@ _HOME = {
     "TrackingController": "airpuck.control.tracking",
     "Trajectory": "airpuck.trajectory",
     "Tuning": "airpuck.control.tuning",
+    "Twin": "airpuck.twin.twin",
+    "TwinSettings": "airpuck.twin.settings",
     "Vehicle": "airpuck.vehicle",
     "check_layout": "airpuck.identification.layout_check",
     "compare": "airpuck.evaluation.evaluate",
     "default_vehicle": "airpuck.vehicle",
     "evaluate": "airpuck.evaluation.evaluate",
+    "excite": "airpuck.twin.experiments",
+    "fly_fleet": "airpuck.twin.fleet",
     "identify": "airpuck.identification.fit",
     "load_trajectory": "airpuck.preprocessing.load",
     "preprocess": "airpuck.preprocessing.pipeline",
@@ -69,8 +77,10 @@ _HOME = {
     "read_recording": "airpuck.recording.read",
     "read_trajectory": "airpuck.trajectory",
     "read_tuning": "airpuck.control.tuning",
+    "read_twin_settings": "airpuck.twin.settings",
     "read_vehicle": "airpuck.vehicle",
     "replay": "airpuck.flight.replay",
+    "track": "airpuck.twin.experiments",
     "write_bag": "airpuck.recording.bag_writer",
     "write_csv": "airpuck.recording.csv_folder",
 }
@@ -94,11 +104,15 @@ __all__ = [
     "TrackingController",
     "Trajectory",
     "Tuning",
+    "Twin",
+    "TwinSettings",
     "Vehicle",
     "check_layout",
     "compare",
     "default_vehicle",
     "evaluate",
+    "excite",
+    "fly_fleet",
     "identify",
     "load_trajectory",
     "preprocess",
@@ -106,8 +120,10 @@ __all__ = [
     "read_recording",
     "read_trajectory",
     "read_tuning",
+    "read_twin_settings",
     "read_vehicle",
     "replay",
+    "track",
     "write_bag",
     "write_csv",
 ]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import Radio
@@ -78,11 +79,8 @@ def test_a_packet_waits_for_the_one_before_it():
     class Draws(np.random.Generator):
         drawn = iter([3.0, -2.0])
 
-        def standard_normal(self, *_):
-            return next(self.drawn)
-
         def random(self, *_):
-            return 0.5
+            return np.array([[norm.cdf(next(self.drawn)), 0.5]])
 
     radio = RadioLink(Radio(delay_s=0.02, jitter_s=0.01), Draws(np.random.PCG64()), 1)
     radio.send(0.0, packet(1))

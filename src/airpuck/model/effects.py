@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.model.linear_map import linear_map
 from airpuck.vehicle import Vehicle
 
 #: Acceleration of free fall [m/s²].
@@ -148,7 +149,7 @@ class Inflow(Effect):
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
-        axial = self.axes @ xp.stack([motion.forward, motion.left, motion.spin])
+        axial = linear_map(self.axes, xp.stack([motion.forward, motion.left, motion.spin]))
         return thrust * (1 - self.coefficient * axial)
 
 
@@ -190,7 +191,7 @@ class PairInteraction(Effect):
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
-        return thrust / (1 + self.coefficient * (self.twins @ thrust))
+        return thrust / (1 + self.coefficient * linear_map(self.twins, thrust))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from airpuck.model.effects import BodyMotion, Effect
+from airpuck.model.linear_map import linear_map
 from airpuck.model.thrust import thrust
 
 #: In which frame the offset of the centre of mass is constant. Physically it is the body; the
@@ -21,7 +22,8 @@ CenterOfMassFrame = Literal["body", "world"]
 class Dynamics:
     """Coefficients of the equations of motion.
 
-    Every rung of the model ladder is one of these; the rungs differ in what it is computed from
+    One craft's, or those of a batch of craft with the batch as last axis, as states have it. Every
+    rung of the model ladder is one of these; the rungs differ in what it is computed from
     (`airpuck.model.parameters`).
 
     Attributes
@@ -123,7 +125,7 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
             force = effect.thrust(xp, force, felt)
             added.append(effect.acceleration(xp, felt))
     forward, left, angular = (
-        sum(parts) for parts in zip(dynamics.configuration @ force, *added, strict=True)
+        sum(parts) for parts in zip(linear_map(dynamics.configuration, force), *added, strict=True)
     )
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
     if dynamics.frame == "body":

@@ -24,7 +24,7 @@ def thrust(coefficients: Any, speed: Any) -> Any:
 
     Parameters
     ----------
-    coefficients : array, shape (n, degree)
+    coefficients : array, shape (n, degree) or (n, degree, ...)
         Coefficients of φ, φ², …, one row for each propeller [N].
     speed : array, shape (n, ...)
         Normalised motor speeds φ.
@@ -63,7 +63,8 @@ def thrust_slope(coefficients: Any, speed: Any) -> Any:
 
 def _column(coefficients: Any, power: int, like: Any) -> Any:
     """Return one column of the coefficients, shaped to broadcast along the batch axes of `like`."""
-    return coefficients[:, power].reshape((-1,) + (1,) * (like.ndim - 1))
+    column = coefficients[:, power]
+    return column if column.ndim > 1 else column.reshape((-1,) + (1,) * (like.ndim - 1))
 
 
 def lowest_slope(

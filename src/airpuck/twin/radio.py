@@ -7,8 +7,35 @@ from collections import deque
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtri
 
 from airpuck.twin.settings import Radio
+
+
+def passage(
+    settings: Radio, time: Float[np.ndarray, " K"], chance: Float[np.ndarray, "K 2"]
+) -> Float[np.ndarray, " K"]:
+    """Say when packets arrive that do not meet each other.
+
+    Parameters
+    ----------
+    settings : Radio
+        Delay, jitter, loss, outages.
+    time : array, shape (K,)
+        When they are sent [s].
+    chance : array, shape (K, 2)
+        Uniform random numbers: of the delay, and of the loss.
+
+    Returns
+    -------
+    array, shape (K,)
+        Arrivals; infinite for those lost [s].
+    """
+    arrival = time + np.maximum(settings.delay_s + settings.jitter_s * ndtri(chance[:, 0]), 0.0)
+    lost = chance[:, 1] < settings.loss
+    for start, stop in settings.outages_s:
+        lost |= (start <= arrival) & (arrival < stop)
+    return np.where(lost, np.inf, arrival)
 
 
 class RadioLink:
@@ -41,12 +68,11 @@ class RadioLink:
         command : array, shape (n,)
             Its content.
         """
-        s = self._settings
-        # Both numbers are always drawn, so that one setting does not change what another draws.
-        jitter, luck = s.jitter_s * self._rng.standard_normal(), self._rng.random()
-        arrival = max(time + max(s.delay_s + jitter, 0.0), self._last_arrival)
-        if luck < s.loss or any(start <= arrival < stop for start, stop in s.outages_s):
+        chance = self._rng.random((1, 2))
+        alone = float(passage(self._settings, np.array([time]), chance)[0])
+        if math.isinf(alone):
             return
+        arrival = max(alone, self._last_arrival)
         self._last_arrival = arrival
         self._flying.append((arrival, command))
 
@@ -82,6 +108,7 @@ class RadioLink:
         float
             Arrival of the next packet, or the timeout [s].
         """
+        self.command(now)
         arrival = self._flying[0][0] if self._flying else math.inf
         timeout = self._received_at + self._settings.timeout_s
         return min(time for time in (arrival, timeout, math.inf) if time > now)

@@ -18,10 +18,10 @@ from airpuck.twin.motors import MotorUnit
 from airpuck.twin.plant import LONGEST_STEP, Plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.sensors import Sensor
-from airpuck.twin.settings import Effects, TwinSettings, default_twin_settings
+from airpuck.twin.settings import Effects, MotionCapture, TwinSettings, default_twin_settings
 
 #: Time of the recorder at the start of a flight [ns since 1970].
-_EPOCH_NS = 1_700_000_000_000_000_000
+EPOCH_NS = 1_700_000_000_000_000_000
 
 
 def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
@@ -95,7 +95,9 @@ class Twin:
         self.plant = plant or build_plant(model, settings)
         n = model.vehicle.n_propellers
         self.now = 0.0
+        # As of the last frame, packet or other event: who asks for the time moves no state.
         self.state = np.concatenate([pose, np.zeros(3 + n)])
+        self._state_time = 0.0
         self._radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
         self._motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
         self._sensors = _sensors(settings, seed)
@@ -107,16 +109,17 @@ class Twin:
         """Simulate until a time; see `airpuck.flight.link.Link`."""
         while True:
             following = min(sensor.due for sensor in self._sensors)
-            following = min(following, self._radio.next_change(self.now))
-            following = min(following, self._motors.next_change(self.now))
-            self._advance(min(following, time))
+            following = min(following, self._radio.next_change(self._state_time))
+            following = min(following, self._motors.next_change(self._state_time))
             if following > time:
                 break
+            self._advance(following)
             for sensor in self._sensors:
-                if sensor.due <= self.now:
+                if sensor.due <= following:
                     sensor.measure(self._true_value(sensor.kind))
                     if sensor.kind == "pose":
-                        self._truth.append((self.now, self.state))
+                        self._truth.append((following, self.state))
+        self.now = time
         arrived = [entry for sensor in self._sensors for entry in sensor.arrived(time)]
         arrived.sort(key=lambda entry: entry[0])
         return [measurement for _, measurement in arrived]
@@ -147,23 +150,25 @@ class Twin:
             ``mouse``; stamps as the senders put them, arrivals on the recorder's clock.
         """
         names = self.model.vehicle.propeller_names
-        streams = {sensor.kind: sensor.stream(_EPOCH_NS) for sensor in self._sensors}
+        streams = {sensor.kind: sensor.stream(EPOCH_NS) for sensor in self._sensors}
         streams = {kind: stream for kind, stream in streams.items() if len(stream)}
         if self._sent:
-            streams["command"] = _stream(self._sent, names, latency=1e-4)
+            streams["command"] = command_stream(self._sent, names)
         if self._announced:
             streams["reference"] = _stream(self._announced, COLUMNS["reference"], latency=0.0)
         return Recording(streams=streams, source=f"twin of {self.model.name}")
 
     def _advance(self, time: float) -> None:
         """Integrate to a time; nothing is commanded in between."""
-        while self.now < time:
-            duration = min(time - self.now, LONGEST_STEP)
-            command = self._motors.follow(self.now, self._radio.command(self.now))
-            sag = 1 - self.settings.effects.battery_sag_1_s * self.now
+        begin = self._state_time
+        while begin < time:
+            duration = min(time - begin, LONGEST_STEP)
+            command = self._motors.follow(begin, self._radio.command(begin))
+            sag = 1 - self.settings.effects.battery_sag_1_s * begin
             (self.state,) = self.plant.advance(self.state, command, duration, max(sag, 0.0))
             # The last piece ends at the time itself, not a rounding error before it.
-            self.now = time if duration == time - self.now else self.now + duration
+            begin = time if duration == time - begin else begin + duration
+        self._state_time = time
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
         """Return what a perfect sensor would say."""
@@ -177,21 +182,37 @@ class Twin:
         return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
 
 
+def pose_sensor(capture: MotionCapture, seed: int) -> Sensor:
+    """Build the motion capture of a twin.
+
+    Parameters
+    ----------
+    capture : MotionCapture
+        Its settings.
+    seed : int
+        Of the twin.
+
+    Returns
+    -------
+    Sensor
+        Of poses.
+    """
+    return Sensor(
+        "pose",
+        rate=capture.rate_hz,
+        noise=(capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad),
+        latency=(capture.latency_s, capture.latency_jitter_s),
+        rng=np.random.default_rng([seed, 1]),
+        dropped=capture.dropped,
+        gaps=capture.gaps_s,
+        clock=(capture.clock_offset_s, capture.clock_drift),
+    )
+
+
 def _sensors(settings: TwinSettings, seed: int) -> list[Sensor]:
     """Build the sensors, each with random numbers of its own."""
-    capture, board = settings.motion_capture, settings.on_board
-    sensors = [
-        Sensor(
-            "pose",
-            rate=capture.rate_hz,
-            noise=(capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad),
-            latency=(capture.latency_s, capture.latency_jitter_s),
-            rng=np.random.default_rng([seed, 1]),
-            dropped=capture.dropped,
-            gaps=capture.gaps_s,
-            clock=(capture.clock_offset_s, capture.clock_drift),
-        )
-    ]
+    board = settings.on_board
+    sensors = [pose_sensor(settings.motion_capture, seed)]
     if board.rate_hz == 0:
         return sensors
     inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
@@ -210,8 +231,28 @@ def _sensors(settings: TwinSettings, seed: int) -> list[Sensor]:
     return sensors
 
 
+def command_stream(
+    sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
+) -> Stream:
+    """Lay out commands as a recorder logs them.
+
+    Parameters
+    ----------
+    sent : list of (float, array of shape (n,))
+        When each was sent [s], and what.
+    names : tuple of str
+        Of the propellers.
+
+    Returns
+    -------
+    Stream
+        On the recorder's clock, a tenth of a millisecond late.
+    """
+    return _stream(sent, names, latency=1e-4)
+
+
 def _stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
     """Lay out messages that carry the controller's time."""
     times, values = zip(*logged, strict=True)
-    stamp = _EPOCH_NS + np.rint(np.array(times) * 1e9).astype(np.int64)
+    stamp = EPOCH_NS + np.rint(np.array(times) * 1e9).astype(np.int64)
     return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)

@@ -1,0 +1,470 @@
+"""A fleet: many craft at once, each with its own parameters, radio and noise, without feedback.
+
+The plant is the twin's (`airpuck.twin.plant`) with the batch as last axis, on the cores of a CPU or
+on a GPU. Each craft steps from event to event, a frame of the motion capture or a command that
+arrives, so that delays are exact and differ from craft to craft.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from airpuck.errors import InputError
+from airpuck.model.effects import Drag, Inflow, PairInteraction, Tilt
+from airpuck.model.rigid_body import Dynamics
+from airpuck.model_file import Model
+from airpuck.recording.stream import Recording
+from airpuck.table import Table
+from airpuck.twin.plant import LONGEST_STEP, Disc, advance, scaled
+from airpuck.twin.radio import passage
+from airpuck.twin.settings import Radio, TwinSettings, default_twin_settings
+from airpuck.twin.twin import EPOCH_NS, build_plant, command_stream, pose_sensor
+
+#: Craft of one batch on a CPU: enough that the loop costs little, few enough for its cache.
+BATCH = 512
+#: Events of all craft between two transfers of their states.
+SEGMENT = 512
+
+
+@dataclass(frozen=True, eq=False)
+class FleetFlight:
+    """What a fleet did.
+
+    Attributes
+    ----------
+    time : array, shape (N,)
+        Times of the frames that were kept [s].
+    state : array, shape (N, 6 + n, B)
+        True states at these times: x, y, γ, vx, vy, ω and the motor speeds.
+    models : tuple of Model
+        Truth of each craft.
+    seeds : tuple of int
+        Of the radio and the sensors of each craft.
+    command_time : array, shape (K,)
+        When commands were sent [s].
+    command : array, shape (K, n, B)
+        What was sent.
+    settings : TwinSettings
+        Table, sensors, radio, effects.
+    steps : int
+        Steps of the integration, of all craft together.
+    """
+
+    time: Float[np.ndarray, " N"]
+    state: Float[np.ndarray, "N s B"]
+    models: tuple[Model, ...]
+    seeds: tuple[int, ...]
+    command_time: Float[np.ndarray, " K"]
+    command: Float[np.ndarray, "K n B"]
+    settings: TwinSettings
+    steps: int
+
+    def __len__(self) -> int:
+        return self.state.shape[2]
+
+    def recording(self, craft: int) -> Recording:
+        """Return what a recorder would have logged of one craft.
+
+        Parameters
+        ----------
+        craft : int
+            Its number.
+
+        Returns
+        -------
+        Recording
+            Streams ``pose`` and ``command``, as those of a `Twin` of the same seed.
+
+        Raises
+        ------
+        InputError
+            If not every frame was kept.
+        """
+        capture = self.settings.motion_capture
+        if len(self.time) > 1 and self.time[1] * capture.rate_hz > 1.5:
+            raise InputError("a recording needs every frame", field="every")
+        sensor = pose_sensor(capture, self.seeds[craft])
+        for pose in self.state[:, :3, craft].astype(float):
+            sensor.measure(pose)
+        sent = list(zip(self.command_time.tolist(), self.command[:, :, craft], strict=True))
+        names = self.models[craft].vehicle.propeller_names
+        streams = {"pose": sensor.stream(EPOCH_NS), "command": command_stream(sent, names)}
+        return Recording(streams=streams, source=f"craft {craft} of a fleet")
+
+
+def fly_fleet(
+    models: Model | Sequence[Model],
+    command: Float[np.ndarray, "K n"] | Float[np.ndarray, "K n B"],
+    *,
+    period: float = 0.01,
+    seeds: Sequence[int] = (0,),
+    delays: Float[np.ndarray, " B"] | None = None,
+    poses: Float[np.ndarray, "3 B"] | None = None,
+    settings: TwinSettings | None = None,
+    every: int = 1,
+    precision: Literal["double", "single"] = "double",
+) -> FleetFlight:
+    """Fly many craft at once with given commands.
+
+    What is given once holds for all craft; what is given for each says how many there are.
+
+    Parameters
+    ----------
+    models : Model or sequence of Model
+        Truth, one for all or one for each craft. Craft of a fleet share the number of propellers,
+        the degree of the thrust, the frame of the centre of mass, the mass and the radius.
+    command : array, shape (K, n) or (K, n, B)
+        Commands, sent every `period`; the flight ends one period after the last.
+    period : float, default 0.01
+        Time between commands [s].
+    seeds : sequence of int, default (0,)
+        Of radio and sensors, one for all or one for each craft.
+    delays : array, shape (B,), optional
+        Mean delay of the radio of each craft; by default that of the settings [s].
+    poses : array, shape (3, B), optional
+        Where they stand at first, by default at the origin [m, m, rad].
+    settings : TwinSettings, optional
+        Table, sensors, radio, effects; by default the packaged ones.
+    every : int, default 1
+        Keep every so many frames of the motion capture.
+    precision : {"double", "single"}, default "double"
+        Of the arithmetic.
+
+    Returns
+    -------
+    FleetFlight
+        True states at the frames, and recordings of them.
+
+    Raises
+    ------
+    InputError
+        If sizes do not agree, a number is out of range, or the settings ask for motors that start
+        late or stall, which only `Twin` knows.
+
+    Notes
+    -----
+    The steps are those of a `Twin` whose on-board sensors are off, and so are the states but for
+    rounding. Runs on JAX's default device.
+    """
+    settings = settings or default_twin_settings()
+    models = (models,) if isinstance(models, Model) else tuple(models)
+    command = np.asarray(command, dtype=float)
+    poses = np.zeros((3, 1)) if poses is None else np.asarray(poses, dtype=float)
+    delays = np.array([settings.radio.delay_s]) if delays is None else np.asarray(delays, float)
+    _check(models, command, period, seeds, delays, poses, settings, every)
+    size = _common_size(
+        models=len(models),
+        command=command.shape[2] if command.ndim == 3 else 1,
+        seeds=len(seeds),
+        delays=len(delays),
+        poses=poses.shape[1],
+    )
+    n = models[0].vehicle.n_propellers
+    sent = period * np.arange(len(command))
+    frames, stride = _frames(settings, len(command) * period, every)
+    # Craft that differ in neither hear the same.
+    radios = max(len(seeds), len(delays))
+    times, heard = _heard(settings, sent, _each(seeds, radios), _each(delays.tolist(), radios))
+    # One more, for motors that stop.
+    commands = np.concatenate([command, np.zeros((1, *command.shape[1:]))])
+    fleet = _Fleet(
+        dynamics=_stacked([build_plant(model, settings).dynamics for model in models]),
+        inertia=np.array([float(model.parameters.inertia) for model in models]),
+        commands=commands.reshape(len(commands), n, -1),
+        times=times,
+        heard=heard,
+        state=np.concatenate([np.broadcast_to(poses, (3, size)), np.zeros((3 + n, size))]),
+    )
+    state, steps = _integrate(fleet, models[0], settings, frames, stride, precision)
+    return FleetFlight(
+        time=frames[::stride],
+        state=state,
+        models=_each(models, size),
+        seeds=_each(seeds, size),
+        command_time=sent,
+        command=np.broadcast_to(fleet.commands[:-1], (len(command), n, size)),
+        settings=settings,
+        steps=steps,
+    )
+
+
+def _each(values: Sequence[Any], size: int) -> tuple[Any, ...]:
+    """Repeat what is given once."""
+    return tuple(values) * size if len(values) == 1 else tuple(values)
+
+
+def _common_size(**sizes: int) -> int:
+    """Return the number of craft."""
+    several = {name: size for name, size in sizes.items() if size != 1}
+    if len(set(several.values())) > 1:
+        told = ", ".join(f"{size} {name}" for name, size in several.items())
+        raise InputError(f"these should be as many as there are craft: {told}")
+    return max(several.values(), default=1)
+
+
+def _check(
+    models: tuple[Model, ...],
+    command: Float[np.ndarray, "..."],
+    period: float,
+    seeds: Sequence[int],
+    delays: Float[np.ndarray, " B"],
+    poses: Float[np.ndarray, "..."],
+    settings: TwinSettings,
+    every: int,
+) -> None:
+    """Refuse what cannot be flown."""
+    if not models:
+        raise InputError("is empty", field="models")
+    if not len(seeds):
+        raise InputError("is empty", field="seeds")
+    n = models[0].vehicle.n_propellers
+    kinds = {
+        (m.frame, m.parameters.thrust.shape, m.vehicle.mass_kg, m.vehicle.radius_m) for m in models
+    }
+    if len(kinds) > 1:
+        raise InputError(
+            "craft of a fleet must have the same number of propellers, degree of the thrust, frame "
+            "of the centre of mass, mass and radius",
+            field="models",
+        )
+    if command.ndim not in (2, 3) or command.shape[1] != n or not command.size:
+        raise InputError(f"must have the shape (K, {n}) or (K, {n}, B)", field="command")
+    if not np.isfinite(command).all() or command.min() < 0 or command.max() > 1:
+        raise InputError("must lie in [0, 1]", field="command")
+    if not (math.isfinite(period) and period > 0):
+        raise InputError("must be positive", field="period")
+    if delays.ndim != 1 or not delays.size or not np.isfinite(delays).all() or (delays < 0).any():
+        raise InputError("must be a list of numbers that are not negative", field="delays")
+    if poses.ndim != 2 or len(poses) != 3 or not poses.size or not np.isfinite(poses).all():
+        raise InputError("must have the shape (3, B) and be finite", field="poses")
+    if every < 1:
+        raise InputError("must be at least 1", field="every")
+    if settings.motors.starting_delay_s or settings.motors.stalls:
+        raise InputError(
+            "motors of a fleet neither start late nor stall; use Twin", field="settings.motors"
+        )
+
+
+def _frames(
+    settings: TwinSettings, duration: float, every: int
+) -> tuple[Float[np.ndarray, " F"], int]:
+    """Return times to step to, and which of them to keep: every so many."""
+    rate = settings.motion_capture.rate_hz
+    pieces = math.ceil(1 / (rate * LONGEST_STEP) - 1e-9)
+    count = math.floor(duration * rate * (1 + 1e-12)) + 1
+    frames = np.arange((count - 1) * pieces + 1) / (rate * pieces)
+    return frames, pieces * every
+
+
+@dataclass(frozen=True)
+class _Fleet:
+    """All that may differ: the last axis of every array has one entry for each craft, or one.
+
+    Attributes
+    ----------
+    dynamics : Dynamics
+        Coefficients.
+    inertia : array, shape (B,)
+        About the centre of mass [kg m²].
+    commands : array, shape (K + 1, n, B)
+        What was sent, and zeros.
+    times : array, shape (E, B)
+        When what the motors follow changes, infinite at the end [s].
+    heard : array of int, shape (E, B)
+        The number of the command that they follow from then on.
+    state : array, shape (6 + n, B)
+        At first.
+    """
+
+    dynamics: Dynamics
+    inertia: Any
+    commands: Any
+    times: Any
+    heard: Any
+    state: Any
+
+    @property
+    def size(self) -> int:
+        """Number of craft."""
+        return self.state.shape[-1]
+
+    def batches(self, size: int) -> Iterator[tuple[_Fleet, slice]]:
+        """Cut the fleet into batches of one size; the last is filled up with the last craft."""
+        import jax
+
+        for begin in range(0, self.size, size):
+            chosen = np.minimum(np.arange(begin, begin + size), self.size - 1)
+
+            def cut(array: Any, chosen: Any = chosen) -> Any:
+                return array[..., chosen] if array.shape[-1] > 1 else array
+
+            yield jax.tree.map(cut, self), slice(begin, min(begin + size, self.size))
+
+
+def _stacked(each: list[Dynamics]) -> Dynamics:
+    """Stack the coefficients of all craft."""
+    import jax
+
+    _register()
+    return jax.tree.map(lambda *values: np.stack(values, axis=-1).astype(float), *each)
+
+
+def _heard(
+    settings: TwinSettings,
+    sent: Float[np.ndarray, " K"],
+    seeds: tuple[int, ...],
+    delays: tuple[float, ...],
+) -> tuple[Float[np.ndarray, "E B"], Int[np.ndarray, "E B"]]:
+    """Return what the motors of each craft follow, and from when on; filled up to one length."""
+    changes = []
+    for seed, delay in zip(seeds, delays, strict=True):
+        # The very numbers that a `RadioLink` draws.
+        chance = np.random.default_rng([seed, 0]).random((len(sent), 2))
+        radio = settings.radio.model_copy(update={"delay_s": delay})
+        changes.append(_changes(radio, settings.motors.unarmed_s, sent, chance))
+    # There is always one more to wait for.
+    times = np.full((max(len(one) for one, _ in changes) + 1, len(seeds)), np.inf)
+    heard = np.full(times.shape, len(sent), dtype=np.int32)
+    for b, (when, what) in enumerate(changes):
+        times[: len(when), b], heard[: len(what), b] = when, what
+    return times, heard
+
+
+def _changes(
+    radio: Radio,
+    unarmed: float,
+    sent: Float[np.ndarray, " K"],
+    chance: Float[np.ndarray, "K 2"],
+) -> tuple[Float[np.ndarray, " E"], Int[np.ndarray, " E"]]:
+    """Return when what a craft's motors follow changes, and the number of the command, K: stop."""
+    arrival = passage(radio, sent, chance)
+    packet = np.flatnonzero(np.isfinite(arrival))
+    # No packet overtakes another.
+    arrival = np.maximum.accumulate(arrival[packet])
+    silent = np.diff(arrival, append=np.inf) > radio.timeout_s
+    times = np.concatenate([arrival, arrival[silent] + radio.timeout_s])
+    commands = np.concatenate([packet, np.full(np.count_nonzero(silent), len(sent))])
+    order = np.argsort(times, kind="stable")
+    times, commands = times[order], commands[order]
+    if unarmed > 0:
+        late = np.searchsorted(times, unarmed, side="right")
+        in_force = commands[late - 1] if late else len(sent)
+        times = np.concatenate([[unarmed], times[late:]])
+        commands = np.concatenate([[in_force], commands[late:]])
+    return times, commands
+
+
+@cache
+def _register() -> None:
+    """Let JAX see into the dataclasses that make up a fleet."""
+    from jax.tree_util import register_dataclass
+
+    for kind in (Dynamics, Drag, Inflow, PairInteraction, Tilt, _Fleet):
+        names = [field.name for field in fields(kind)]
+        register_dataclass(kind, [n for n in names if n != "frame"], ["frame"] * ("frame" in names))
+
+
+@cache
+def _program(table: Table, mass: float, radius: float, sag: float) -> Any:
+    """Compile many steps: ``(fleet, frames, carry) -> (carry, (states, frames reached))``."""
+    import jax
+    import jax.numpy as jnp
+
+    def segment(fleet: _Fleet, frames: Any, carry: Any) -> Any:
+        radio, craft = jnp.arange(fleet.times.shape[-1]), jnp.arange(fleet.commands.shape[-1])
+        disc, dtype = Disc(mass, fleet.inertia, radius), fleet.state.dtype
+
+        def one(carry: Any, _: Any) -> Any:
+            state, now, frame, change, following = carry
+            due, arrival = frames[frame + 1], fleet.times[change, radio]
+            # Frames end with the flight; from then on steps have no length.
+            until = jnp.minimum(due, arrival)
+            command = fleet.commands[following, :, craft].T
+            truth = fleet.dynamics
+            if sag:
+                truth = scaled(truth, jnp.maximum(1 - sag * now, 0.0).astype(dtype))
+            duration = (until - now).astype(dtype)
+            state = advance(jnp, truth, disc, table, state, command, duration)
+            seen, hears = due <= until, arrival <= until
+            following = jnp.where(hears, fleet.heard[change, radio], following)
+            frame = jnp.minimum(frame + seen, len(frames) - 2)
+            carry = state, until, frame, change + hears, following
+            # A craft's state in one piece, for the one who picks it from the batch.
+            return carry, (state.T, jnp.where(seen, frame, -1))
+
+        return jax.lax.scan(one, carry, length=SEGMENT)
+
+    return jax.jit(segment)
+
+
+def _integrate(
+    fleet: _Fleet,
+    model: Model,
+    settings: TwinSettings,
+    frames: Float[np.ndarray, " F"],
+    stride: int,
+    precision: str,
+) -> tuple[Float[np.ndarray, "N s B"], int]:
+    """Integrate all craft; return states at every `stride`-th frame, and the number of steps."""
+    import jax
+
+    on_cpu = jax.default_backend() == "cpu"
+    cores = (os.cpu_count() or 1) if on_cpu else 1
+    size = min(BATCH, math.ceil(fleet.size / cores)) if on_cpu else fleet.size
+    vehicle, sag = model.vehicle, settings.effects.battery_sag_1_s
+    # A frozen pydantic model has a hash, which the type checker does not see.
+    rails: Any = settings.table
+    program = _program(rails, vehicle.mass_kg, vehicle.radius_m, sag)
+    dtype = np.dtype("float64" if precision == "double" else "float32")
+    state = np.empty((-(-len(frames) // stride), fleet.size, len(fleet.state)), dtype)
+    steps = len(frames) - 1 + np.count_nonzero(fleet.times < frames[-1], axis=0)
+
+    def fly(batch: tuple[_Fleet, slice]) -> None:
+        part, place = batch
+        # Times are double in any case.
+        part = replace(_of_type(part, dtype), times=part.times)
+        with jax.enable_x64(True):
+            _fly_batch(program, part, frames, stride, int(steps.max()), state[:, place])
+
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(fly, fleet.batches(size)))
+    return state.transpose(0, 2, 1), int(np.broadcast_to(steps, fleet.size).sum())
+
+
+def _of_type(fleet: _Fleet, dtype: np.dtype) -> _Fleet:
+    """Convert all numbers that are no counts."""
+    import jax
+
+    return jax.tree.map(lambda a: a.astype(dtype) if a.dtype.kind == "f" else a, fleet)
+
+
+def _fly_batch(
+    program: Any,
+    fleet: _Fleet,
+    frames: Float[np.ndarray, " F"],
+    stride: int,
+    steps: int,
+    state: Float[np.ndarray, "N b s"],
+) -> None:
+    """Fly one batch, segment by segment, and put the states to keep in their places."""
+    wanted = state.shape[1]
+    state[0] = fleet.state.T[:wanted]
+    counts = np.zeros(fleet.times.shape[1], dtype=np.int32)
+    carry = (fleet.state, np.zeros(len(counts)), counts, counts, counts + len(fleet.commands) - 1)
+    # The flight's end is repeated: what comes after it takes no time.
+    frames = np.append(frames, frames[-1])
+    for _ in range(0, steps, SEGMENT):
+        carry, (states, reached) = program(fleet, frames, carry)
+        states, reached = np.asarray(states), np.asarray(reached)
+        reached = np.broadcast_to(reached, states.shape[:2])[:, :wanted]
+        step, craft = np.nonzero((reached >= 0) & (reached % stride == 0))
+        state[reached[step, craft] // stride, craft] = states[step, craft]
