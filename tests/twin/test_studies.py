@@ -1,0 +1,44 @@
+"""The long studies of the twin, as they stand in `studies/`."""
+
+import importlib.util
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+STUDIES = Path(__file__).parents[2] / "studies"
+
+
+def study(name):
+    spec = importlib.util.spec_from_file_location(name, STUDIES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def flight(seed):
+    return study("robustness").flown(seed)
+
+
+@pytest.mark.study
+def test_a_bad_radio_neither_misses_a_set_point_nor_touches_a_rail():
+    with ProcessPoolExecutor() as pool:
+        flights = list(pool.map(flight, range(100)))
+    assert all(one["reached"] for one in flights)
+    assert min(one["clearance mm"] for one in flights) > 5
+
+
+@pytest.mark.study
+def test_the_truth_is_recovered():
+    recovery = study("recovery")
+    truth = recovery.truth()
+    plant = recovery.build_plant(truth)
+    rows = [recovery.recovered(truth, plant, seed) for seed in range(20)]
+    for name, bound in recovery.BOUNDS.items():
+        values = np.array([row[name] for row in rows])
+        # Single seeds may lie a little above; their mean and most of them may not.
+        assert abs(values.mean()) < bound
+        assert np.mean(np.abs(values) <= bound) >= 0.9
