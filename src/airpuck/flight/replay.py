@@ -18,8 +18,8 @@ from airpuck.flight.track import recorded_set_points
 from airpuck.model.rigid_body import acceleration_map
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model
-from airpuck.preprocessing.clock import align_clocks
-from airpuck.preprocessing.quality import check_commands, check_poses
+from airpuck.preprocessing.clock import align_clocks, seconds
+from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
 from airpuck.recording.stream import Recording
 from airpuck.vehicle import match_columns
 
@@ -197,12 +197,14 @@ def replay(
     check_commands(command, aligned.command_time, recording.source)
     if not 0 <= span[0] < span[1] <= 1:
         raise InputError("give two fractions of the length, 0 <= A < B <= 1", field="span")
-    time, sent = aligned.command_time, command.values[:, order]
+    commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
+    time, sent = commands.time, commands.values
     # The recorder may have been busy; the controller got the poses after their usual latency.
-    latency = np.median(pose.received_ns - pose.stamp_ns) * 1e-9
+    arrivals = seconds(pose.received_ns) - aligned.recorder_epoch
+    latency = np.median(arrivals - aligned.pose_time)
     controller = TrackingController(
         model,
-        recorded_set_points(recording, aligned.epoch),
+        recorded_set_points(recording, aligned.recorder_epoch),
         tuning,
         compensate_delay=compensate_delay,
         reject_disturbance=reject_disturbance,
@@ -215,6 +217,12 @@ def replay(
     share = np.arange(len(time)) / len(time)
     compared = (share >= span[0]) & (share < span[1])
     known = np.array([estimate is not None for estimate in estimates])
+    if not (compared & known).any():
+        raise InputError(
+            "at none of the commands in the span was the pose known; give a longer span, or a "
+            "recording whose poses and commands overlap",
+            file=recording.source,
+        )
     gains = Gains.of(regulator(tuning.weights, tuning.period_s))
     if fit_gains:
         gains = _fit_gains(controller, estimates, targets, sent, compared & known)

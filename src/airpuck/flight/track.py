@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from airpuck.control.reference import SetPoints
 from airpuck.errors import InputError
-from airpuck.preprocessing.clock import align_clocks
+from airpuck.preprocessing.clock import align_clocks, seconds
 from airpuck.preprocessing.derivative import unwrap_yaw
 from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
 from airpuck.recording.stream import Recording
@@ -133,7 +133,7 @@ class Track:
         poses = drop_disorder(aligned.pose_time, pose.values, "pose")
         commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
         start = float(commands.time[0])
-        set_points = recorded_set_points(recording, aligned.epoch + start)
+        set_points = recorded_set_points(recording, aligned.recorder_epoch + start)
         return cls(
             label=label,
             time=poses.time - start,
@@ -249,7 +249,8 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
         If there are none, or they are not finite.
     """
     logged = recording["reference"]
-    times = logged.received_ns * 1e-9 - epoch
+    # In the same arithmetic as the commands: one of the same moment must not seem earlier.
+    times = seconds(logged.received_ns) - epoch
     first = np.concatenate([[True], np.diff(times) > 0])
     return SetPoints(times[first].tolist(), [tuple(p) for p in logged.values[first, :3].tolist()])
 

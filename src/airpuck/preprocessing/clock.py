@@ -25,12 +25,16 @@ class Aligned:
         The earlier of the two first stamps [s since 1970].
     warnings : tuple of str
         What was found.
+    recorder_epoch : float
+        What the recorder's clock showed at `epoch`: the same, unless the two clocks differ by more
+        than latencies explain [s since 1970].
     """
 
     pose_time: Float[np.ndarray, " N"]
     command_time: Float[np.ndarray, " K"]
     epoch: float
     warnings: tuple[str, ...]
+    recorder_epoch: float
 
 
 def seconds(stamp_ns: Int64[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
@@ -98,4 +102,6 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
             )
     pose_time, command_time = seconds(pose.stamp_ns), seconds(command.stamp_ns) + correction
     epoch = float(min(pose_time[0], command_time[0]))
-    return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings))
+    # The axis is the poses' clock.
+    ahead = base["pose"] if abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
+    return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings), epoch + ahead)
