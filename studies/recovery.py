@@ -44,9 +44,9 @@ def recovered(model: Model, plant: Plant, seed: int, duration: float = 90.0) -> 
     p, q = found.parameters, model.parameters
     return {
         "thrust %": 100 * float(thrust_error(found, model).max()),
-        "tau %": 100 * (p.motor_time_constant / q.motor_time_constant - 1),
-        "I %": 100 * (p.inertia / q.inertia - 1),
-        "alpha mrad": 1e3 * (p.angle_offset - q.angle_offset),
+        "tau %": 100 * float(p.motor_time_constant / q.motor_time_constant - 1),
+        "I %": 100 * float(p.inertia / q.inertia - 1),
+        "alpha mrad": 1e3 * float(p.angle_offset - q.angle_offset),
         "r mm": 1e3 * float(np.linalg.norm(p.center_of_mass - q.center_of_mass)),
         "delay": (trajectory.delay - plant_delay()) * 240,
     }

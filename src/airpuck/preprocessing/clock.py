@@ -102,6 +102,6 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
             )
     pose_time, command_time = seconds(pose.stamp_ns), seconds(command.stamp_ns) + correction
     epoch = float(min(pose_time[0], command_time[0]))
-    # The axis is the poses' clock.
-    ahead = base["pose"] if abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
+    # The axis is the poses' clock, and commands that were moved came along from the recorder's.
+    ahead = base["pose"] if correction or abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
     return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings), epoch + ahead)
