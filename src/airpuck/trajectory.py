@@ -43,7 +43,7 @@ class Span:
     cause: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """States on the grid of the motion capture, and the commands with their own times.
 
@@ -91,6 +91,12 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({self.source!r}, {len(self)} samples in {self.duration:.1f} s, "
+            f"{len(self.propellers)} motors, {len(self.excluded)} spans excluded)"
+        )
 
     @property
     def duration(self) -> float:

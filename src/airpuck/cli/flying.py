@@ -207,9 +207,14 @@ def animate(
     topics: TopicsFile = None,
     speed: Annotated[float, typer.Option(help="Seconds of flight per second.")] = 1.0,
     fps: Annotated[float, typer.Option(help="Frames of a GIF per second.")] = 25.0,
+    table: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="L W", help="Length and width of the table [m]."),
+    ] = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.animation import animate
+    from airpuck.report.animation_frames import TABLE
 
     check_destinations(output=output)
     flight = read_flight(recording, topics)
@@ -221,5 +226,6 @@ def animate(
             span=span or (0.0, 1.0),
             speed=speed,
             frames_per_second=fps,
+            table=table or TABLE,
         )
     )

@@ -23,7 +23,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Stream:
     """One topic as logged.
 
@@ -53,6 +53,9 @@ class Stream:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
+    def __repr__(self) -> str:
+        return f"Stream({len(self)} of {', '.join(self.columns)})"
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Stream):
             return NotImplemented
@@ -68,7 +71,7 @@ class Stream:
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Named streams of one flight, and where they came from.
 
@@ -91,6 +94,10 @@ class Recording:
     source: str
     hashes: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        streams = ", ".join(f"{name}: {len(stream)}" for name, stream in self.streams.items())
+        return f"Recording({self.source!r}, {{{streams}}})"
 
     def __getitem__(self, name: str) -> Stream:
         """Return a stream by name.

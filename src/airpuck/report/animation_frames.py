@@ -19,10 +19,11 @@ from airpuck.preprocessing.quality import (
     find_frozen,
 )
 from airpuck.recording.stream import Recording, Stream
+from airpuck.table import Table
 from airpuck.vehicle import Vehicle, match_columns
 
 #: Length and width of the authors' air-hockey table; its centre is the origin [m].
-TABLE = (2.2, 1.1)
+TABLE = (Table().length_m, Table().width_m)
 #: How far back the trail reaches [s].
 TRAIL = 2.5
 #: Poses farther apart in time than this are not connected [s].

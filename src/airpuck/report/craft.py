@@ -21,6 +21,7 @@ from airpuck.report.style import (
     propeller_colors,
     styled,
 )
+from airpuck.table import Table
 from airpuck.vehicle import Vehicle
 
 #: Propellers whose radii or half-angles agree this well get one common annotation [m, rad].
@@ -180,7 +181,7 @@ def frames_figure(
     *,
     yaw: float = 0.6,
     angle_offset: float = 0.22,
-    table: tuple[float, float] = (2.2, 1.1),
+    table: Table | None = None,
 ) -> Figure:
     """Draw the frames and the parameters that connect them; angles and offsets exaggerated.
 
@@ -196,8 +197,8 @@ def frames_figure(
         γ in the drawing [rad].
     angle_offset : float, default 0.22
         α in the drawing [rad].
-    table : tuple of float, default (2.2, 1.1)
-        Length and width of the table [m].
+    table : Table, optional
+        What it stands on; by default the paper's.
 
     Returns
     -------
@@ -206,20 +207,27 @@ def frames_figure(
     """
     figure = new_figure(8.6, 3.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.75, 1))
-    _draw_table(left, vehicle, yaw, table)
+    _draw_table(left, vehicle, yaw, table or Table())
     _draw_offsets(right, vehicle, angle_offset)
     return figure
 
 
-def _draw_table(axes: Axes, vehicle: Vehicle, yaw: float, table: tuple[float, float]) -> None:
+def _draw_table(axes: Axes, vehicle: Vehicle, yaw: float, table: Table) -> None:
     """Draw the table, the world frame and the craft in it, enlarged."""
     no_axes(axes)
-    length, width = table
+    length, width = table.length_m, table.width_m
     axes.add_patch(
         Rectangle((-length / 2, -width / 2), length, width, facecolor="#fafafa", edgecolor=GREY)
     )
-    about = f"table {length:g} m × {width:g} m; craft not to scale"
-    axes.text(length / 2, -0.53 * width, about, ha="right", va="top", color=GREY, fontsize=8)
+    axes.text(
+        length / 2,
+        -0.53 * width,
+        "craft not to scale",
+        ha="right",
+        va="top",
+        color=GREY,
+        fontsize=8,
+    )
     origin = np.array([-0.32 * length, -0.3 * width])
     axis = 0.28 * width
     for unit, name in (((1.0, 0.0), "$x^w$"), ((0.0, 1.0), "$y^w$")):
