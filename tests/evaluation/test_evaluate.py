@@ -52,11 +52,27 @@ def test_windows_do_not_overlap_and_cover_the_flight(flight):
     assert evaluation.left_out == 0
 
 
-def test_excluded_spans_are_left_out_and_counted(flight):
-    marked = replace(flight, excluded=(Span(1.0, 1.5, "gap"),))
+@pytest.mark.parametrize(
+    ("spans", "first_samples"),
+    [
+        # Samples 241 … 359 are gone: three windows fit before and eight after, of thirteen.
+        ([(1.001, 1.499)], [0, 70, 140, *range(360, 960 - 69, 70)]),
+        # Sample 48 too: none before it, two from 49 to 240.
+        ([(0.199, 0.201), (1.001, 1.499)], [49, 119, *range(360, 960 - 69, 70)]),
+        # A span in what thirteen windows leave over costs none, ...
+        ([(3.81, 4.5)], list(range(0, 910, 70))),
+        # ... and a single sample in the middle of the flight one at most.
+        ([(1.999, 2.001)], [*range(0, 480 - 69, 70), *range(481, 960 - 69, 70)]),
+    ],
+)
+def test_excluded_spans_are_left_out_and_counted(flight, spans, first_samples):
+    assert len(flight) == 960
+    marked = replace(flight, excluded=tuple(Span(*span, "gap") for span in spans))
     evaluation = evaluate(published_model("M3"), marked)
-    assert evaluation.left_out >= 2
-    assert not np.any((evaluation.start > 1.0) & (evaluation.start < 1.5))
+    present = np.array(first_samples) + 19
+    np.testing.assert_allclose(evaluation.start, present / 240, atol=1e-9)
+    assert evaluation.left_out == 13 - len(first_samples)
+    assert evaluation.to_json()["left_out"] == 13 - len(first_samples)
 
 
 def test_figures_are_plain_statistics(flight):
