@@ -251,6 +251,18 @@ def test_an_old_pose_is_ignored():
     np.testing.assert_array_equal(ours.step(last).command, spared.step(last).command)
 
 
+def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
+    ours = controller(SetPoint(0.1, 0, 0))
+    last = hold_still(ours)
+    ours.pose(last + 10, NOTHING)
+    idles(ours.step(last + FRAME), "stale pose")
+    ours.pose(last + 2 * FRAME, np.array([0.05, 0.0, 0.0]))
+    step = ours.step(last + 2 * FRAME)
+    assert step.flies
+    # Begun anew there, at rest.
+    np.testing.assert_allclose(step.request[0], ours.gain[0, 0] * 0.05, atol=0.02)
+
+
 def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):
     ours = controller(SetPoint(0.1, 0, 0))
     last = hold_still(ours)

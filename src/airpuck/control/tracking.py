@@ -135,7 +135,8 @@ class TrackingController:
         """Take note of a measured pose.
 
         One that is not finite, not newer than the last, or implausibly far from its prediction is
-        not used; after 50 ms of consistent ones elsewhere, these are believed.
+        not used; after 50 ms of consistent ones elsewhere, these are believed. One that is more
+        than 50 ms older than the last shows that the last stamp was wrong, and is believed at once.
 
         Parameters
         ----------
@@ -146,10 +147,10 @@ class TrackingController:
         """
         self._bad_pose = not math.isfinite(time + float(pose.sum()))
         last = self.filter.time
-        if self._bad_pose or (last is not None and time <= last):
+        if self._bad_pose or (last is not None and last - _STALE <= time <= last):
             return
-        if last is None or time - last > _STALE:
-            # Too long ago to predict over: begin anew.
+        if last is None or abs(time - last) > _STALE:
+            # Too long ago to predict over, or the last stamp lay in the future: begin anew.
             self._begin(time, pose)
             return
         if self.filter.pose(time, pose, gate=_JUMP):
@@ -343,7 +344,7 @@ class TrackingController:
             return "no pose"
         if self._doubts:
             return "jumping pose"
-        if time - last > _STALE:
+        if abs(time - last) > _STALE:
             return "stale pose"
         return None
 
