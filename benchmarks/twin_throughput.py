@@ -39,7 +39,7 @@ def main() -> None:
             for seeds in (range(craft), (0,)):
                 poses = np.zeros((3, craft))
 
-                def fly(seeds=seeds, poses=poses, precision=precision):  # noqa: ANN202
+                def fly(seeds=seeds, poses=poses, precision=precision):
                     begun = time.perf_counter()
                     flight = fly_fleet(
                         model, command, seeds=seeds, poses=poses, every=24, precision=precision
