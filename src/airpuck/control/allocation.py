@@ -130,6 +130,8 @@ class Piqp(Solver):
             settings.rho_init = settings.delta_init = 1e-8
             settings.eps_abs = settings.eps_rel = 1e-11
             settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 1e-11
+            # By default one feasible request in twenty is taken for infeasible.
+            settings.eps_primal_inf = 1e-10
 
     def constrained(
         self,
