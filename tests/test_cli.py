@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
 
+from airpuck.cli.app import app
 from airpuck.model_file import read_model
 from airpuck.recording import write_bag, write_csv
 
@@ -56,6 +59,25 @@ def test_help_lists_the_commands():
     assert process.returncode == 0
     for command in ("fetch", "preprocess", "identify", "evaluate", "compare", "reproduce", "demo"):
         assert command in process.stdout
+
+
+@pytest.mark.parametrize("name", sorted(get_command(app).commands))  # pyright: ignore
+def test_help_texts_keep_their_units(name):
+    # Rich takes [s] for markup, and leaves it out, unless it is escaped.
+    command = get_command(app).commands[name]  # pyright: ignore
+    shown = " ".join(
+        CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "300"}).stdout.split()
+    )
+    for text in [command.help, *(parameter.help for parameter in command.params)]:
+        assert (text or "").replace("\\", "").splitlines()[0] in shown
+
+
+@pytest.mark.parametrize("name", ["reproduce", "demo"])
+@pytest.mark.parametrize("option", ["-o", "--output", "--out"])
+def test_the_folder_of_a_study_may_be_called_as_elsewhere(tmp_path, name, option):
+    (tmp_path / "file").write_text("mine")
+    process = airpuck(name, option, tmp_path / "file" / "out")
+    assert refused(process, "-o", "cannot be written")
 
 
 def test_version():

@@ -101,7 +101,7 @@ def test_the_demo_deletes_nothing_of_yours(tmp_path):
     mine = tmp_path / "bags" / "training" / "flight.mcap"
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    assert refused(airpuck("demo", "--out", tmp_path), "bags", "--out")
+    assert refused(airpuck("demo", "-o", tmp_path), "bags", "-o")
     assert mine.read_text() == "mine"
 
 

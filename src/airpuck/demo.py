@@ -106,7 +106,7 @@ def _own_folder(folder: Path) -> Path:
     import shutil
 
     if folder.exists() and any(folder.iterdir()) and not (folder / _MARKER).is_file():
-        raise InputError("holds recordings of yours; choose another --out", file=folder)
+        raise InputError("holds recordings of yours; choose another folder (-o)", file=folder)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / _MARKER).touch()

@@ -80,7 +80,7 @@ def excite(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")
     ],
-    duration: Annotated[float, typer.Option(metavar="S", help="Length [s].")] = 90.0,
+    duration: Annotated[float, typer.Option(metavar="S", help=r"Length \[s].")] = 90.0,
     seed: Seed = 0,
     vehicle: VehicleFile = None,
     model: Annotated[
@@ -88,7 +88,7 @@ def excite(
         typer.Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
     ] = None,
     amplitude: Annotated[float, typer.Option(help="Largest random signal.")] = 1.0,
-    hold: Annotated[float, typer.Option(metavar="S", help="Time between its changes.")] = 0.2,
+    hold: Annotated[float, typer.Option(metavar="S", help=r"Time between its changes \[s].")] = 0.2,
     twin: TwinFile = None,
     tuning: TuningFile = None,
     csv: Annotated[bool, typer.Option("--csv", help="Record CSV files instead of a bag.")] = False,
@@ -139,7 +139,8 @@ def track(
     ] = None,
     truth: Annotated[str, typer.Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
     dwell: Annotated[
-        float | None, typer.Option(metavar="S", help="Time at each set point; imitates no flight.")
+        float | None,
+        typer.Option(metavar="S", help=r"Time at each set point \[s]; imitates no flight."),
     ] = None,
     controller: Annotated[
         str,
@@ -209,7 +210,7 @@ def animate(
     fps: Annotated[float, typer.Option(help="Frames of a GIF per second.")] = 25.0,
     table: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="L W", help="Length and width of the table [m]."),
+        typer.Option(metavar="L W", help=r"Length and width of the table \[m]."),
     ] = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""

@@ -13,6 +13,11 @@ from airpuck.cli.output import check_destinations, is_stdout, say, write_json
 
 PANEL = "The paper's study"
 
+#: Called --out at first; scripts may still say so.
+Out = Annotated[
+    Path, typer.Option("-o", "--output", "--out", metavar="DIR", help="Folder to write to.")
+]
+
 
 @app.command(rich_help_panel=PANEL)
 def fetch(
@@ -33,7 +38,7 @@ def reproduce(
     data: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the public dataset.")
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path("out"),
+    output: Out = Path("out"),
     side_claims: Annotated[
         bool, typer.Option("--side-claims", help="Re-test the paper's side claims too (minutes).")
     ] = False,
@@ -43,20 +48,20 @@ def reproduce(
     """Reproduce the paper's tables and figures, published against ours."""
     from airpuck.report.reproduce import reproduce
 
-    check_destinations(out=out, json=json_file)
-    result = reproduce(data, out, side_claims=side_claims, progress=say(quiet))
+    check_destinations(output=output, json=json_file)
+    result = reproduce(data, output, side_claims=side_claims, progress=say(quiet))
     write_json(json_file, result.to_json())
     if not is_stdout(json_file):
-        print(out / "index.html")
+        print(output / "index.html")
 
 
 @app.command(rich_help_panel=PANEL)
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path("demo"),
+    output: Out = Path("demo"),
     quiet: Quiet = False,
 ) -> None:
     """Walk the whole way on recordings that are simulated: no download, no hardware."""
     from airpuck.demo import demo
 
-    check_destinations(out=out)
-    print(demo(out, progress=say(quiet)))
+    check_destinations(output=output)
+    print(demo(output, progress=say(quiet)))
