@@ -32,6 +32,8 @@ class Windows:
         First sample of each window; no window reaches from one trajectory into the next.
     encoder_length, prediction_length : int
         E and T, in samples.
+    origins : tuple of int
+        First sample of each trajectory.
     """
 
     time: Float[np.ndarray, " N"]
@@ -40,6 +42,7 @@ class Windows:
     starts: Int[np.ndarray, " W"]
     encoder_length: int
     prediction_length: int
+    origins: tuple[int, ...] = (0,)
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -49,21 +52,25 @@ class Windows:
         """Index of the sample that each prediction starts from."""
         return self.starts + self.encoder_length - 1
 
-    def past(self, starts: Int[np.ndarray, " B"] | None = None) -> Past:
+    def past(self, starts: Int[np.ndarray, " B"] | None = None, length: int | None = None) -> Past:
         """Gather what an encoder may look at.
 
         Parameters
         ----------
         starts : array of int, shape (B,), optional
             First samples of some windows; by default all.
+        length : int, optional
+            Samples up to the present, by default E. More of them begin before the window does.
 
         Returns
         -------
         Past
-            Their first E samples.
+            The samples.
         """
         starts = self.starts if starts is None else starts
-        return gather_past(np, self.time, self.state, self.input, starts, self.encoder_length)
+        length = length or self.encoder_length
+        first = starts + self.encoder_length - length
+        return gather_past(np, self.time, self.state, self.input, first, length)
 
     def future(
         self, starts: Int[np.ndarray, " B"] | None = None
@@ -206,6 +213,7 @@ def make_windows(
         starts=np.concatenate(starts),
         encoder_length=encoder_length,
         prediction_length=prediction_length,
+        origins=tuple(np.cumsum([0, *map(len, trajectories[:-1])]).tolist()),
     )
 
 

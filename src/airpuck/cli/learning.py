@@ -9,7 +9,17 @@ import typer
 
 from airpuck.cli.app import app
 from airpuck.cli.inputs import choose, cut, load, read_craft
-from airpuck.cli.options import Json, ModelName, Quiet, RecordingPath, Span, TopicsFile, VehicleFile
+from airpuck.cli.options import (
+    EncoderName,
+    Json,
+    ModelName,
+    ProtocolName,
+    Quiet,
+    RecordingPath,
+    Span,
+    TopicsFile,
+    VehicleFile,
+)
 from airpuck.cli.output import (
     check_destinations,
     is_stdout,
@@ -142,13 +152,14 @@ def evaluate(
     model: ModelName,
     recording: RecordingPath,
     span: Span = None,
-    protocol: Annotated[str, typer.Option(help="paper")] = "paper",
+    protocol: ProtocolName = "paper",
+    encoder: EncoderName = "paper",
     topics: TopicsFile = None,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
-    _compare([model], recording, span, protocol, topics, json_file, quiet, single=True)
+    _compare([model], recording, span, (protocol, encoder), topics, json_file, quiet, single=True)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -158,7 +169,8 @@ def compare(
         typer.Argument(metavar="MODEL... RECORDING", help="Models, then the recording."),
     ],
     span: Span = None,
-    protocol: Annotated[str, typer.Option(help="paper")] = "paper",
+    protocol: ProtocolName = "paper",
+    encoder: EncoderName = "paper",
     topics: TopicsFile = None,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -169,7 +181,9 @@ def compare(
 
         raise InputError("give at least one MODEL and a RECORDING")
     *names, recording = models
-    _compare(names, Path(recording), span, protocol, topics, json_file, quiet, single=False)
+    _compare(
+        names, Path(recording), span, (protocol, encoder), topics, json_file, quiet, single=False
+    )
 
 
 @app.command(rich_help_panel=PANEL)
@@ -204,7 +218,7 @@ def _compare(
     names: list[str],
     recording: Path,
     span: tuple[float, float] | None,
-    protocol: str,
+    how: tuple[str, str],
     topics: Path | None,
     json_file: Path | None,
     quiet: bool,
@@ -212,14 +226,22 @@ def _compare(
     single: bool,
 ) -> None:
     """Evaluate models on a recording and print a table."""
-    from airpuck.evaluation.evaluate import PROTOCOLS, compare
+    from airpuck.errors import InputError
+    from airpuck.evaluation.evaluate import ENCODERS, PROTOCOLS, compare
     from airpuck.model_file import read_model
 
+    protocol, encoder = how
     choose("--protocol", protocol, tuple(PROTOCOLS))
+    choose("--encoder", encoder, ENCODERS)
+    if PROTOCOLS[protocol].causal and encoder == "paper":
+        raise InputError(
+            "the paper's looks ahead, which the protocol causal forbids; choose actuation",
+            field="--encoder",
+        )
     models = [read_model(name) for name in names]
     trajectory = cut(load(recording, models[0].vehicle, topics), span)
     warn(trajectory.warnings, quiet)
-    evaluations = compare(models, trajectory, protocol=PROTOCOLS[protocol])
+    evaluations = compare(models, trajectory, protocol=PROTOCOLS[protocol], encoder=encoder)
     figures = [
         {**evaluation.to_json(), "name": name}
         for name, evaluation in zip(names, evaluations, strict=True)

@@ -50,3 +50,14 @@ TwinFile = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of everything random.", min=0)]
+ProtocolName = Annotated[
+    str,
+    typer.Option(
+        "--protocol",
+        help="paper; paper-long: encoders may look further back; causal: nothing measured later.",
+    ),
+]
+EncoderName = Annotated[
+    str,
+    typer.Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),
+]

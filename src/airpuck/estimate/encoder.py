@@ -1,9 +1,11 @@
-"""Encoders: from the past of a window to the extended state at its present (subsec:encoder)."""
+"""Encoders: from the past of a window to what a prediction starts from (subsec:encoder)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
 
 from airpuck.model.motor import motor_step
 from airpuck.model.rigid_body import Dynamics
@@ -13,12 +15,46 @@ from airpuck.windows import Past
 
 @runtime_checkable
 class Encoder(Protocol):
-    """Estimates the extended state at the present of a batch of windows."""
+    """Estimates from the past of a batch of windows what their predictions start from."""
+
+    @property
+    def name(self) -> str:
+        """What it is called on the command line."""
+        ...
 
     @property
     def length(self) -> int:
         """Number of samples E that it looks at."""
         ...
+
+    @property
+    def causal(self) -> bool:
+        """Whether it uses nothing that was measured after the present."""
+        ...
+
+    def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
+        """Estimate what to predict from, and what with.
+
+        Parameters
+        ----------
+        dynamics : Dynamics
+            The model.
+        past : Past
+            E samples of B windows.
+
+        Returns
+        -------
+        state : array, shape (6 + n, B)
+            x, y, γ, vx, vy, ω and the motor speeds at the present.
+        dynamics : Dynamics
+            The model as it seems to hold now, of all windows or of each.
+        """
+        ...
+
+
+@runtime_checkable
+class StateEncoder(Encoder, Protocol):
+    """An encoder that leaves the model as it is: what a model can be learned with."""
 
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
         """Estimate the state.
@@ -58,8 +94,22 @@ class PaperEncoder:
     length: int = 20
     indexing: Literal["start", "end"] = "start"
 
+    @property
+    def name(self) -> str:
+        """What it is called on the command line."""
+        return "paper"
+
+    @property
+    def causal(self) -> bool:
+        """False: the smoothed velocities look some samples ahead."""
+        return False
+
+    def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
+        """Estimate what to predict from; see `Encoder.begin`."""
+        return self.encode(np, dynamics, past), dynamics
+
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
-        """Estimate the state; see `Encoder.encode`."""
+        """Estimate the state; see `StateEncoder.encode`."""
         commands = past.command[:-1] if self.indexing == "start" else past.command[1:]
 
         def follow(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:

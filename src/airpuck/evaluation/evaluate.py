@@ -8,13 +8,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from airpuck.errors import InputError
+from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
 from airpuck.evaluation.prediction import prediction_errors
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory, check_propellers
-from airpuck.windows import make_windows
+from airpuck.windows import Windows, make_windows
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")
@@ -32,15 +34,58 @@ class Protocol:
         E and T, in samples; windows do not overlap.
     horizon : float
         When errors are reported [s]; the nearest step counts.
+    longest_past : int, optional
+        Samples up to the present that an encoder may look at where so many are usable; by default
+        E, the window's own.
+    causal : bool
+        Whether an encoder must not use anything that was measured after the present.
     """
 
     name: str = "paper"
     encoder_length: int = 20
     prediction_length: int = 50
     horizon: float = 0.2
+    longest_past: int | None = None
+    causal: bool = False
 
 
-PROTOCOLS = {"paper": Protocol()}
+#: The windows, and so the predictions, are the same in all of them.
+PROTOCOLS = {
+    "paper": Protocol(),
+    "paper-long": Protocol("paper-long", longest_past=40),
+    "causal": Protocol("causal", longest_past=40, causal=True),
+}
+ENCODERS = ("paper", "actuation")
+
+
+def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
+    """Build an encoder by its name.
+
+    Parameters
+    ----------
+    name : {"paper", "actuation"}
+        Which.
+    model : Model
+        Says with which indexing it was learned.
+    protocol : Protocol
+        Says how long the past is, and whether it is all.
+
+    Returns
+    -------
+    Encoder
+        The encoder.
+
+    Raises
+    ------
+    InputError
+        If there is no such encoder.
+    """
+    if name == "paper":
+        return PaperEncoder(protocol.encoder_length, model.indexing)
+    if name == "actuation":
+        velocity = "causal" if protocol.causal else "smoothed"
+        return ActuationEncoder(protocol.encoder_length, velocity)
+    raise InputError(f"{name!r} is none of {', '.join(ENCODERS)}", field="encoder")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +98,8 @@ class Evaluation:
         Name of the model.
     protocol : Protocol
         How it was evaluated.
+    encoder : str
+        Where predictions started from.
     errors : array, shape (T, 3, W)
         Predicted minus measured x, y [m], γ [rad], for every step and window.
     start : array, shape (W,)
@@ -65,6 +112,7 @@ class Evaluation:
 
     model: str
     protocol: Protocol
+    encoder: str
     errors: Float[np.ndarray, "T 3 W"]
     start: Float[np.ndarray, " W"]
     sample_period: float
@@ -102,8 +150,8 @@ class Evaluation:
         Returns
         -------
         dict
-            ``model, protocol, horizon_s, horizon_step, windows, left_out, rmse, median_abs``, and
-            per step ``rmse_over_horizon``.
+            ``model, protocol, encoder, horizon_s, horizon_step, windows, left_out, rmse,
+            median_abs``, and per step ``rmse_over_horizon``.
         """
 
         def named(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
@@ -112,6 +160,7 @@ class Evaluation:
         return {
             "model": self.model,
             "protocol": self.protocol.name,
+            "encoder": self.encoder,
             "horizon_s": self.horizon_step * self.sample_period,
             "horizon_step": self.horizon_step,
             "windows": self.errors.shape[2],
@@ -127,7 +176,7 @@ def evaluate(
     trajectory: Trajectory,
     *,
     protocol: Protocol = PROTOCOLS["paper"],
-    encoder: Encoder | None = None,
+    encoder: Encoder | str = "paper",
 ) -> Evaluation:
     """Measure how well a model predicts a trajectory.
 
@@ -142,8 +191,8 @@ def evaluate(
         Data that it was not learned from.
     protocol : Protocol, optional
         By default the paper's: E = 20, T = 50, judged after 0.2 s.
-    encoder : Encoder, optional
-        By default the paper's, with the indexing that the model was learned with.
+    encoder : Encoder or {"paper", "actuation"}, default "paper"
+        Where predictions start from. The paper's has the indexing that the model was learned with.
 
     Returns
     -------
@@ -153,10 +202,18 @@ def evaluate(
     Raises
     ------
     InputError
-        If the model is of another craft, or the trajectory is shorter than one window.
+        If the model is of another craft, the trajectory is shorter than one window, or the encoder
+        looks further ahead than the protocol allows.
     """
     check_propellers(model.vehicle, trajectory)
-    encoder = encoder or PaperEncoder(protocol.encoder_length, model.indexing)
+    if isinstance(encoder, str):
+        encoder = make_encoder(encoder, model, protocol)
+    if protocol.causal and not encoder.causal:
+        raise InputError(
+            f"the encoder {encoder.name} looks ahead, which the protocol {protocol.name} forbids; "
+            "choose the encoder actuation",
+            field="encoder",
+        )
     length = protocol.encoder_length + protocol.prediction_length
     windows = make_windows(
         trajectory, protocol.encoder_length, protocol.prediction_length, stride=length
@@ -164,15 +221,30 @@ def evaluate(
     return Evaluation(
         model=model.name,
         protocol=protocol,
-        errors=prediction_errors(model.dynamics, windows, encoder),
+        encoder=encoder.name,
+        errors=prediction_errors(
+            model.dynamics, windows, encoder, _past(trajectory, windows, protocol)
+        ),
         start=windows.time[windows.present],
         sample_period=trajectory.sample_period,
         left_out=len(trajectory) // length - len(windows),
     )
 
 
+def _past(trajectory: Trajectory, windows: Windows, protocol: Protocol) -> Int[np.ndarray, " W"]:
+    """Return how many usable samples up to its present each window has, within the protocol."""
+    firsts = np.array([first for first, _ in trajectory.segments])
+    present = windows.present
+    begun = firsts[np.searchsorted(firsts, present, side="right") - 1]
+    return np.minimum(present - begun + 1, protocol.longest_past or protocol.encoder_length)
+
+
 def compare(
-    models: Sequence[Model], trajectory: Trajectory, *, protocol: Protocol = PROTOCOLS["paper"]
+    models: Sequence[Model],
+    trajectory: Trajectory,
+    *,
+    protocol: Protocol = PROTOCOLS["paper"],
+    encoder: str = "paper",
 ) -> list[Evaluation]:
     """Evaluate several models on the same windows.
 
@@ -184,10 +256,12 @@ def compare(
         Data that none of them was learned from.
     protocol : Protocol, optional
         As for `evaluate`.
+    encoder : {"paper", "actuation"}, default "paper"
+        As for `evaluate`.
 
     Returns
     -------
     list of Evaluation
         One for each model, in their order.
     """
-    return [evaluate(model, trajectory, protocol=protocol) for model in models]
+    return [evaluate(model, trajectory, protocol=protocol, encoder=encoder) for model in models]

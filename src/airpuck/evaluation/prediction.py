@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from airpuck.estimate.encoder import Encoder
 from airpuck.model.rigid_body import Dynamics
@@ -15,7 +15,10 @@ _BATCH = 1024
 
 
 def prediction_errors(
-    dynamics: Dynamics, windows: Windows, encoder: Encoder
+    dynamics: Dynamics,
+    windows: Windows,
+    encoder: Encoder,
+    past: Int[np.ndarray, " W"] | None = None,
 ) -> Float[np.ndarray, "T 3 W"]:
     """Predict every window and compare with what was measured.
 
@@ -26,7 +29,9 @@ def prediction_errors(
     windows : Windows
         What to predict.
     encoder : Encoder
-        Where predictions start from; its length must be that of the windows.
+        Where predictions start from.
+    past : array of int, shape (W,), optional
+        Samples up to the present that the encoder sees of each window; by default those in it.
 
     Returns
     -------
@@ -35,11 +40,15 @@ def prediction_errors(
         trajectory, so its error is not wrapped.
     """
     errors = np.empty((windows.prediction_length, 3, len(windows)))
-    for first in range(0, len(windows), _BATCH):
-        part = slice(first, first + _BATCH)
-        starts = windows.starts[part]
-        state = encoder.encode(np, dynamics, windows.past(starts))
-        commands, durations, measured = windows.future(starts)
-        predicted = rollout(np, dynamics, state, commands, durations)
-        errors[:, :, part] = predicted[:, :3] - measured[:, :3]
+    if past is None:
+        past = np.full(len(windows), windows.encoder_length)
+    for length in np.unique(past).tolist():
+        alike = np.flatnonzero(past == length)
+        for first in range(0, len(alike), _BATCH):
+            part = alike[first : first + _BATCH]
+            starts = windows.starts[part]
+            state, now = encoder.begin(dynamics, windows.past(starts, length))
+            commands, durations, measured = windows.future(starts)
+            predicted = rollout(np, now, state, commands, durations)
+            errors[:, :, part] = predicted[:, :3] - measured[:, :3]
     return errors

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.estimate.encoder import Encoder
+from airpuck.estimate.encoder import StateEncoder
 from airpuck.model.motor import motor_step
 from airpuck.model.parameters import Parameters
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
@@ -66,7 +66,7 @@ class PredictionLoss:
         What to predict.
     vehicle : Vehicle
         The craft.
-    encoder : Encoder
+    encoder : StateEncoder
         Where predictions start from.
     weights : tuple of float
         w, for x, y [1/m] and γ [1/rad].
@@ -76,7 +76,7 @@ class PredictionLoss:
 
     windows: Windows
     vehicle: Vehicle
-    encoder: Encoder
+    encoder: StateEncoder
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
     frame: CenterOfMassFrame = "body"
 
@@ -206,7 +206,7 @@ def _normal_equations(
     weight: Any,
     channel_weights: Any,
     *,
-    encoder: Encoder,
+    encoder: StateEncoder,
     horizon: int,
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
