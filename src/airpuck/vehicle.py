@@ -80,7 +80,8 @@ class Vehicle(Section):
     propellers : tuple of Propeller
         In the order of a command's columns.
     pairs : tuple of pairs of str
-        Names of propellers that oppose each other and are excited as a pair.
+        Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
+        other: push in opposite directions, and turn the craft in opposite ways about its centre.
     nominal : Nominal
         Starting values for identification.
     """

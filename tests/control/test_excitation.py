@@ -151,7 +151,7 @@ def test_the_signal_comes_on_top_of_what_the_controller_wants_of_the_pair():
     np.testing.assert_allclose(found[0, 1::2], np.clip(-wanted, IDLE, 1), atol=1e-6)
 
 
-@pytest.mark.parametrize("count", [3, 4])
+@pytest.mark.parametrize("count", [4, 6])
 def test_propellers_without_partner_have_signals_of_their_own(count):
     model = craft(count)
     commands = at_rest(pilot(model, amplitude=0.5, seed=6), 400)
@@ -165,10 +165,50 @@ def test_propellers_without_partner_have_signals_of_their_own(count):
 
 
 def test_pairs_and_single_propellers_go_together():
-    commands = at_rest(pilot(craft(4, [("m0", "m2")]), seed=8), 400)
-    np.testing.assert_allclose(np.minimum(commands[:, 0], commands[:, 2]), IDLE, atol=AT_REST)
-    both = (commands[:, 1] > 0.1) & (commands[:, 3] > 0.1)
+    commands = at_rest(pilot(craft(6, [("m0", "m3")]), seed=8), 1200)
+    np.testing.assert_allclose(np.minimum(commands[:, 0], commands[:, 3]), IDLE, atol=AT_REST)
+    both = (commands[:, 1] > 0.1) & (commands[:, 4] > 0.1)
     assert both.mean() > 0.1
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        ("m0", "m2"),  # opposed forces, equal moments
+        ("m0", "m1"),  # opposed moments, forces at right angles
+    ],
+)
+def test_a_pair_that_does_not_oppose_is_refused(pair):
+    with pytest.raises(InputError, match=f"{pair[0]} and {pair[1]} .* do not oppose") as caught:
+        pilot(craft(4, [pair]))
+    assert caught.value.field == "pairs"
+
+
+def test_a_craft_that_turns_one_way_only_is_refused():
+    content = craft(4).vehicle.model_dump()
+    for propeller in content["propellers"]:
+        push = np.deg2rad(propeller["direction_deg"])
+        propeller["position_m"] = (0.05 * np.sin(push), -0.05 * np.cos(push))
+    with pytest.raises(InputError, match="turn it both ways"):
+        pilot(nominal_model(Vehicle.model_validate(content)))
+
+
+def test_three_propellers_that_only_push_are_too_few():
+    with pytest.raises(InputError, match="cancel in force and in moment"):
+        pilot(craft(3))
+
+
+def test_how_much_all_propellers_give_at_least_by_trial():
+    for model in (MODEL, craft(4), craft(5), craft(6)):
+        found = excitation_module._weakest_effort(model)
+        gyration = np.sqrt(model.parameters.inertia / model.vehicle.mass_kg)
+        each = model.dynamics.configuration * np.array([[1.0], [1.0], [gyration]])
+        each = each * model.dynamics.thrust.sum(axis=1)
+        ways = np.random.default_rng(0).normal(size=(20000, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        tried = np.maximum(ways @ each, 0).sum(axis=1).min()
+        assert found <= tried + 1e-9
+        assert found == pytest.approx(tried, rel=0.05)
 
 
 def moving(excitation, position, velocity, steps=15):

@@ -19,6 +19,8 @@ from airpuck.table import Table
 _MARGIN = 0.05
 #: Least acceleration in any direction with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
+#: Greatest cosine between the effects of two propellers that oppose each other: 154 degrees.
+_OPPOSED = -0.9
 #: Share of the greatest acceleration that a stop may need.
 _BRAKING = 0.5
 
@@ -56,7 +58,8 @@ class Excitation:
     Raises
     ------
     InputError
-        If amplitude or hold are out of range.
+        If amplitude or hold are out of range, if the propellers of a pair do not oppose each other,
+        or if all together cannot push in every direction and turn the craft both ways.
     """
 
     def __init__(
@@ -94,6 +97,11 @@ class Excitation:
             raise InputError(
                 f"the propellers of {vehicle.name!r} cannot push in every direction: the craft "
                 "could not be kept on the table"
+            )
+        if _weakest_effort(model) < _LEAST_PUSH:
+            raise InputError(
+                f"the propellers of {vehicle.name!r} cannot push in every direction and turn it "
+                "both ways: no positive thrusts of all cancel in force and in moment"
             )
         self._braking = _BRAKING * weakest
         self._begun: float | None = None
@@ -168,18 +176,58 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
     The first matrix turns the commands of a pair into ± their difference, and leaves single
     propellers as they are; the second gives plus and minus its signal to a pair, plus to a single
     propeller.
+
+    Raises
+    ------
+    InputError
+        If the propellers of a pair do not oppose each other: what the controller wants of both
+        would not survive the difference of their commands.
     """
-    vehicle = model.vehicle
+    vehicle, effects = model.vehicle, _effects(model)
+    effects = effects / np.linalg.norm(effects, axis=0)
     n, pairs = vehicle.n_propellers, vehicle.pair_indices
     paired = {index for pair in pairs for index in pair}
     single = [index for index in range(n) if index not in paired]
     signed, mixer = np.eye(n), np.zeros((n, len(pairs) + len(single)))
     for column, (first, second) in enumerate(pairs):
+        cosine = float(effects[:, first] @ effects[:, second])
+        if cosine > _OPPOSED:
+            names = vehicle.propeller_names
+            raise InputError(
+                f"{names[first]} and {names[second]} of {vehicle.name!r} do not oppose each other "
+                f"in force and in moment (cosine {cosine:.2f}, at most {_OPPOSED:g}); take the "
+                "pair out, and each is excited by itself",
+                field="pairs",
+            )
         signed[first, second] = signed[second, first] = -1.0
         mixer[first, column], mixer[second, column] = 1.0, -1.0
     for column, index in enumerate(single, start=len(pairs)):
         mixer[index, column] = 1.0
     return signed, mixer
+
+
+def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
+    """Return accelerations per thrust; the angular one times the radius of gyration [1/kg]."""
+    gyration = np.sqrt(float(model.parameters.inertia) / model.vehicle.mass_kg)
+    return np.asarray(model.dynamics.configuration) * np.array([[1.0], [1.0], [gyration]])
+
+
+def _weakest_effort(model: Model) -> float:
+    """Return the greatest acceleration in the combination of push and turn in which it is least.
+
+    Angular accelerations count times the radius of gyration [m/s²].
+    """
+    each = _effects(model) * model.dynamics.thrust.sum(axis=1)
+    # Between directions to which a propeller stands at right angles, what all give together is
+    # concave: it is least where two do.
+    first, second = np.triu_indices(each.shape[1], 1)
+    normal = np.cross(each[:, first], each[:, second], axis=0)
+    size = np.linalg.norm(normal, axis=0)
+    clear = size > 1e-9 * np.linalg.norm(each, axis=0).max() ** 2
+    if not clear.any():
+        return 0.0
+    unit = normal[:, clear] / size[clear]
+    return float(np.maximum(each.T @ np.hstack([unit, -unit]), 0).sum(axis=0).min())
 
 
 def _weakest_push(model: Model) -> float:
