@@ -210,6 +210,7 @@ def test_a_span_is_a_share_of_the_commands(recording, plain):
     np.testing.assert_array_equal(part.computed, plain.computed)
     np.testing.assert_array_equal(part.difference, (part.computed - part.sent)[75:150])
     assert part.to_json()["steps"] == 75
+    assert sum(part.to_json()["outcomes"].values()) == 75
 
 
 def test_only_commands_in_the_span_are_fitted(recording, plain):
@@ -242,6 +243,7 @@ def made_up() -> Replay:
         fitted=True,
         motors=("a", "b"),
         compared=(np.arange(20) > 0) & (np.arange(20) < 17),
+        span=np.arange(20) < 17,
     )
 
 
@@ -263,7 +265,7 @@ def test_figures_are_plain_statistics_of_what_is_compared():
     assert document["gains"] == {"position": 1.0, "speed": 2.0, "yaw": 3.0, "spin": 4.0}
     assert document["fitted"] is True
     assert document["steps"] == 16
-    assert document["outcomes"] == {"exact": 12, "no pose": 1, "scaled": 7}
+    assert document["outcomes"] == {"exact": 12, "no pose": 1, "scaled": 4}
 
 
 @pytest.mark.parametrize("missing", ["pose", "command", "reference"])

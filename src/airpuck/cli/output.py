@@ -139,7 +139,7 @@ def print_replay(replay: Replay) -> None:
     fitted = "fitted" if replay.fitted else "from the tuning"
     print(f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items()))
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
-    print(f"{figures['steps']} of {len(replay.time)} steps compared; outcomes: {outcomes}")
+    print(f"{figures['steps']} of {int(replay.span.sum())} steps compared; outcomes: {outcomes}")
 
 
 def print_tracks(flights: list[Tracked]) -> None:

@@ -95,7 +95,9 @@ class Replay:
     motors : tuple of str
         Names of the motors.
     compared : array of bool, shape (K,)
-        Which commands count for the figures.
+        Which commands count for the figures: those in the span at which the pose was known.
+    span : array of bool, shape (K,)
+        Which commands lie in the span.
     """
 
     time: Float[np.ndarray, " K"]
@@ -108,6 +110,13 @@ class Replay:
     fitted: bool
     motors: tuple[str, ...]
     compared: Bool[np.ndarray, " K"]
+    span: Bool[np.ndarray, " K"]
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How many control steps in the span ended how."""
+        status = [self.status[k] for k in np.flatnonzero(self.span)]
+        return {outcome: status.count(outcome) for outcome in sorted(set(status))}
 
     @property
     def correlation(self) -> Float[np.ndarray, " n"]:
@@ -131,7 +140,7 @@ class Replay:
         -------
         dict
             ``motors`` (``name, correlation, median_abs`` each), ``median_abs`` over all motors,
-            ``gains``, ``fitted``, ``steps``, ``outcomes``.
+            ``gains``, ``fitted``, ``steps``, ``outcomes``; all of the span.
         """
         apart = np.abs(self.difference)
         return {
@@ -145,7 +154,7 @@ class Replay:
             "gains": vars(self.gains),
             "fitted": self.fitted,
             "steps": int(self.compared.sum()),
-            "outcomes": {s: self.status.count(s) for s in sorted(set(self.status))},
+            "outcomes": self.outcomes,
         }
 
 
@@ -215,9 +224,10 @@ def replay(
     ahead = model.transport_delay + tuning.period_s
     targets = [controller.reference.at(t, ahead) for t in time]
     share = np.arange(len(time)) / len(time)
-    compared = (share >= span[0]) & (share < span[1])
+    inside = (share >= span[0]) & (share < span[1])
     known = np.array([estimate is not None for estimate in estimates])
-    if not (compared & known).any():
+    compared = inside & known
+    if not compared.any():
         raise InputError(
             "at none of the commands in the span was the pose known; give a longer span, or a "
             "recording whose poses and commands overlap",
@@ -225,7 +235,7 @@ def replay(
         )
     gains = Gains.of(regulator(tuning.weights, tuning.period_s))
     if fit_gains:
-        gains = _fit_gains(controller, estimates, targets, sent, compared & known)
+        gains = _fit_gains(controller, estimates, targets, sent, compared)
     computed, status = _steer(controller, gains, estimates, targets, refusals)
     nowhere = np.full(3, np.nan)
     return Replay(
@@ -238,7 +248,8 @@ def replay(
         gains=gains,
         fitted=fit_gains,
         motors=model.vehicle.propeller_names,
-        compared=compared & known,
+        compared=compared,
+        span=inside,
     )
 
 

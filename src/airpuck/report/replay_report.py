@@ -72,7 +72,7 @@ def replay_report(replay: Replay, model: Model, period: float, out: str | os.Pat
         [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
     )
     outcomes = Table(
-        "Outcomes of the control steps.",
+        "Outcomes of the control steps in this span.",
         ["outcome", "steps", "meaning"],
         [[name, str(count), OUTCOMES[name]] for name, count in figures["outcomes"].items()],
     )
