@@ -48,15 +48,8 @@ def recovered(model: Model, plant: Plant, seed: int, duration: float = 90.0) -> 
         "I %": 100 * float(p.inertia / q.inertia - 1),
         "alpha mrad": 1e3 * float(p.angle_offset - q.angle_offset),
         "r mm": 1e3 * float(np.linalg.norm(p.center_of_mass - q.center_of_mass)),
-        "delay": (trajectory.delay - plant_delay()) * 240,
+        "delay": (trajectory.delay - truth().transport_delay) * 240,
     }
-
-
-def plant_delay() -> float:
-    """Return the mean delay of the default radio [s]."""
-    from airpuck.twin.settings import default_twin_settings
-
-    return default_twin_settings().radio.delay_s
 
 
 def main() -> None:

@@ -1,0 +1,111 @@
+"""Do 95 % intervals hold the truth? Excitation flights of a known craft, identified one by one.
+
+    python studies/coverage.py --flights 30 --duration 60
+
+Prints for every parameter, and for thrust at half and full speed, how often the interval holds the
+truth, and the bias in standard errors. What is wrong in every flight alike (smoothing, transport
+delay) is a bias that no interval knows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from airpuck import identify, preprocess
+from airpuck.model.thrust import thrust
+from airpuck.model_file import Model, published_model
+from airpuck.twin.experiments import excite
+
+#: Speeds at which thrust is compared.
+SPEEDS = np.array([0.5, 1.0])
+
+
+def truth() -> Model:
+    """Return the craft: the published M3, its centre of mass fixed to the body."""
+    return replace(published_model("M3"), frame="body", indexing="start")
+
+
+def derived(model: Model) -> np.ndarray:
+    """Return the thrust of every motor at `SPEEDS`, flat."""
+    coefficients = np.asarray(model.parameters.thrust)
+    speed = np.broadcast_to(SPEEDS, (len(coefficients), len(SPEEDS)))
+    return thrust(coefficients, speed).ravel()
+
+
+def labels(model: Model) -> list[str]:
+    """Name what `errors_of` compares."""
+    names = model.vehicle.propeller_names
+    return model.parameters.labels(names) + [f"F({v:g}) {n}" for n in names for v in SPEEDS]
+
+
+def errors_of(seed: int, duration: float, bootstrap: int) -> np.ndarray:
+    """Fly, identify; return errors, standard errors and ends of the bootstrap's intervals."""
+    model = truth()
+    fit = identify(preprocess(excite(model, duration, seed)), "M3", bootstrap=bootstrap, seed=seed)
+    known = fit.uncertainty
+    assert known is not None
+    error = fit.model.parameters.to_vector() - model.parameters.to_vector()
+    error = np.concatenate([error, derived(fit.model) - derived(model)])
+    spread = np.concatenate([known.standard_errors, fit.model.standard_error(derived)])
+    ends = np.full((2, len(error)), np.nan)
+    if known.bootstrap is not None:
+        true = model.parameters.to_vector()
+        ends[0, : len(true)] = known.bootstrap.lower - true
+        ends[1, : len(true)] = known.bootstrap.upper - true
+    return np.stack([error, spread, np.full(len(error), known.quantile), *ends])
+
+
+def covered(error: np.ndarray, spread: np.ndarray, quantile: np.ndarray) -> float:
+    """Return how often intervals hold the truth, in percent."""
+    known = np.isfinite(spread)
+    return 100 * float(np.mean(np.abs(error[known]) <= (quantile * spread)[known]))
+
+
+def report(results: np.ndarray) -> None:
+    """Print coverage and bias, result by result and pooled."""
+    error, spread, quantile, low, high = np.moveaxis(results, 1, 0)
+    names, parameters = labels(truth()), len(truth().parameters.to_vector())
+    for k, name in enumerate(names):
+        known = np.isfinite(spread[:, k])
+        if not known.any():
+            continue
+        e, s = error[known, k], spread[known, k]
+        print(
+            f"{name:28s} covered {covered(e, s, quantile[known, k]):5.1f} %   "
+            f"bias {np.mean(e / s):6.2f} SE   spread of errors / mean SE "
+            f"{e.std(ddof=1) / s.mean():5.2f}   SE {s.mean():9.3g}   {known.sum()} flights"
+        )
+    for title, part in (("parameters", slice(parameters)), ("thrusts", slice(parameters, None))):
+        pooled = covered(error[:, part], spread[:, part], quantile[:, part])
+        print(f"pooled, {title}: {pooled:.1f} %")
+    known = np.isfinite(low)
+    if known.any():
+        held = 100 * np.mean((low <= 0)[known] & (high >= 0)[known])
+        print(f"pooled, parameters, bootstrap: {held:.1f} %")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=30)
+    parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--bootstrap", type=int, default=0)
+    options = parser.parse_args()
+    task = partial(errors_of, duration=options.duration, bootstrap=options.bootstrap)
+    # JAX has threads, which do not live through a fork.
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(len(os.sched_getaffinity(0))) as pool:
+        results = []
+        for number, result in enumerate(pool.imap(task, range(options.flights)), start=1):
+            results.append(result)
+            print(f"{number} of {options.flights} flights", flush=True)
+    report(np.array(results))
+
+
+if __name__ == "__main__":
+    main()
