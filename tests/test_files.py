@@ -40,6 +40,23 @@ def test_errors_name_file_and_field(tmp_path, text, message):
     assert "\n" not in str(error.value)
 
 
+class Nested(Section):
+    example: Example
+    other: Example = Example(mass_kg=3.0)
+
+
+def test_a_file_laid_over_a_base_changes_what_it_names(tmp_path):
+    path, base = tmp_path / "one.toml", Nested(example=Example(mass_kg=1.0, rows=((1.0,), (2.0,))))
+    path.write_text("[example]\nrows = [[3.0]]")
+    expected = Example(mass_kg=1.0, rows=((3.0,),))
+    assert read_toml(path, Nested, base=base) == base.model_copy(update={"example": expected})
+    for text, field in (("[example]\nmass = 1.0", "example.mass"), ("example = 1.0", "example")):
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            read_toml(path, Nested, base=base)
+        assert caught.value.field == field
+
+
 def test_not_text(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_bytes(b"\xff\xfe\x00")

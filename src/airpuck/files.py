@@ -25,7 +25,9 @@ class Section(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def read_toml(path: str | os.PathLike[str], schema: type[Schema]) -> Schema:
+def read_toml(
+    path: str | os.PathLike[str], schema: type[Schema], *, base: Schema | None = None
+) -> Schema:
     """Read a TOML file and check it against a schema.
 
     Parameters
@@ -34,6 +36,8 @@ def read_toml(path: str | os.PathLike[str], schema: type[Schema]) -> Schema:
         The file.
     schema : type of pydantic model
         What the file must contain.
+    base : instance of the schema, optional
+        What holds where the file says nothing; then no key is required.
 
     Returns
     -------
@@ -53,7 +57,20 @@ def read_toml(path: str | os.PathLike[str], schema: type[Schema]) -> Schema:
         raise InputError(f"cannot be read as text ({error})", file=path) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not valid TOML: {error}", file=path) from error
+    if base is not None:
+        content = _laid_over(base.model_dump(mode="json"), content)
     return checked(content, schema, file=path)
+
+
+def _laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace what the content names, table by table; arrays are replaced whole."""
+    merged = dict(base)
+    for key, value in content.items():
+        below = base.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            value = _laid_over(below, value)
+        merged[key] = value
+    return merged
 
 
 def checked(

@@ -85,9 +85,11 @@ def test_every_number_of_a_file_arrives_where_it_belongs(tmp_path):
 
 
 def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(GOOD)
-    assert read_tuning(path).allocation == default_tuning().allocation
+    path, packaged = tmp_path / "mine.toml", default_tuning()
+    path.write_text("[weights]\nyaw = 7.0\n")
+    weights = packaged.weights.model_copy(update={"yaw": 7.0})
+    assert weights != packaged.weights
+    assert read_tuning(path) == packaged.model_copy(update={"weights": weights})
 
 
 @pytest.mark.parametrize(
@@ -95,7 +97,6 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
     [
         ("yaw = 3.0", "yaww = 3.0\nyaw = 3.0", "weights.yaww", "not a known key"),
         ("period_s = 0.02", "period = 1\nperiod_s = 0.02", "period", "not a known key"),
-        ("yaw = 3.0", "", "weights.yaw", "missing"),
         ("yaw = 3.0", 'yaw = "much"', "weights.yaw", "number"),
         ("yaw = 3.0", "yaw = [3.0]", "weights.yaw", "number"),
         ("yaw = 3.0", "yaw = -3.0", "weights.yaw", "greater than or equal to 0"),
@@ -111,7 +112,7 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
             "allocation.solver",
             "daqp",
         ),
-        ("[estimation]", "[estimates]", "estimation", "missing"),
+        ("[estimation]", "[estimates]", "estimates", "not a known key"),
     ],
 )
 def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, problem):

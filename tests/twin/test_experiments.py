@@ -94,7 +94,7 @@ def test_identification_does_not_just_return_its_start(fit):
 
 
 def test_identification_recovers_the_delay_to_a_sample(fit):
-    assert fit.model.transport_delay == pytest.approx(SETTINGS.radio.delay_s, abs=1.01 / 240)
+    assert fit.model.transport_delay == pytest.approx(TRUTH.transport_delay, abs=1.01 / 240)
 
 
 def test_the_true_model_reaches_its_set_points_within_six_seconds():

@@ -102,6 +102,19 @@ def test_each_craft_does_what_a_twin_of_its_own_would_do():
     assert bounced
 
 
+def test_a_radio_without_a_delay_has_that_of_each_model():
+    settings = QUIET.model_copy(update={"radio": Radio()})
+    models = [replace(MODEL, transport_delay=delay) for delay in (0.0123, 0.04)]
+    flight = fly_fleet(models, COMMAND, settings=settings)
+    for b, model in enumerate(models):
+        _, state = twin_of(MODEL, COMMAND, delay=model.transport_delay, settings=settings).truth
+        np.testing.assert_allclose(flight.state[:, :, b], state, atol=1e-8)
+        _, state = twin_of(model, COMMAND, settings=settings).truth
+        np.testing.assert_allclose(flight.state[:, :, b], state, atol=1e-8)
+    same = fly_fleet(models[0], COMMAND, settings=settings)
+    np.testing.assert_array_equal(same.state[:, :, 0], flight.state[:, :, 0])
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
 def test_the_number_of_craft_is_not_mistaken_for_another_axis(count, monkeypatch):
     # Axes of the coefficients have 2, 3 and 6 entries; batches of two do not always come out even.

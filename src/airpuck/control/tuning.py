@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from importlib import resources
-from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
@@ -113,7 +112,7 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
     Parameters
     ----------
     path : path-like
-        A TOML file.
+        A TOML file; what it leaves out is as packaged.
 
     Returns
     -------
@@ -125,7 +124,7 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
     InputError
         If the file cannot be read or a field is wrong.
     """
-    return read_toml(path, Tuning)
+    return read_toml(path, Tuning, base=default_tuning())
 
 
 def default_tuning() -> Tuning:
@@ -138,4 +137,4 @@ def default_tuning() -> Tuning:
     """
     packaged = resources.files("airpuck") / "packaged" / "tuning.toml"
     with resources.as_file(packaged) as path:
-        return read_tuning(Path(path))
+        return read_toml(path, Tuning)

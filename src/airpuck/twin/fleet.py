@@ -129,7 +129,8 @@ def fly_fleet(
     seeds : sequence of int, default (0,)
         Of radio and sensors, one for all or one for each craft.
     delays : array, shape (B,), optional
-        Mean delay of the radio of each craft; by default that of the settings [s].
+        Mean delay of the radio of each craft; by default that of the settings, or where they have
+        none the transport delay of its model [s].
     poses : array, shape (3, B), optional
         Where they stand at first, by default at the origin [m, m, rad].
     settings : TwinSettings, optional
@@ -159,7 +160,7 @@ def fly_fleet(
     models = (models,) if isinstance(models, Model) else tuple(models)
     command = np.asarray(command, dtype=float)
     poses = np.zeros((3, 1)) if poses is None else np.asarray(poses, dtype=float)
-    delays = np.array([settings.radio.delay_s]) if delays is None else np.asarray(delays, float)
+    delays = np.array(_delays(settings, models) if delays is None else delays, dtype=float)
     _check(models, command, period, seeds, delays, poses, settings, every)
     size = _common_size(
         models=len(models),
@@ -195,6 +196,13 @@ def fly_fleet(
         settings=settings,
         steps=steps,
     )
+
+
+def _delays(settings: TwinSettings, models: tuple[Model, ...]) -> list[float]:
+    """Return the mean delay of the radio: one, or where models differ one for each."""
+    delays = [settings.with_delay(model.transport_delay).radio.delay_s or 0.0 for model in models]
+    # Craft that share their radio are simulated faster.
+    return delays[:1] if len(set(delays)) == 1 else delays
 
 
 def _each(values: Sequence[Any], size: int) -> tuple[Any, ...]:

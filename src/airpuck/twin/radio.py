@@ -20,7 +20,7 @@ def passage(
     Parameters
     ----------
     settings : Radio
-        Delay, jitter, loss, outages.
+        Delay (it must have one), jitter, loss, outages.
     time : array, shape (K,)
         When they are sent [s].
     chance : array, shape (K, 2)
@@ -31,6 +31,7 @@ def passage(
     array, shape (K,)
         Arrivals; infinite for those lost [s].
     """
+    assert settings.delay_s is not None
     arrival = time + np.maximum(settings.delay_s + settings.jitter_s * ndtri(chance[:, 0]), 0.0)
     lost = chance[:, 1] < settings.loss
     for start, stop in settings.outages_s:
@@ -44,7 +45,7 @@ class RadioLink:
     Parameters
     ----------
     settings : Radio
-        Delay, jitter, loss, outages, timeout.
+        Delay (it must have one), jitter, loss, outages, timeout.
     rng : Generator
         Source of everything random.
     n_propellers : int

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from importlib import resources
-from pathlib import Path
 from typing import Annotated
 
 import pydantic
@@ -32,9 +31,10 @@ class Radio(Section):
 
     Attributes
     ----------
-    delay_s, jitter_s : float
-        Mean and standard deviation of the time that a packet takes, normal and never negative;
-        packets do not overtake each other.
+    delay_s : float, optional
+        Mean of the time that a packet takes; left out: the transport delay of the twin's model.
+    jitter_s : float
+        Its standard deviation. It is normal and never negative; packets do not overtake each other.
     loss : float
         Share of packets that never arrive.
     timeout_s : float
@@ -43,7 +43,7 @@ class Radio(Section):
         Times during which nothing arrives.
     """
 
-    delay_s: NonNegative
+    delay_s: NonNegative | None = None
     jitter_s: NonNegative = 0.0
     loss: Probability = 0.0
     timeout_s: Positive = 0.2
@@ -205,7 +205,26 @@ class TwinSettings(Section):
         path : path-like
             The file to write.
         """
-        write_toml(path, self.model_dump(mode="json"), header="Settings of an airpuck twin.")
+        content = self.model_dump(mode="json", exclude_none=True)
+        write_toml(path, content, header="Settings of an airpuck twin.")
+
+    def with_delay(self, transport_delay: float) -> TwinSettings:
+        """Return settings whose radio has a delay.
+
+        Parameters
+        ----------
+        transport_delay : float
+            That of the twin's model, for a radio without a delay of its own [s].
+
+        Returns
+        -------
+        TwinSettings
+            These, or a copy with that delay.
+        """
+        if self.radio.delay_s is not None:
+            return self
+        radio = self.radio.model_copy(update={"delay_s": transport_delay})
+        return self.model_copy(update={"radio": radio})
 
 
 def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
@@ -214,7 +233,7 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     Parameters
     ----------
     path : path-like
-        A TOML file.
+        A TOML file; what it leaves out is as packaged.
 
     Returns
     -------
@@ -226,7 +245,7 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     InputError
         If the file cannot be read or a field is wrong.
     """
-    return read_toml(path, TwinSettings)
+    return read_toml(path, TwinSettings, base=default_twin_settings())
 
 
 def default_twin_settings() -> TwinSettings:
@@ -239,4 +258,4 @@ def default_twin_settings() -> TwinSettings:
     """
     packaged = resources.files("airpuck") / "packaged" / "twin.toml"
     with resources.as_file(packaged) as path:
-        return read_twin_settings(Path(path))
+        return read_toml(path, TwinSettings)

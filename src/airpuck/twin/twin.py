@@ -91,7 +91,8 @@ class Twin:
         plant: Plant | None = None,
     ) -> None:
         self.model = model
-        self.settings = settings = settings or default_twin_settings()
+        settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
+        self.settings = settings
         self.plant = plant or build_plant(model, settings)
         n = model.vehicle.n_propellers
         self.now = 0.0
