@@ -31,8 +31,9 @@ from airpuck.windows import Windows, gather_past
 #: Weights of the x, y and yaw errors before squaring, as in the published fits.
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 
-#: Windows handled at once: large enough to fill vector units, small enough for the cache.
-_BATCH = 256
+#: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
+#: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).
+BATCH = 64
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,29 @@ class Quadratic:
     hessian: Float[np.ndarray, "P P"]
 
 
+@dataclass(frozen=True)
+class Shares:
+    """What each of G clusters of windows contributes to a `Quadratic`: sums over them give it.
+
+    Attributes
+    ----------
+    loss : array, shape (G,)
+        Parts of the loss.
+    gradient : array, shape (G, P)
+        Scores: parts of the gradient.
+    hessian : array, shape (G, P, P)
+        Parts of the Gauss-Newton Hessian.
+    """
+
+    loss: Float[np.ndarray, " G"]
+    gradient: Float[np.ndarray, "G P"]
+    hessian: Float[np.ndarray, "G P P"]
+
+
+#: First samples of B windows, and how often each counts.
+_Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
+
+
 @dataclass(frozen=True, eq=False)
 class PredictionLoss:
     """Mean squared prediction error over windows, steps and channels.
@@ -72,6 +96,8 @@ class PredictionLoss:
         w, for x, y [1/m] and γ [1/rad].
     frame : {"body", "world"}
         Where the offset of the centre of mass is constant.
+    multiplicity : array, shape (W,), or None
+        How often each window counts; None: once. For resampling; Adam does not know it.
     """
 
     windows: Windows
@@ -79,6 +105,7 @@ class PredictionLoss:
     encoder: StateEncoder
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
     frame: CenterOfMassFrame = "body"
+    multiplicity: Float[np.ndarray, " W"] | None = None
 
     def quadratic(self, parameters: Parameters) -> Quadratic:
         """Evaluate the loss and its Gauss-Newton approximation.
@@ -93,6 +120,46 @@ class PredictionLoss:
         Quadratic
             With respect to ``parameters.to_vector()``.
         """
+        counted = self._counted
+        present = np.flatnonzero(counted)
+        parts = _split(present, self.windows.starts, counted)
+        shares = self._shares(parameters, parts, np.zeros(len(parts), dtype=int))
+        return Quadratic(
+            loss=float(shares.loss[0]), gradient=shares.gradient[0], hessian=shares.hessian[0]
+        )
+
+    def by_cluster(self, parameters: Parameters, clusters: Int[np.ndarray, " W"]) -> Shares:
+        """Evaluate what each cluster of windows contributes to `quadratic`, in one pass.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            θ.
+        clusters : array of int, shape (W,)
+            The cluster that each window belongs to, 0 … G-1.
+
+        Returns
+        -------
+        Shares
+            With respect to ``parameters.to_vector()``.
+        """
+        counted = self._counted
+        parts, owner = [], []
+        for cluster in range(int(clusters.max()) + 1):
+            own = _split(np.flatnonzero(clusters == cluster), self.windows.starts, counted)
+            parts += own
+            owner += [cluster] * len(own)
+        return self._shares(parameters, parts, np.array(owner))
+
+    @property
+    def _counted(self) -> Float[np.ndarray, " W"]:
+        """How often each window counts."""
+        return np.ones(len(self.windows)) if self.multiplicity is None else self.multiplicity
+
+    def _shares(
+        self, parameters: Parameters, parts: Sequence[_Batch], owner: Int[np.ndarray, " N"]
+    ) -> Shares:
+        """Evaluate batches, and sum up those of each owner."""
         matrix, moved_by = _configuration_basis(parameters, self.vehicle)
         windows = self.windows
         with jax.enable_x64(True):
@@ -112,7 +179,7 @@ class PredictionLoss:
             )
             basis, weights = jnp.asarray(matrix), jnp.asarray(self.weights)
 
-        def sums(batch: tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]) -> Any:
+        def sums(batch: _Batch) -> Any:
             with jax.enable_x64(True):
                 return jax.block_until_ready(
                     _normal_equations(
@@ -130,28 +197,39 @@ class PredictionLoss:
         # JAX releases the interpreter lock while it computes: threads use all cores without the
         # process-wide settings that several JAX devices would need.
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            parts = list(pool.map(sums, _batches(windows.starts)))
-        square, slope, curvature = (
-            sum(np.asarray(x) for x in part) for part in zip(*parts, strict=True)
-        )
+            square, slope, curvature = zip(*pool.map(sums, parts), strict=True)
         local = _local_coordinates(parameters, moved_by)
-        scale = 1 / (3 * windows.prediction_length * len(windows))
-        return Quadratic(
-            loss=float(square) * scale,
-            gradient=2 * scale * local.T @ slope,
-            hessian=2 * scale * local.T @ curvature @ local,
+        scale = 1 / (3 * windows.prediction_length * self._counted.sum())
+        return Shares(
+            loss=scale * _summed(square, owner),
+            gradient=2 * scale * _summed(slope, owner) @ local,
+            hessian=2 * scale * (local.T @ _summed(curvature, owner) @ local),
         )
 
 
-def _batches(
+def _summed(parts: Sequence[Any], owner: Int[np.ndarray, " N"]) -> Float[np.ndarray, "G *shape"]:
+    """Sum up the parts of each owner."""
+    total = np.zeros((int(owner.max()) + 1, *parts[0].shape))
+    for number, part in zip(owner, parts, strict=True):
+        total[number] += np.asarray(part)
+    return total
+
+
+def _split(
+    members: Int[np.ndarray, " M"],
     starts: Int[np.ndarray, " W"],
-) -> Sequence[tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]]:
+    counted: Float[np.ndarray, " W"],
+) -> list[_Batch]:
     """Split windows into batches of one size, so that one program serves all; pad with weight 0."""
-    size = min(_BATCH, 1 << (len(starts) - 1).bit_length())
-    count = -(-len(starts) // size)
-    padded = np.pad(starts, (0, count * size - len(starts)), mode="edge").reshape(count, size)
-    weight = (np.arange(count * size) < len(starts)).astype(float).reshape(count, size)
-    return list(zip(padded, weight, strict=True))
+    size = min(BATCH, 1 << (len(starts) - 1).bit_length())
+    batches = []
+    for first in range(0, len(members), size):
+        own = members[first : first + size]
+        missing = size - len(own)
+        batches.append(
+            (np.pad(starts[own], (0, missing), mode="edge"), np.pad(counted[own], (0, missing)))
+        )
+    return batches
 
 
 def _configuration_basis(
