@@ -16,6 +16,7 @@ ORDER = (
     ("errors", "files"),
     ("vehicle", "table"),
     ("model",),
+    ("uncertainty_section",),
     ("model_file",),
     ("trajectory", "windows", "recording"),
     ("preprocessing",),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -20,6 +20,8 @@ from airpuck.files import Section, checked, read_toml, write_toml
 from airpuck.model.parameters import QUANTITIES, Parameters, nominal_parameters
 from airpuck.model.presets import PRESETS
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.uncertainty_section import UncertaintySection, uncertainty_content
 from airpuck.vehicle import Vehicle, default_vehicle
 
 if TYPE_CHECKING:
@@ -54,6 +56,8 @@ class Model:
         SHA-256 of the files it was learned from, by name.
     source : str
         Where the numbers come from.
+    uncertainty : Uncertainty or None
+        How well the parameters are known, where they were learned here.
     """
 
     name: str
@@ -66,11 +70,36 @@ class Model:
     fit: Mapping[str, Any] = field(default_factory=dict)
     data: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
+    uncertainty: Uncertainty | None = None
 
     @cached_property
     def dynamics(self) -> Dynamics:
         """Coefficients of the equations of motion."""
         return self.parameters.dynamics(np, self.vehicle, self.frame)
+
+    def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
+        """Compute the standard error of anything made from the parameters (delta method).
+
+        Parameters
+        ----------
+        quantity : callable
+            ``model -> number or array``, for example ``lambda m: m.parameters.thrust.sum(axis=1)``.
+
+        Returns
+        -------
+        array
+            Of the quantity's shape; nan where the model has no uncertainty, or none for these
+            parameters, and where the data do not determine the quantity.
+        """
+        known = self.uncertainty
+        if known is None or not np.array_equal(known.estimate, self.parameters.to_vector()):
+            return np.full(np.shape(quantity(self)), np.nan)
+
+        def of(vector: Float[np.ndarray, " P"]) -> Any:
+            parameters = self.parameters.with_vector(vector)
+            return quantity(replace(self, parameters=parameters, uncertainty=None))
+
+        return known.propagate(of)
 
     def to_statespace(
         self,
@@ -159,6 +188,7 @@ class Model:
             "free": free,
             "fit": dict(self.fit),
             "data": dict(self.data),
+            **uncertainty_content(self.uncertainty, self.parameters, self.vehicle),
             "vehicle": self.vehicle.model_dump(mode="json"),
         }
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
@@ -216,6 +246,7 @@ class _ModelFile(Section):
     free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
     fit: dict[str, Any] = pydantic.Field(default_factory=dict)
     data: dict[str, str] = pydantic.Field(default_factory=dict)
+    uncertainty: UncertaintySection | None = None
     vehicle: Vehicle
 
 
@@ -278,6 +309,8 @@ def _from_file(content: _ModelFile) -> Model:
         fit=content.fit,
         data=content.data,
         source=content.source,
+        uncertainty=content.uncertainty
+        and content.uncertainty.uncertainty(parameters, content.vehicle),
     )
 
 

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from airpuck import __version__
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.bootstrap import bootstrap as resample
+from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.uncertainty import cluster_windows, sandwich
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
 from airpuck.model.rigid_body import CenterOfMassFrame
 from airpuck.model.thrust import lowest_slope
+from airpuck.model.uncertainty import Bootstrap, Uncertainty
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.vehicle import Vehicle, default_vehicle
@@ -49,6 +54,8 @@ class Fit:
         Time it took [s].
     warnings : tuple of str
         What to look at before trusting the model.
+    identifiability : Identifiability or None
+        What the data say about the parameters; `identify` always finds it.
     """
 
     model: Model
@@ -59,6 +66,12 @@ class Fit:
     windows: int
     wall_s: float
     warnings: tuple[str, ...]
+    identifiability: Identifiability | None = None
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """How well the parameters are known; `identify` always finds it."""
+        return self.model.uncertainty
 
     @property
     def iterations(self) -> int:
@@ -71,7 +84,8 @@ class Fit:
         Returns
         -------
         dict
-            ``model, loss, iterations, converged, windows, wall_s, warnings, history``.
+            ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
+            identifiability, history``.
         """
         return {
             "model": self.model.name,
@@ -81,8 +95,29 @@ class Fit:
             "windows": self.windows,
             "wall_s": self.wall_s,
             "warnings": list(self.warnings),
+            "parameters": _parameters_json(self.model),
+            "identifiability": self.identifiability and self.identifiability.to_json(),
             "history": [asdict(iteration) for iteration in self.history],
         }
+
+
+def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
+    """Return every parameter with its errors, by label; None where there is none."""
+    known, figures = model.uncertainty, {}
+    labels = model.parameters.labels(model.vehicle.propeller_names)
+    for entry, (label, value) in enumerate(zip(labels, model.parameters.to_vector(), strict=True)):
+        figures[label] = {"value": float(value), "standard_error": None, "interval_95": None}
+        if known is None:
+            continue
+        if np.isfinite(known.standard_errors[entry]):
+            figures[label]["standard_error"] = float(known.standard_errors[entry])
+            figures[label]["interval_95"] = known.intervals[entry].tolist()
+        if known.bootstrap is not None:
+            ends = (known.bootstrap.lower[entry], known.bootstrap.upper[entry])
+            figures[label]["bootstrap_95"] = (
+                [float(end) for end in ends] if np.isfinite(ends).all() else None
+            )
+    return figures
 
 
 #: A motor whose command stays within this range says nothing about its thrust.
@@ -104,7 +139,10 @@ def identify(
     stride: int = 7,
     degree: int | None = None,
     frame: CenterOfMassFrame = "body",
+    bootstrap: int = 0,
+    seed: int = 0,
     progress: Callable[[Iteration], None] = lambda _: None,
+    resampled: Callable[[int], None] = lambda _: None,
 ) -> Fit:
     """Identify a model by minimising its multi-step prediction error (eq. combined_loss).
 
@@ -136,8 +174,15 @@ def identify(
         Degree of the thrust polynomials; by default that of the nominal thrust.
     frame : {"body", "world"}, default "body"
         Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
+    bootstrap : int, default 0
+        Fits to resampled data, for intervals beside those of the standard errors; some hundreds.
+        Of `LevenbergMarquardt` only.
+    seed : int, default 0
+        Seed of the resampling.
     progress : callable, optional
         Called after every iteration of the optimiser.
+    resampled : callable, optional
+        Called with the number of fits to resampled data done.
 
     Returns
     -------
@@ -152,19 +197,31 @@ def identify(
     started = time.perf_counter()
     if isinstance(trajectories, Trajectory):
         trajectories = [trajectories]
+    method = method or LevenbergMarquardt()
+    if bootstrap and not isinstance(method, LevenbergMarquardt):
+        raise InputError("is of Levenberg-Marquardt only", field="bootstrap")
     vehicle = vehicle or default_vehicle()
     rung = preset(model) if isinstance(model, str) else model
     encoder = encoder or PaperEncoder(length=_PAST)
-    method = method or LevenbergMarquardt()
-    for trajectory in trajectories:
-        check_propellers(vehicle, trajectory)
-    _refuse_twins(trajectories)
-    windows = make_windows(trajectories, encoder.length, prediction_length, stride)
+    loss = _loss(trajectories, vehicle, encoder, weights, prediction_length, stride, frame)
+    windows = loss.windows
     start = initial or rung.initial(vehicle, degree)
     free = rung.mask(start)
-    loss = PredictionLoss(windows, vehicle, encoder, weights, frame)
     outcome = method.minimize(loss, start, free, progress)
+    clusters = cluster_windows(windows)
+    shares = loss.by_cluster(outcome.parameters, clusters)
+    uncertainty = sandwich(shares, outcome.parameters, free)
+    known = identifiability_of(
+        shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
+    )
     wall = time.perf_counter() - started
+    if bootstrap:
+        uncertainty = replace(
+            uncertainty,
+            bootstrap=_resampled(
+                loss, outcome.parameters, free, clusters, uncertainty, bootstrap, seed, resampled
+            ),
+        )
     identified = Model(
         name=rung.name,
         vehicle=vehicle,
@@ -188,6 +245,7 @@ def identify(
         data=_hashes(trajectories),
         # The last two names of the path: a model file must not tell where its author's home is.
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in trajectories),
+        uncertainty=uncertainty,
     )
     return Fit(
         model=identified,
@@ -197,9 +255,105 @@ def identify(
         message=outcome.message,
         windows=len(windows),
         wall_s=wall,
-        warnings=tuple(
-            _idle_motors(trajectories) + _warnings(identified, outcome.converged, outcome.message)
+        warnings=(
+            *_idle_motors(trajectories),
+            *_warnings(identified, outcome.converged, outcome.message),
+            *(note for note in uncertainty.notes if "rough" in note or "no standard" in note),
         ),
+        identifiability=known,
+    )
+
+
+def identifiability(
+    trajectories: Trajectory | Sequence[Trajectory],
+    model: str | Preset = "M3",
+    *,
+    vehicle: Vehicle | None = None,
+    initial: Parameters | None = None,
+    degree: int | None = None,
+    prediction_length: int | None = 50,
+    stride: int = 7,
+    frame: CenterOfMassFrame = "body",
+) -> Identifiability:
+    """Say before a fit what data can determine, by the information at its start.
+
+    Parameters
+    ----------
+    trajectories : Trajectory or sequence of Trajectory
+        Data of one craft.
+    model : str or Preset, default "M3"
+        The rung of the model ladder.
+    vehicle : Vehicle, optional
+        The craft; by default the paper's.
+    initial : Parameters, optional
+        Where a fit would start; by default the vehicle's nominal values.
+    degree : int, optional
+        Degree of the thrust polynomials.
+    prediction_length : int or None, default 50
+        Steps to predict.
+    stride : int, default 7
+        Samples from one window to the next.
+    frame : {"body", "world"}, default "body"
+        Where the offset of the centre of mass is constant.
+
+    Returns
+    -------
+    Identifiability
+        In numbers and words.
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the vehicle, are too short, or the model does not exist.
+    """
+    if isinstance(trajectories, Trajectory):
+        trajectories = [trajectories]
+    vehicle = vehicle or default_vehicle()
+    rung = preset(model) if isinstance(model, str) else model
+    encoder = PaperEncoder(length=_PAST)
+    loss = _loss(
+        trajectories, vehicle, encoder, PUBLISHED_WEIGHTS, prediction_length, stride, frame
+    )
+    start = initial or rung.initial(vehicle, degree)
+    hessian = loss.quadratic(start).hessian
+    return identifiability_of(hessian, start, rung.mask(start), vehicle.propeller_names)
+
+
+def _loss(
+    trajectories: Sequence[Trajectory],
+    vehicle: Vehicle,
+    encoder: PaperEncoder,
+    weights: tuple[float, float, float],
+    prediction_length: int | None,
+    stride: int,
+    frame: CenterOfMassFrame,
+) -> PredictionLoss:
+    """Check recordings, and cut them into the windows of a loss."""
+    for trajectory in trajectories:
+        check_propellers(vehicle, trajectory)
+    _refuse_twins(trajectories)
+    windows = make_windows(trajectories, encoder.length, prediction_length, stride)
+    return PredictionLoss(windows, vehicle, encoder, weights, frame)
+
+
+def _resampled(
+    loss: PredictionLoss,
+    parameters: Parameters,
+    free: Bool[np.ndarray, " P"],
+    clusters: Int[np.ndarray, " W"],
+    uncertainty: Uncertainty,
+    replicates: int,
+    seed: int,
+    progress: Callable[[int], None],
+) -> Bootstrap:
+    """Return intervals by resampling, of what the data determine."""
+    found, _ = resample(loss, parameters, free, clusters, replicates, seed=seed, progress=progress)
+    # Along a gauge direction a fit stays where it started: that says nothing.
+    blind = (np.abs(uncertainty.undetermined) > 1e-9).any(axis=0)
+    return replace(
+        found,
+        lower=np.where(blind, np.nan, found.lower),
+        upper=np.where(blind, np.nan, found.upper),
     )
 
 

@@ -1,0 +1,208 @@
+"""Which parameters the data determine, in words.
+
+The information matrix JᵀJ at a point says it, before a fit as after one: directions without
+information cannot be learned from these data, however long the optimiser runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.identification.uncertainty import UNDETERMINED, scaling
+from airpuck.model.parameters import Parameters
+
+#: Correlation from which two parameters are hard to tell apart.
+_ALIKE = 0.95
+#: Part of a direction, relative to its largest, from which a parameter is named.
+_MAIN = 0.5
+#: Most parameters to name at once.
+_NAMED = 4
+#: Condition number of the scaled information from which a fit is said to be poorly determined:
+#: three of twelve digits of a double-precision solution, and a factor 1000 in standard errors.
+_POOR = 1e6
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What data can say about the parameters of a model.
+
+    Attributes
+    ----------
+    free : int
+        Number of free parameters.
+    rank : int
+        How many combinations of them the data determine.
+    condition : float
+        Condition number of the information on these, scaled to a unit diagonal.
+    weakest : tuple of str
+        Main parameters of the weakest direction that is determined.
+    correlated : tuple of (str, str, float)
+        Pairs whose estimates correlate by more than 0.95 in size, by the information alone.
+    notes : tuple of str
+        What is not determined, and what is hard to tell apart.
+    """
+
+    free: int
+    rank: int
+    condition: float
+    weakest: tuple[str, ...]
+    correlated: tuple[tuple[str, str, float], ...]
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            Its attributes.
+        """
+        return asdict(self)
+
+
+def identifiability_of(
+    hessian: Float[np.ndarray, "P P"],
+    parameters: Parameters,
+    free: Bool[np.ndarray, " P"],
+    propellers: tuple[str, ...],
+) -> Identifiability:
+    """Say what an information matrix determines.
+
+    Parameters
+    ----------
+    hessian : array, shape (P, P)
+        Gauss-Newton Hessian at a point; any factor.
+    parameters : Parameters
+        The point.
+    free : array of bool, shape (P,)
+        What is to be estimated.
+    propellers : tuple of str
+        Their names.
+
+    Returns
+    -------
+    Identifiability
+        In numbers and words.
+    """
+    labels = [label for label, is_free in zip(parameters.labels(propellers), free, strict=True)
+              if is_free]  # fmt: skip
+    scale = scaling(hessian, free)
+    information = (hessian * scale * scale[:, None])[np.ix_(free, free)]
+    if not labels or not np.isfinite(information).all():
+        return Identifiability(len(labels), 0, float("inf"), (), (), ("no information",))
+    value, vector = np.linalg.eigh(information)
+    known = value > UNDETERMINED * max(value[-1], 1e-300)
+    rank = int(known.sum())
+    notes = _undetermined_notes(
+        vector[:, ~known], labels, _gauges(hessian, parameters, free, propellers)
+    )
+    condition = float(value[-1] / value[known][0]) if rank else float("inf")
+    weakest = _main(vector[:, known][:, 0], labels) if rank else ()
+    if condition > _POOR:
+        notes.append(f"poorly determined: {', '.join(weakest)} trade off against each other")
+    pairs = _pairs(vector[:, known], value[known], vector[:, ~known], labels)
+    if pairs:
+        first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
+        notes.append(
+            f"{len(pairs)} pairs of parameters correlate by more than {_ALIKE}, most {first} and "
+            f"{second} ({size:.3f}): judge what they make up together, such as a thrust curve"
+        )
+    return Identifiability(len(labels), rank, condition, weakest, pairs, tuple(notes))
+
+
+def _main(direction: Float[np.ndarray, " F"], labels: list[str]) -> tuple[str, ...]:
+    """Name the main parameters of a direction, the largest first."""
+    size = np.abs(direction)
+    order = np.argsort(-size)[:_NAMED].tolist()
+    return tuple(labels[k] for k in order if size[k] >= _MAIN * size.max())
+
+
+def _pairs(
+    vector: Float[np.ndarray, "F R"],
+    value: Float[np.ndarray, " R"],
+    blind: Float[np.ndarray, "F K"],
+    labels: list[str],
+) -> tuple[tuple[str, str, float], ...]:
+    """List pairs of determined parameters whose estimates are hard to tell apart."""
+    covariance = vector / value @ vector.T
+    own = np.abs(blind).max(axis=1, initial=0.0) < 1e-6
+    spread = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(spread, spread).clip(1e-300)
+    correlation[~own] = correlation[:, ~own] = 0.0
+    first, second = np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1))
+    return tuple(
+        (labels[i], labels[j], float(correlation[i, j]))
+        for i, j in zip(first.tolist(), second.tolist(), strict=True)
+    )
+
+
+def _gauges(
+    hessian: Float[np.ndarray, "P P"],
+    parameters: Parameters,
+    free: Bool[np.ndarray, " P"],
+    propellers: tuple[str, ...],
+) -> list[tuple[str, Float[np.ndarray, " F"]]]:
+    """Find propellers whose thrust and column of Π cancel: s times one and 1/s times the other."""
+    if parameters.configuration_matrix is None:
+        return []
+    found = []
+    thrust_entries = parameters.mask(frozenset({"thrust"}))
+    matrix_entries = parameters.mask(frozenset({"configuration_matrix"}))
+    scale = scaling(hessian, free)
+    for motor, name in enumerate(propellers):
+        curve = np.zeros(np.shape(parameters.thrust))
+        curve[motor] = np.asarray(parameters.thrust)[motor]
+        column = np.zeros(np.shape(parameters.configuration_matrix))
+        column[:, motor] = -np.asarray(parameters.configuration_matrix)[:, motor]
+        direction = np.zeros(len(free))
+        direction[thrust_entries], direction[matrix_entries] = curve.ravel(), column.ravel()
+        if (direction[~free] != 0).any():
+            continue  # one of the two is fixed, and fixes the other
+        scaled = direction[free] / scale[free]
+        scaled = scaled / np.linalg.norm(scaled)
+        found.append(
+            (
+                f"thrust of {name} and column {name} of Π can only be determined as a product",
+                scaled,
+            )
+        )
+    return found
+
+
+def _undetermined_notes(
+    blind: Float[np.ndarray, "F K"],
+    labels: list[str],
+    gauges: Sequence[tuple[str, Float[np.ndarray, " F"]]],
+) -> list[str]:
+    """Name what the data do not determine: products first, then what else there is."""
+    notes, left = [], blind
+    for sentence, direction in gauges:
+        part = left.T @ direction
+        if part @ part < 0.99:
+            continue
+        notes.append(sentence)
+        left = _without(left, direction[:, None])
+    silent = np.flatnonzero(np.linalg.norm(left, axis=1) > 1 - 1e-6)
+    notes += [f"the data say nothing about {labels[k]}" for k in silent.tolist()]
+    left = _without(left, np.eye(len(labels))[:, silent])
+    rest = np.flatnonzero(np.linalg.norm(left, axis=1) > 0.1).tolist()
+    if rest:
+        notes.append(
+            f"{left.shape[1]} combinations of {', '.join(labels[k] for k in rest)} are not "
+            "determined"
+        )
+    return notes
+
+
+def _without(
+    directions: Float[np.ndarray, "F K"], explained: Float[np.ndarray, "F E"]
+) -> Float[np.ndarray, "F L"]:
+    """Return what is left of a space of directions without the ones that are explained."""
+    rest = directions - explained @ (explained.T @ directions)
+    left, size, _ = np.linalg.svd(rest, full_matrices=False)
+    return left[:, size > 1e-3]

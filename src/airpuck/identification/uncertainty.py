@@ -1,0 +1,285 @@
+"""Covariance of fitted parameters that respects overlapping windows.
+
+Windows that begin within one prediction length of each other share samples, and what no model
+describes (a tilted table, air, flow between propellers) lasts longer still: residuals are far from
+independent, and s²(JᵀJ)⁻¹ would be much too small. The sandwich estimator (White 1980; Liang and
+Zeger 1986) needs only that blocks of time are nearly independent of each other. Scores are
+corrected for the leverage of their block, which with a few dozen blocks and two dozen parameters
+is the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from airpuck.identification.objective import BATCH, Shares
+from airpuck.model.parameters import Parameters
+from airpuck.model.thrust import thrust_slope
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.windows import Windows
+
+#: Length of a block [s]. Neighbouring blocks share what reaches across their border: 0.4 s of
+#: windows, which costs about a third of 0.4/2 of the variance. Shorter blocks lose more, longer
+#: ones leave too few of them for a minute of flight.
+BLOCK = 2.0
+#: A block is at least this many windows long, for the same reason.
+_LENGTHS = 5
+#: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
+#: below which its direction is not determined: rounding leaves about 1e-15.
+UNDETERMINED = 1e-11
+#: A thrust curve whose slope is below this is held by its constraint [N]; that has 1e-6.
+_FLAT = 1e-5
+#: Largest leverage of a block: one that alone determines something would have 1.
+_LEVERAGE = 0.999
+
+
+def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
+    """Group windows into blocks of time.
+
+    Parameters
+    ----------
+    windows : Windows
+        Windows of one or several trajectories, in the order of time.
+
+    Returns
+    -------
+    array of int, shape (W,)
+        The block that each window begins in. Blocks hold nearly equally many windows, span about
+        two seconds, or five windows where these are longer, and never reach from one trajectory
+        into another.
+    """
+    trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
+    steps = np.diff(windows.starts)[np.diff(trajectory) == 0]
+    stride = float(np.median(steps)) if len(steps) else 1.0
+    period = float(np.median(np.diff(windows.time)))
+    span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
+    size = max(1, round(span / (stride * period)))
+    # Whole batches, where that is near: half-filled ones would cost as much as full ones.
+    if size > 0.75 * BATCH:
+        size = BATCH * round(size / BATCH)
+    clusters, first = np.zeros(len(windows), dtype=int), 0
+    for number in np.unique(trajectory):
+        own = np.flatnonzero(trajectory == number)
+        for block in np.array_split(own, -(-len(own) // size)):
+            clusters[block] = first
+            first += 1
+    return clusters
+
+
+@dataclass(frozen=True, eq=False)
+class Subspace:
+    """Directions in which an estimate can vary.
+
+    Attributes
+    ----------
+    basis : array, shape (P, R)
+        What the data determine and no constraint holds: θ = basis @ z. The information about z is
+        about the identity.
+    undetermined : array, shape (K, P)
+        Orthonormal directions without information.
+    held : array of bool, shape (P,)
+        Free entries that constraints hold where they are.
+    """
+
+    basis: Float[np.ndarray, "P R"]
+    undetermined: Float[np.ndarray, "K P"]
+    held: Bool[np.ndarray, " P"]
+
+
+def subspace(
+    hessian: Float[np.ndarray, "P P"],
+    free: Bool[np.ndarray, " P"],
+    constraints: Float[np.ndarray, "C P"],
+) -> Subspace:
+    """Find the directions in which an estimate can vary.
+
+    Parameters
+    ----------
+    hessian : array, shape (P, P)
+        Information about the parameters, up to a factor.
+    free : array of bool, shape (P,)
+        What is estimated.
+    constraints : array, shape (C, P)
+        Rows A of the binding constraints A θ = b.
+
+    Returns
+    -------
+    Subspace
+        Split by the eigenvalues of the information, scaled to a unit diagonal so that units do not
+        matter.
+    """
+    scale = scaling(hessian, free)
+    entries = np.diag(scale)[:, free]
+    rows = constraints @ entries
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+    _, values, right = np.linalg.svd(rows, full_matrices=True)
+    inside = entries @ right[int((values > 1e-9).sum()) :].T
+    value, vector = np.linalg.eigh(inside.T @ hessian @ inside)
+    known = value > UNDETERMINED * max(value.max(initial=0.0), 1e-300)
+    reach = np.linalg.norm(inside / np.where(scale > 0, scale, 1.0)[:, None], axis=1)
+    blind = np.linalg.qr(inside @ vector[:, ~known])[0].T
+    return Subspace(
+        basis=inside @ vector[:, known] / np.sqrt(value[known]),
+        undetermined=blind,
+        held=free & (reach < 1e-6),
+    )
+
+
+def scaling(
+    hessian: Float[np.ndarray, "P P"], free: Bool[np.ndarray, " P"]
+) -> Float[np.ndarray, " P"]:
+    """Return the scale of each parameter: what moves the loss by as much as any other's.
+
+    Parameters
+    ----------
+    hessian : array, shape (P, P)
+        Information about the parameters.
+    free : array of bool, shape (P,)
+        What is estimated.
+
+    Returns
+    -------
+    array, shape (P,)
+        1/√Hᵢᵢ; 1 where there is no information; 0 for what is not estimated.
+    """
+    diagonal = np.diag(hessian)
+    return np.where(free, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+
+
+def binding_constraints(
+    parameters: Parameters, free: Bool[np.ndarray, " P"]
+) -> Float[np.ndarray, "C P"]:
+    """Return the rows of the constraints that hold an estimate: bounds, and rising thrust.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        The estimate.
+    free : array of bool, shape (P,)
+        What was estimated.
+
+    Returns
+    -------
+    array, shape (C, P)
+        One row for each bound that is reached and each speed where a thrust curve is flat.
+    """
+    vector = parameters.to_vector()
+    lower, upper = parameters.bounds()
+    rows = list(np.eye(len(vector))[free & ((vector <= lower) | (vector >= upper))])
+    coefficients = np.asarray(parameters.thrust, dtype=float)
+    n, degree = coefficients.shape
+    power = np.arange(1, degree + 1)
+    for motor in range(n):
+        for speed in _flat_speeds(coefficients[motor : motor + 1]):
+            row = np.zeros(len(vector))
+            row[motor * degree : (motor + 1) * degree] = power * speed ** (power - 1)
+            # A slope that no free coefficient changes is nobody's constraint.
+            if (np.abs(row) * free).any():
+                rows.append(row)
+    return np.array(rows).reshape(-1, len(vector))
+
+
+def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
+    """Return the ends and minima of F' where it has come down to its constraint."""
+    degree = curve.shape[1]
+    slope = np.polynomial.Polynomial(curve[0] * np.arange(1, degree + 1))
+    stationary = slope.deriv().roots() if degree > 2 else np.zeros(0)
+    inside = np.real(stationary[np.abs(np.imag(stationary)) < 1e-9])
+    candidates = [0.0, 1.0, *(float(x) for x in inside if 0.02 < x < 0.98)]
+    return [x for x in candidates if thrust_slope(curve, np.array([x]))[0] < _FLAT]
+
+
+def sandwich(
+    shares: Shares,
+    parameters: Parameters,
+    free: Bool[np.ndarray, " P"],
+    constraints: Float[np.ndarray, "C P"] | None = None,
+) -> Uncertainty:
+    """Estimate the covariance of fitted parameters from the scores of independent clusters.
+
+    Parameters
+    ----------
+    shares : Shares
+        Gradient and Hessian of each of G clusters, at the optimum.
+    parameters : Parameters
+        The optimum.
+    free : array of bool, shape (P,)
+        What was estimated.
+    constraints : array, shape (C, P), optional
+        Rows of binding constraints; by default `binding_constraints`.
+
+    Returns
+    -------
+    Uncertainty
+        Covariance H⁻¹ (Σ s̃ s̃ᵀ) H⁻¹ (G-1)/G on what the data determine and no constraint holds,
+        with s̃ = (1 - H_c H⁻¹)⁻¹ s_c: H⁻¹ s̃ is to first order the change of the estimate when the
+        cluster c is left out (jackknife, CR3).
+    """
+    from scipy.special import stdtrit
+
+    if constraints is None:
+        constraints = binding_constraints(parameters, free)
+    vector, hessian = parameters.to_vector(), shares.hessian.sum(axis=0)
+    count, size = shares.gradient.shape
+    if count < 2 or not (np.isfinite(hessian).all() and np.isfinite(shares.gradient).all()):
+        reason = (
+            "the data make up a single block of time: there is nothing to estimate errors from"
+            if count < 2
+            else "the loss or its derivatives are not finite at the optimum"
+        )
+        nothing = np.full(size, np.nan)
+        return Uncertainty(
+            vector, np.full((size, size), np.nan), nothing, np.zeros((0, size)), count, np.nan,
+            (f"no standard errors: {reason}",),
+        )  # fmt: skip
+    space = subspace(hessian, free, constraints)
+    change = _jackknife(shares.gradient @ space.basis, space.basis.T @ shares.hessian @ space.basis)
+    covariance = (count - 1) / count * space.basis @ (change.T @ change) @ space.basis.T
+    covariance = (covariance + covariance.T) / 2
+    # What moves along a direction without information has no error of its own.
+    scale = scaling(hessian, free)
+    blind = np.abs(space.undetermined / np.where(scale > 0, scale, 1.0)).max(axis=0, initial=0.0)
+    unknown = ~free | space.held | (blind > 1e-6 * max(blind.max(initial=0.0), 1e-300))
+    return Uncertainty(
+        estimate=vector,
+        covariance=covariance,
+        standard_errors=np.where(unknown, np.nan, np.sqrt(np.diag(covariance))),
+        undetermined=space.undetermined,
+        clusters=count,
+        quantile=float(stdtrit(count - 1, 0.975)),
+        notes=_notes(count, space, constraints),
+    )
+
+
+def _jackknife(
+    scores: Float[np.ndarray, "G R"], hessian: Float[np.ndarray, "G R R"]
+) -> Float[np.ndarray, "G R"]:
+    """Return the change of the estimate when each cluster is left out; the Hessians add up to 1."""
+    value, vector = np.linalg.eigh(hessian)
+    turned = np.einsum("gij,gi->gj", vector, scores)
+    return np.einsum("gij,gj->gi", vector, turned / (1 - np.minimum(value, _LEVERAGE)))
+
+
+def _notes(count: int, space: Subspace, constraints: Float[np.ndarray, "C P"]) -> tuple[str, ...]:
+    """Say what to know before using standard errors."""
+    notes = []
+    rank = space.basis.shape[1]
+    if count <= rank:
+        notes.append(
+            f"{rank} parameters from {count} blocks of time: standard errors are rough, use a "
+            "longer recording"
+        )
+    if len(constraints):
+        notes.append(
+            f"{len(constraints)} constraints bind (bounds, rising thrust): standard errors hold "
+            "along them"
+        )
+    if len(space.undetermined):
+        notes.append(
+            f"the data do not determine {len(space.undetermined)} directions: the covariance is "
+            "that of the others (pseudo-inverse)"
+        )
+    return tuple(notes)

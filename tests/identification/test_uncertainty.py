@@ -1,0 +1,351 @@
+"""Standard errors: against hand calculation, against truth, and where there are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.adam import Adam
+from airpuck.identification.bootstrap import bootstrap
+from airpuck.identification.fit import identifiability, identify
+from airpuck.identification.identifiability import identifiability_of
+from airpuck.identification.objective import PredictionLoss, Shares
+from airpuck.identification.uncertainty import binding_constraints, cluster_windows, sandwich
+from airpuck.model.presets import PRESETS
+from airpuck.model.rollout import rollout
+from airpuck.model_file import published_model, read_model
+from airpuck.report.gauge import physical_thrust
+from airpuck.vehicle import default_vehicle
+from airpuck.windows import make_windows
+
+from ..synthetic import fly
+
+VEHICLE = default_vehicle()
+NAMES = VEHICLE.propeller_names
+TRUTH = replace(published_model("M3"), frame="body")
+
+
+def noisy(seed=0, duration=14.0, noise=0.002):
+    flight = fly(TRUTH, duration, seed)
+    rng = np.random.default_rng(seed + 100)
+    return replace(flight, state=flight.state + noise * rng.normal(size=flight.state.shape))
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return identify(noisy())
+
+
+def dense_jacobian(loss, parameters, free):
+    """Residuals (W, 3 T) and their derivatives by central differences of a plain rollout."""
+
+    def residuals(vector):
+        dynamics = parameters.with_vector(vector).dynamics(np, VEHICLE)
+        commands, durations, measured = loss.windows.future()
+        state = loss.encoder.encode(np, dynamics, loss.windows.past())
+        predicted = rollout(np, dynamics, state, commands, durations)[:, :3]
+        error = np.array(loss.weights)[:, None] * (predicted - measured[:, :3])
+        return np.moveaxis(error, -1, 0).reshape(len(loss.windows), -1)
+
+    vector = parameters.to_vector()
+    columns = []
+    for entry in np.flatnonzero(free):
+        step = np.zeros_like(vector)
+        step[entry] = 1e-5 * max(abs(vector[entry]), 1e-2)
+        columns.append((residuals(vector + step) - residuals(vector - step)) / (2 * step[entry]))
+    return residuals(vector), np.stack(columns, axis=-1)
+
+
+def test_equals_a_dense_computation():
+    windows = make_windows(noisy(duration=16.0), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    parameters = TRUTH.parameters
+    free = PRESETS["M3"].mask(parameters)
+    clusters = cluster_windows(windows)
+    shares = loss.by_cluster(parameters, clusters)
+    nothing = np.zeros((0, len(free)))
+    found = sandwich(shares, parameters, free, nothing)
+    residual, jacobian = dense_jacobian(loss, parameters, free)
+    count = clusters.max() + 1
+    hessian = np.einsum("wrp,wrq->pq", jacobian, jacobian)
+    changes = []
+    for cluster in range(count):
+        own = clusters == cluster
+        without = hessian - np.einsum("wrp,wrq->pq", jacobian[own], jacobian[own])
+        # What leaving the block out does to the estimate, in one Gauss-Newton step.
+        score = np.einsum("wrp,wr->p", jacobian[own], residual[own])
+        changes.append(np.linalg.solve(without, score))
+    dense = (count - 1) / count * np.array(changes).T @ np.array(changes)
+    spread = np.sqrt(np.diag(dense))
+    ours = found.covariance[np.ix_(free, free)]
+    np.testing.assert_allclose(ours / np.outer(spread, spread), dense / np.outer(spread, spread),
+                               atol=1e-4)  # fmt: skip
+    np.testing.assert_allclose(found.standard_errors[free], spread, rtol=1e-4)
+    assert np.isnan(found.standard_errors[~free]).all()
+    # And the scores are the gradient, cut into pieces.
+    whole = loss.quadratic(parameters)
+    np.testing.assert_allclose(shares.gradient.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(shares.hessian.sum(axis=0), whole.hessian, rtol=1e-9, atol=1e-15)
+
+
+def linear_shares(rng, parameters, free, count=400, rows=8, noise=0.3):
+    """Scores of y = X β + e at the least squares estimate, e constant within each cluster."""
+    size = int(free.sum())
+    design = rng.normal(size=(count, rows, size))
+    error = noise * np.repeat(rng.normal(size=(count, 1)), rows, axis=1)
+    flat = design.reshape(-1, size)
+    estimate = np.linalg.lstsq(flat, error.ravel(), rcond=None)[0]
+    residual = design @ estimate - error
+    gradient = np.zeros((count, len(free)))
+    gradient[:, free] = np.einsum("grp,gr->gp", design, residual)
+    hessian = np.zeros((count, len(free), len(free)))
+    hessian[np.ix_(np.arange(count), free, free)] = np.einsum("grp,grq->gpq", design, design)
+    return Shares(np.sum(residual**2, axis=1), gradient, hessian), estimate
+
+
+def test_a_linear_model_whose_covariance_is_known():
+    parameters = TRUTH.parameters
+    free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
+    rng = np.random.default_rng(5)
+    found = [linear_shares(rng, parameters, free) for _ in range(40)]
+    errors = [sandwich(shares, parameters, free).standard_errors[free] for shares, _ in found]
+    # Rows of a design are independent, so that the constant errors of a cluster average out as if
+    # they were independent, too: σ² (XᵀX)⁻¹.
+    expected = 0.3 / np.sqrt(400 * 8)
+    assert np.mean(errors) == pytest.approx(expected, rel=0.03)
+    assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
+
+
+def test_intervals_and_derived_quantities(fit):
+    known = fit.uncertainty
+    assert known is fit.model.uncertainty
+    free = fit.model.free
+    width = np.diff(known.intervals[free], axis=1)[:, 0]
+    finite = np.isfinite(width)
+    np.testing.assert_allclose(
+        width[finite], 2 * known.quantile * known.standard_errors[free][finite]
+    )
+    assert np.nanmax(np.abs(known.correlation)) <= 1 + 1e-9
+    # A sum of coefficients: by hand and by the delta method.
+    powers = 0.6 ** np.arange(1, 4)
+    by_hand = np.sqrt(powers @ known.covariance[3:6, 3:6] @ powers)
+    found = fit.model.standard_error(lambda m: m.parameters.thrust[1] @ powers)
+    assert found == pytest.approx(by_hand, rel=1e-6)
+    # A thrust curve is known far better than its coefficients.
+    assert by_hand < 0.2 * known.standard_errors[4]
+
+
+def test_clusters_are_blocks_of_time():
+    flights = [noisy(seed, duration=7.0) for seed in (1, 2)]
+    windows = make_windows(flights, 40, 50, 7)
+    clusters = cluster_windows(windows)
+    second = windows.starts >= len(flights[0])
+    assert not set(clusters[second]) & set(clusters[~second])
+    assert (np.diff(clusters) >= 0).all()
+    seconds = np.bincount(clusters) * 7 / 240
+    assert 1.2 < seconds.min() <= seconds.max() < 2.1
+
+
+def test_the_order_of_trajectories_does_not_matter():
+    flights = [noisy(seed, duration=8.0) for seed in (1, 2)]
+    first, second = identify(flights), identify(flights[::-1])
+    np.testing.assert_allclose(
+        first.uncertainty.standard_errors, second.uncertainty.standard_errors, rtol=1e-3
+    )
+
+
+def test_twice_the_data_have_smaller_errors(fit):
+    flights = [noisy(seed) for seed in (0, 3)]
+    twice = identify(flights).uncertainty.standard_errors
+    once = fit.uncertainty.standard_errors
+    assert np.nanmedian(twice / once) == pytest.approx(1 / np.sqrt(2), abs=0.15)
+
+
+def test_parameters_at_a_constraint_have_no_standard_error():
+    parameters = replace(
+        TRUTH.parameters,
+        thrust=np.array([[1e-6, 0.5, 0.1], *TRUTH.parameters.thrust[1:]]),
+        motor_time_constant=1e-4,
+    )
+    free = PRESETS["M3"].mask(parameters)
+    rows = binding_constraints(parameters, free)
+    assert len(rows) == 2
+    windows = make_windows(noisy(), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    found = sandwich(loss.by_cluster(parameters, cluster_windows(windows)), parameters, free)
+    labels = parameters.labels(NAMES)
+    without = {labels[k] for k in np.flatnonzero(free & np.isnan(found.standard_errors))}
+    assert without == {"thrust motor_a_1 φ^1", "motor_time_constant"}
+    assert "2 constraints bind" in " ".join(found.notes)
+    assert found.covariance[0, 0] < 1e-20
+
+
+def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
+    dipping = np.array([0.12, -0.6, 1.0])  # F' = 0 at φ = 0.2
+    thrust = np.array([dipping, *TRUTH.parameters.thrust[1:]])
+    parameters = replace(TRUTH.parameters, thrust=thrust)
+    free = PRESETS["M3"].mask(parameters)
+    (row,) = binding_constraints(parameters, free)
+    np.testing.assert_allclose(row[:3], [1, 0.4, 0.12], atol=1e-9)
+    windows = make_windows(noisy(), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    found = sandwich(loss.by_cluster(parameters, cluster_windows(windows)), parameters, free)
+    assert np.isfinite(found.standard_errors[:3]).all()
+    slope = np.sqrt(abs(row @ found.covariance @ row))
+    assert slope < 1e-6 * found.standard_errors[0]
+
+
+def test_m4_knows_products_only():
+    fit = identify(noisy(), "M4")
+    known = fit.identifiability
+    assert known.free - known.rank == 6
+    assert "thrust of motor_a_1 and column motor_a_1 of Π can only be determined" in known.notes[0]
+    assert sum("as a product" in note for note in known.notes) == 6
+    before = identifiability(noisy(), "M4")
+    assert [n for n in before.notes if "product" in n] == [n for n in known.notes if "product" in n]
+    errors = fit.uncertainty.standard_errors
+    labels = fit.model.parameters.labels(NAMES)
+    assert np.isfinite(errors[labels.index("motor_time_constant")])
+    thrust = fit.model.standard_error(lambda m: m.parameters.thrust.sum(axis=1))
+    assert np.isnan(thrust).all()
+    physical = fit.model.standard_error(lambda m: physical_thrust(m).sum(axis=1))
+    assert (physical > 0).all()
+    assert (physical < 0.3 * physical_thrust(fit.model).sum(axis=1)).all()
+
+
+def test_an_idle_motor_is_named():
+    flight = noisy()
+    command = flight.command.copy()
+    command[:, 2] = 0.0
+    known = identifiability(replace(flight, command=command))
+    silent = [note for note in known.notes if "say nothing about" in note]
+    assert len(silent) == 3
+    assert all("motor_b_1" in note for note in silent)
+    assert known.free - known.rank == 3
+
+
+def test_a_motor_at_one_speed_is_named():
+    flight = noisy()
+    command = flight.command.copy()
+    command[:, 2] = 0.4
+    known = identifiability(replace(flight, command=command))
+    assert known.free - known.rank == 2
+    (note,) = [note for note in known.notes if "not determined" in note]
+    assert note.startswith("2 combinations of")
+    assert note.count("motor_b_1") == 3
+
+
+def test_nothing_is_known_without_information():
+    parameters = TRUTH.parameters
+    free = PRESETS["M3"].mask(parameters)
+    size = len(free)
+    known = identifiability_of(np.full((size, size), np.nan), parameters, free, NAMES)
+    assert known.rank == 0
+
+
+@pytest.mark.parametrize(
+    ("count", "value", "told"), [(1, 1.0, "single block"), (4, np.nan, "not finite")]
+)
+def test_says_why_there_are_no_standard_errors(count, value, told):
+    parameters = TRUTH.parameters
+    free = PRESETS["M3"].mask(parameters)
+    size = len(free)
+    shares = Shares(
+        np.ones(count), np.full((count, size), value), np.tile(np.eye(size), (count, 1, 1))
+    )
+    found = sandwich(shares, parameters, free)
+    assert np.isnan(found.standard_errors).all()
+    assert told in found.notes[0]
+
+
+def test_few_blocks_are_warned_of():
+    short = identify(noisy(duration=7.0))
+    assert any("blocks of time" in warning for warning in short.warnings)
+    with pytest.raises(InputError, match="blocks"):
+        identify(noisy(duration=5.0), bootstrap=10)
+
+
+def test_the_file_reads_back_bit_equal(tmp_path, fit):
+    for name in ("M3", "M4"):
+        model = fit.model if name == "M3" else identify(noisy(), name).model
+        model.save(tmp_path / "model.toml")
+        written, read = model.uncertainty, read_model(tmp_path / "model.toml").uncertainty
+        for key in ("estimate", "covariance", "standard_errors", "undetermined"):
+            np.testing.assert_array_equal(getattr(read, key), getattr(written, key))
+        assert (read.clusters, read.quantile, read.notes) == (
+            written.clusters,
+            written.quantile,
+            written.notes,
+        )
+
+
+def test_a_damaged_table_is_refused(tmp_path, fit):
+    path = tmp_path / "model.toml"
+    fit.model.save(path)
+    text = path.read_text()
+    for old, new, field in (
+        ("labels = [", 'labels = ["mass", ', "labels"),
+        ("covariance = [", "covariance = [[1.0], ", "covariance"),
+        ("motor_time_constant_s = ", "time = ", "time"),
+    ):
+        head, tail = text.split("[uncertainty]")
+        path.write_text(head + "[uncertainty]" + tail.replace(old, new, 1))
+        with pytest.raises(InputError, match=field):
+            read_model(path)
+
+
+def test_changed_parameters_have_no_uncertainty(tmp_path, fit):
+    moved = replace(fit.model, parameters=replace(fit.model.parameters, inertia=1e-3))
+    assert np.isnan(moved.standard_error(lambda m: m.parameters.inertia))
+    moved.save(tmp_path / "model.toml")
+    assert read_model(tmp_path / "model.toml").uncertainty is None
+
+
+def test_bootstrap_agrees_with_the_sandwich(tmp_path, fit):
+    found = identify(noisy(), bootstrap=30, seed=1)
+    again = found.uncertainty.bootstrap
+    assert again.replicates == 30
+    spread = (again.upper - again.lower) / np.diff(found.uncertainty.intervals, axis=1)[:, 0]
+    assert 0.5 < np.nanmedian(spread) < 1.6
+    found.model.save(tmp_path / "model.toml")
+    read = read_model(tmp_path / "model.toml").uncertainty.bootstrap
+    np.testing.assert_array_equal(read.lower, again.lower)
+    np.testing.assert_array_equal(read.upper, again.upper)
+    figures = found.to_json()["parameters"]["inertia"]
+    low, high = figures["interval_95"]
+    assert low < figures["value"] < high
+    assert figures["bootstrap_95"][0] < figures["value"] < figures["bootstrap_95"][1]
+
+
+def test_a_weighted_window_counts_as_often():
+    windows = make_windows(noisy(duration=5.0), 40, 50, 29)
+    counted = np.arange(len(windows)) % 3.0
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    repeated = replace(
+        loss, windows=replace(windows, starts=np.repeat(windows.starts, counted.astype(int)))
+    )
+    weighted = replace(loss, multiplicity=counted).quadratic(TRUTH.parameters)
+    expected = repeated.quadratic(TRUTH.parameters)
+    assert weighted.loss == pytest.approx(expected.loss, rel=1e-12)
+    np.testing.assert_allclose(weighted.gradient, expected.gradient, rtol=1e-9, atol=1e-15)
+
+
+def test_adam_has_standard_errors_but_no_bootstrap():
+    fit = identify(noisy(duration=8.0), "M2", method=Adam(epochs=1))
+    assert np.isfinite(fit.uncertainty.standard_errors[fit.model.free]).any()
+    with pytest.raises(InputError, match="bootstrap"):
+        identify(noisy(duration=8.0), method=Adam(epochs=1), bootstrap=10)
+
+
+def test_a_seed_gives_the_same_bootstrap(fit):
+    windows = make_windows(noisy(), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    of = (loss, fit.model.parameters, fit.model.free, cluster_windows(windows), 3)
+    seen = []
+    _, estimates = bootstrap(*of, seed=4, progress=seen.append)
+    assert seen == [1, 2, 3]
+    assert estimates.shape == (3, len(fit.model.free))
+    np.testing.assert_allclose(bootstrap(*of, seed=4)[1], estimates, rtol=1e-9)
+    assert not np.allclose(bootstrap(*of, seed=5)[1], estimates, rtol=1e-9)
