@@ -166,6 +166,21 @@ def test_adam(bag, tmp_path):
     assert json.loads(process.stdout)["iterations"] == 1
 
 
+def test_excite_says_how_often_a_rail_was_met(tmp_path):
+    tilted = tmp_path / "tilted.toml"
+    tilted.write_text("[effects]\ntilt_rad = [0.0, 0.1]\n[radio]\nloss = 1.0")
+    arguments = ("excite", "--duration", "3", "--twin", tilted, "--json", tmp_path / "f.json")
+    process = airpuck(*arguments, "-o", tmp_path / "bag")
+    assert process.returncode == 0, process.stderr
+    figures = json.loads((tmp_path / "f.json").read_text())
+    contacts = figures["rail_contacts_s"]
+    # 0.48 m downhill, without a command that arrives.
+    assert contacts[0] == pytest.approx((2 * 0.48 / 0.981) ** 0.5, abs=0.01)
+    assert 0.1 < figures["paused_s"] < 3
+    assert f"paused for {figures['paused_s']:.1f} s" in process.stdout
+    assert f"met a rail {len(contacts)} times" in process.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -285,3 +285,17 @@ def test_time_stands_where_it_was_asked_to(plant):
     for time in (0.0, 0.1, 0.1, 0.1 + 1e-12, 0.7):
         twin.wait_until(time)
         assert twin.now == time
+
+
+def test_contacts_with_a_rail_are_noted(plant):
+    reach = QUIET.table.reach(MODEL.vehicle.radius_m)[1]
+    assert flown(QUIET, np.full((50, 6), 0.03), plant)[0].contacts == []
+    push = np.full((50, 6), 0.03)
+    push[:, 0] = 0.6  # pushes along the body's y axis
+    twin, _ = flown(QUIET, push, plant, pose=(0.0, reach - 0.02, 0.0))
+    assert twin.contacts
+    time, state = twin.truth
+    # Up to then it had speed towards the rail, afterwards away from it.
+    first = np.searchsorted(time, twin.contacts[0])
+    assert state[first - 2, 4] > 0 > state[first + 1, 4]
+    assert twin.contacts == sorted(twin.contacts)

@@ -21,6 +21,7 @@ from airpuck.cli.options import (
 from airpuck.cli.output import (
     check_destinations,
     is_stdout,
+    print_excitation,
     print_replay,
     print_tracks,
     write_json,
@@ -99,7 +100,7 @@ def excite(
     from airpuck.errors import InputError
     from airpuck.model_file import nominal_model, read_model
     from airpuck.recording import write_bag, write_csv
-    from airpuck.twin.experiments import excite
+    from airpuck.twin.experiments import fly_excitation
     from airpuck.twin.settings import read_twin_settings
 
     craft = read_craft(vehicle)
@@ -110,7 +111,7 @@ def excite(
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
     check_destinations(output=output, json=json_file)
-    recording = excite(
+    excited = fly_excitation(
         truth,
         duration,
         seed,
@@ -119,9 +120,16 @@ def excite(
         settings=None if twin is None else read_twin_settings(twin),
         tuning=None if tuning is None else read_tuning(tuning),
     )
-    (write_csv if csv else write_bag)(recording, output)
-    write_json(json_file, {"messages": {k: len(s) for k, s in recording.streams.items()}})
+    (write_csv if csv else write_bag)(excited.recording, output)
+    streams = excited.recording.streams
+    figures = {
+        "messages": {name: len(stream) for name, stream in streams.items()},
+        "paused_s": excited.paused,
+        "rail_contacts_s": list(excited.contacts),
+    }
+    write_json(json_file, figures)
     if not is_stdout(json_file):
+        print_excitation(excited)
         print(output)
 
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.flight.replay import Replay
     from airpuck.identification.method import Iteration
+    from airpuck.twin.experiments import Excited
     from airpuck.twin.tracking_study import Tracked
 
 
@@ -140,6 +141,15 @@ def print_replay(replay: Replay) -> None:
     print(f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items()))
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     print(f"{figures['steps']} of {int(replay.span.sum())} steps compared; outcomes: {outcomes}")
+
+
+def print_excitation(excited: Excited) -> None:
+    """Print how near to the rails the craft came."""
+    contacts = excited.contacts
+    met = f"met a rail {len(contacts)} times" if contacts else "met no rail"
+    if contacts:
+        met += f", first at {contacts[0]:.1f} s: what a rail does is in no model"
+    print(f"signals paused for {excited.paused:.1f} s near the rails; {met}")
 
 
 def print_tracks(flights: list[Tracked]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,25 @@ from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
+
+
+@dataclass(frozen=True, eq=False)
+class Excited:
+    """An excitation experiment on the twin.
+
+    Attributes
+    ----------
+    recording : Recording
+        As a recorder on the network would have logged it.
+    paused : float
+        For how long the signals paused, since the craft was near a rail [s].
+    contacts : tuple of float
+        When it met a rail nevertheless, from the start of the flight [s].
+    """
+
+    recording: Recording
+    paused: float
+    contacts: tuple[float, ...]
 
 
 def excite(
@@ -64,6 +83,30 @@ def excite(
     InputError
         If a number is out of range.
     """
+    return fly_excitation(
+        model,
+        duration,
+        seed,
+        amplitude=amplitude,
+        hold=hold,
+        settings=settings,
+        tuning=tuning,
+        plant=plant,
+    ).recording
+
+
+def fly_excitation(
+    model: Model,
+    duration: float = 90.0,
+    seed: int = 0,
+    *,
+    amplitude: float = 1.0,
+    hold: float = 0.2,
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+    plant: Plant | None = None,
+) -> Excited:
+    """Fly the excitation experiment and say how near to the rails it came; see `excite`."""
     if not duration > 0:
         raise InputError("must be positive", field="duration")
     settings = settings or default_twin_settings()
@@ -76,8 +119,12 @@ def excite(
         seed=seed,
         table=settings.table,
     )
-    fly(pilot, twin, duration, pilot.controller.tuning.period_s)
-    return replace(twin.recording(), source=f"excitation of {model.name} on the twin, seed {seed}")
+    period = pilot.controller.tuning.period_s
+    fly(pilot, twin, duration, period)
+    source = f"excitation of {model.name} on the twin, seed {seed}"
+    return Excited(
+        replace(twin.recording(), source=source), pilot.pauses * period, tuple(twin.contacts)
+    )
 
 
 def track(

@@ -64,12 +64,17 @@ class Plant:
 
     @cached_property
     def advance(self) -> Callable[..., Any]:
-        """Compiled ``(state, command, duration, thrust scale) -> (state,)`` of one craft."""
+        """Compiled ``(state, command, duration, thrust scale) -> (state, met)`` of one craft.
+
+        `met` says whether it met a rail.
+        """
         import jax.numpy as jnp
 
-        def advanced(state: Any, command: Any, duration: Any, scale: Any) -> tuple[Any]:
+        def advanced(state: Any, command: Any, duration: Any, scale: Any) -> tuple[Any, Any]:
             dynamics = scaled(self.dynamics, scale)
-            return (advance(jnp, dynamics, self.disc, self.table, state, command, duration),)
+            free = step(jnp, dynamics, state, command, duration)
+            state = rebound(jnp, dynamics, self.disc, self.table, free)
+            return state, (state != free).any()
 
         n = self.model.vehicle.n_propellers
         return for_real_time(advanced, np.zeros(6 + n), np.zeros(n), 0.0, 1.0)
@@ -120,7 +125,30 @@ def advance(
     array, shape (6 + n, ...)
         The state after `duration`.
     """
-    state = step(xp, dynamics, state, command, duration)
+    return rebound(xp, dynamics, disc, table, step(xp, dynamics, state, command, duration))
+
+
+def rebound(xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any) -> Any:
+    """Push a craft back that went beyond a rail.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    disc : Disc
+        What a rail meets.
+    table : Table
+        Rails.
+    state : array, shape (6 + n, ...)
+        x, y, γ, vx, vy, ω and the motor speeds.
+
+    Returns
+    -------
+    array, shape (6 + n, ...)
+        The state after the impulse; as it was where no rail is met.
+    """
     x_reach, y_reach = table.reach(disc.radius)
     beyond = (xp.abs(state[0]) > x_reach) | (xp.abs(state[1]) > y_reach)
 

@@ -79,6 +79,11 @@ class Twin:
         Where the craft stands at first [m, m, rad].
     plant : Plant, optional
         From `build_plant` of the same model and settings, to compile only once.
+
+    Attributes
+    ----------
+    contacts : list of float
+        When the craft met a rail [s].
     """
 
     def __init__(
@@ -105,6 +110,7 @@ class Twin:
         self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
         self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
+        self.contacts: list[float] = []
 
     def wait_until(self, time: float) -> list[Measurement]:
         """Simulate until a time; see `airpuck.flight.link.Link`."""
@@ -166,9 +172,11 @@ class Twin:
             duration = min(time - begin, LONGEST_STEP)
             command = self._motors.follow(begin, self._radio.command(begin))
             sag = 1 - self.settings.effects.battery_sag_1_s * begin
-            (self.state,) = self.plant.advance(self.state, command, duration, max(sag, 0.0))
+            self.state, met = self.plant.advance(self.state, command, duration, max(sag, 0.0))
             # The last piece ends at the time itself, not a rounding error before it.
             begin = time if duration == time - begin else begin + duration
+            if met:
+                self.contacts.append(begin)
         self._state_time = time
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
