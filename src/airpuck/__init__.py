@@ -32,12 +32,16 @@ if TYPE_CHECKING:
     from airpuck.preprocessing.pipeline import preprocess
     from airpuck.recording.bag_writer import write_bag
     from airpuck.recording.csv_folder import write_csv
+    from airpuck.recording.dataset import fetch
     from airpuck.recording.read import read_recording
     from airpuck.recording.stream import Recording, Stream
+    from airpuck.report.animation import animate
+    from airpuck.report.reproduce import reproduce
     from airpuck.trajectory import Span, Trajectory, read_trajectory
     from airpuck.twin.experiments import excite, track
     from airpuck.twin.fleet import fly_fleet
     from airpuck.twin.settings import TwinSettings, read_twin_settings
+    from airpuck.twin.tracking_study import tracking_study
     from airpuck.twin.twin import Twin
     from airpuck.vehicle import Vehicle, default_vehicle, read_vehicle
 
@@ -64,11 +68,13 @@ _HOME = {
     "Twin": "airpuck.twin.twin",
     "TwinSettings": "airpuck.twin.settings",
     "Vehicle": "airpuck.vehicle",
+    "animate": "airpuck.report.animation",
     "check_layout": "airpuck.identification.layout_check",
     "compare": "airpuck.evaluation.evaluate",
     "default_vehicle": "airpuck.vehicle",
     "evaluate": "airpuck.evaluation.evaluate",
     "excite": "airpuck.twin.experiments",
+    "fetch": "airpuck.recording.dataset",
     "fly_fleet": "airpuck.twin.fleet",
     "identify": "airpuck.identification.fit",
     "load_trajectory": "airpuck.preprocessing.load",
@@ -80,7 +86,9 @@ _HOME = {
     "read_twin_settings": "airpuck.twin.settings",
     "read_vehicle": "airpuck.vehicle",
     "replay": "airpuck.flight.replay",
+    "reproduce": "airpuck.report.reproduce",
     "track": "airpuck.twin.experiments",
+    "tracking_study": "airpuck.twin.tracking_study",
     "write_bag": "airpuck.recording.bag_writer",
     "write_csv": "airpuck.recording.csv_folder",
 }
@@ -107,11 +115,13 @@ __all__ = [
     "Twin",
     "TwinSettings",
     "Vehicle",
+    "animate",
     "check_layout",
     "compare",
     "default_vehicle",
     "evaluate",
     "excite",
+    "fetch",
     "fly_fleet",
     "identify",
     "load_trajectory",
@@ -123,7 +133,9 @@ __all__ = [
     "read_twin_settings",
     "read_vehicle",
     "replay",
+    "reproduce",
     "track",
+    "tracking_study",
     "write_bag",
     "write_csv",
 ]
