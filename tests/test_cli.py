@@ -1,6 +1,7 @@
 """The command line, as a user meets it: in a process of its own."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+import airpuck as package
 from airpuck.cli.app import app
 from airpuck.model_file import read_model
 from airpuck.recording import write_bag, write_csv
@@ -18,13 +20,14 @@ from .conftest import TRAINING, VALIDATION
 from .synthetic import record
 
 
-def airpuck(*arguments, cwd=None):
+def airpuck(*arguments, cwd=None, env=None):
     """Run the command; returns the finished process."""
     return subprocess.run(
         [sys.executable, "-c", "from airpuck.cli import main; main()", *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd,
+        env=env,
         check=False,
     )
 
@@ -70,6 +73,12 @@ def test_help_texts_keep_their_units(name):
     )
     for text in [command.help, *(parameter.help for parameter in command.params)]:
         assert (text or "").replace("\\", "").splitlines()[0] in shown
+
+
+def test_commands_are_verbs_of_the_package():
+    # `demo` and `check` are not: airpuck.demo is a module, and to check what would remain open.
+    verbs = set(get_command(app).commands) - {"demo", "check"}  # pyright: ignore
+    assert verbs <= set(package.__all__)
 
 
 @pytest.mark.parametrize("name", ["reproduce", "demo"])
@@ -179,6 +188,20 @@ def test_excite_says_how_often_a_rail_was_met(tmp_path):
     assert 0.1 < figures["paused_s"] < 3
     assert f"paused for {figures['paused_s']:.1f} s" in process.stdout
     assert f"met a rail {len(contacts)} times" in process.stdout
+
+
+@pytest.mark.parametrize("folder", [None, "elsewhere"])
+def test_track_says_that_it_flies_without_the_real_flights(tmp_path, folder):
+    elsewhere = {} if folder is None else {"AIRPUCK_DATA": folder}
+    env = {k: v for k, v in os.environ.items() if k != "AIRPUCK_DATA"} | elsewhere
+    # It ends where the twin's settings are read, before anything is flown.
+    arguments = ("track", "--model", "paper:M4", "--model", "paper:M3", "--twin", "none.toml")
+    lines = airpuck(*arguments, cwd=tmp_path, env=env).stderr.strip().splitlines()
+    assert len(lines) == 2
+    assert "beside paper:M4: " in lines[0]
+    assert ("not set" if folder is None else "elsewhere") in lines[0]
+    # Who asks for no real flight is told nothing.
+    assert refused(airpuck(*arguments, "--dwell", "2", cwd=tmp_path, env=env), "none.toml")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from airpuck.cli.app import app
-from airpuck.cli.inputs import choose, known_flights, read_craft, read_flight
+from airpuck.cli.inputs import choose, known_flights, missing_flights, read_craft, read_flight
 from airpuck.cli.options import (
     Json,
     Seed,
@@ -24,6 +24,7 @@ from airpuck.cli.output import (
     print_excitation,
     print_replay,
     print_tracks,
+    warn,
     write_json,
 )
 
@@ -176,6 +177,8 @@ def track(
     if dwell is not None and not 0.1 <= dwell <= 1000:
         raise InputError("must be between 0.1 and 1000 s", field="--dwell")
     paths = flights or (known_flights(names) if dwell is None and controller == "paper" else [])
+    if not flights and paths:
+        warn(missing_flights(names, paths))
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
     check_destinations(output=output, json=json_file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,3 +66,24 @@ def known_flights(models: list[str]) -> list[Path | None]:
         published = model.startswith("paper:") and bool(folder) and path.is_dir()
         flights.append(path if published else None)
     return flights
+
+
+def missing_flights(models: Sequence[str], flights: Sequence[Path | None]) -> list[str]:
+    """Say which of the paper's flights `known_flights` did not find, and why."""
+    import os
+
+    from airpuck.recording.dataset import VARIABLE
+
+    missing = [
+        model
+        for model, flight in zip(models, flights, strict=True)
+        if flight is None and model in ("paper:M0", "paper:M4")
+    ]
+    if not missing:
+        return []
+    folder = os.environ.get(VARIABLE)
+    why = f"{folder} has no control_experiment of theirs" if folder else f"${VARIABLE} is not set"
+    return [
+        f"no real flight stands beside {' and '.join(missing)}: {why}; set {VARIABLE} to the "
+        "dataset (airpuck fetch downloads it and prints its folder)"
+    ]
