@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from airpuck.errors import InputError
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.evaluation.prediction import prediction_errors
+from airpuck.estimate.prediction import prediction_errors
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.windows import Windows, make_windows

@@ -19,6 +19,7 @@ from airpuck.identification.identifiability import Identifiability, identifiabil
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.robust import reweighted
 from airpuck.identification.uncertainty import cluster_windows, sandwich
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
@@ -85,7 +86,7 @@ class Fit:
         -------
         dict
             ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
-            identifiability, history``.
+            uncertainty, identifiability, history``.
         """
         return {
             "model": self.model.name,
@@ -96,6 +97,7 @@ class Fit:
             "wall_s": self.wall_s,
             "warnings": list(self.warnings),
             "parameters": _parameters_json(self.model),
+            "uncertainty": _uncertainty_json(self.uncertainty),
             "identifiability": self.identifiability and self.identifiability.to_json(),
             "history": [asdict(iteration) for iteration in self.history],
         }
@@ -120,6 +122,16 @@ def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
     return figures
 
 
+def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
+    """Return what the standard errors rest on."""
+    if known is None:
+        return None
+    found: dict[str, Any] = {"clusters": known.clusters, "notes": list(known.notes)}
+    if known.bootstrap is not None:
+        found["replicates"], found["seed"] = known.bootstrap.replicates, known.bootstrap.seed
+    return found
+
+
 #: A motor whose command stays within this range says nothing about its thrust.
 _HARDLY = 0.02
 #: Samples of the past from which a fit's encoder estimates the present.
@@ -139,6 +151,7 @@ def identify(
     stride: int = 7,
     degree: int | None = None,
     frame: CenterOfMassFrame = "body",
+    robust: bool = False,
     bootstrap: int = 0,
     seed: int = 0,
     progress: Callable[[Iteration], None] = lambda _: None,
@@ -174,6 +187,9 @@ def identify(
         Degree of the thrust polynomials; by default that of the nominal thrust.
     frame : {"body", "world"}, default "body"
         Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
+    robust : bool, default False
+        Whether windows that the model predicts badly count less (`reweighted`): faults that nobody
+        has marked then hardly move the estimate.
     bootstrap : int, default 0
         Fits to resampled data, for intervals beside those of the standard errors; some hundreds.
         Of `LevenbergMarquardt` only.
@@ -198,8 +214,9 @@ def identify(
     if isinstance(trajectories, Trajectory):
         trajectories = [trajectories]
     method = method or LevenbergMarquardt()
-    if bootstrap and not isinstance(method, LevenbergMarquardt):
-        raise InputError("is of Levenberg-Marquardt only", field="bootstrap")
+    for name, asked in (("bootstrap", bootstrap), ("robust", robust)):
+        if asked and not isinstance(method, LevenbergMarquardt):
+            raise InputError("is of Levenberg-Marquardt only", field=name)
     vehicle = vehicle or default_vehicle()
     rung = preset(model) if isinstance(model, str) else model
     encoder = encoder or PaperEncoder(length=_PAST)
@@ -208,6 +225,8 @@ def identify(
     start = initial or rung.initial(vehicle, degree)
     free = rung.mask(start)
     outcome = method.minimize(loss, start, free, progress)
+    if robust:
+        loss, outcome = reweighted(method, loss, outcome, free, progress)
     clusters = cluster_windows(windows)
     shares = loss.by_cluster(outcome.parameters, clusters)
     uncertainty = sandwich(shares, outcome.parameters, free)
@@ -240,6 +259,7 @@ def identify(
             "prediction_length": windows.prediction_length,
             "stride": stride,
             "weights": list(weights),
+            "robust": robust,
             "airpuck": __version__,
         },
         data=_hashes(trajectories),

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.estimate.prediction import prediction_errors
 from airpuck.evaluation.evaluate import Evaluation
-from airpuck.evaluation.prediction import prediction_errors
 from airpuck.identification.fit import Fit
 from airpuck.identification.objective import PUBLISHED_WEIGHTS
 from airpuck.model_file import Model

@@ -1,0 +1,106 @@
+"""A fit that a few bad windows do not move: iteratively reweighted least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.estimate.prediction import prediction_errors
+from airpuck.identification.method import Iteration, Method, Outcome
+from airpuck.identification.objective import PredictionLoss
+from airpuck.model.parameters import Parameters
+
+#: Degrees of freedom of the Student distribution; one is Cauchy's.
+_DEGREES = 1.0
+#: Weights between 0 and 2 are settled when none moves by more than this.
+_SETTLED = 0.02
+_MOST_PASSES = 12
+
+
+def reweighted(
+    method: Method,
+    loss: PredictionLoss,
+    outcome: Outcome,
+    free: Bool[np.ndarray, " P"],
+    progress: Callable[[Iteration], None] = lambda _: None,
+) -> tuple[PredictionLoss, Outcome]:
+    """Fit again and again, each window weighted by how well the last fit predicts it.
+
+    With s the mean squared weighted error of a window and σ² the median of all, a window counts
+    (ν + 1)/(ν + s/σ²): what Student's distribution of ν degrees of freedom asks for (Holland and
+    Welsch, Communications in Statistics A 6, 1977). A window whose error is ten times the median's
+    counts a hundredth of one without error.
+
+    Parameters
+    ----------
+    method : Method
+        The optimiser of each pass.
+    loss : PredictionLoss
+        The unweighted loss.
+    outcome : Outcome
+        Where to start: its optimum.
+    free : array of bool, shape (P,)
+        Entries that may change.
+    progress : callable, optional
+        Called after every iteration of the optimiser; they are counted on.
+
+    Returns
+    -------
+    loss : PredictionLoss
+        With the last weights.
+    outcome : Outcome
+        Its optimum; the loss reported is the unweighted one.
+    """
+    if loss.multiplicity is not None:
+        raise ValueError("windows that already count differently cannot be weighted")
+    history = list(outcome.history)
+    weight, settled = np.ones(len(loss.windows)), False
+    weighted = loss
+    for _ in range(_MOST_PASSES):
+        before, weight = weight, window_weights(loss, outcome.parameters)
+        settled = bool(np.abs(weight - before).max() < _SETTLED)
+        if settled:
+            break
+        weighted = replace(loss, multiplicity=weight)
+        begun = history[-1].number
+
+        def counted_on(iteration: Iteration, begun: int = begun) -> None:
+            progress(replace(iteration, number=begun + iteration.number))
+
+        outcome = method.minimize(weighted, outcome.parameters, free, counted_on)
+        history += [
+            replace(step, number=begun + step.number) for step in outcome.history if step.number
+        ]
+    return weighted, Outcome(
+        parameters=outcome.parameters,
+        loss=loss.quadratic(outcome.parameters).loss,
+        history=tuple(history),
+        converged=settled and outcome.converged,
+        message=outcome.message if settled else "the weights of the windows have not settled",
+    )
+
+
+def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.ndarray, " W"]:
+    """Return how much each window counts.
+
+    Parameters
+    ----------
+    loss : PredictionLoss
+        Windows, encoder and weights of the channels.
+    parameters : Parameters
+        θ.
+
+    Returns
+    -------
+    array, shape (W,)
+        Weights between 0 and 1 + 1/ν.
+    """
+    dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
+    errors = prediction_errors(dynamics, loss.windows, loss.encoder)
+    scaled = np.array(loss.weights)[:, None] * errors
+    square = np.mean(scaled**2, axis=(0, 1))
+    typical = max(float(np.median(square)), np.finfo(float).tiny)
+    return (_DEGREES + 1) / (_DEGREES + square / typical)
