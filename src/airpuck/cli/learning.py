@@ -16,6 +16,7 @@ from airpuck.cli.options import (
     ProtocolName,
     Quiet,
     RecordingPath,
+    Seed,
     Span,
     TopicsFile,
     VehicleFile,
@@ -98,10 +99,20 @@ def identify(
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write a page with figures, too.")
     ] = None,
+    robust: Annotated[
+        bool,
+        typer.Option("--robust", help="Let windows that are predicted badly count less."),
+    ] = False,
+    bootstrap: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
+    ] = None,
+    seed: Seed = 0,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
+    from airpuck.cli.fit_output import print_fit, show_resampling
     from airpuck.errors import InputError
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import identify
@@ -115,6 +126,12 @@ def identify(
         raise InputError("is of adam only; add --method adam", field="--epochs")
     if degree is not None and rung.powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
+    if robust and method != "lm":
+        raise InputError("is of lm only", field="--robust")
+    if bootstrap is not None and method != "lm":
+        raise InputError("is of lm only", field="--bootstrap")
+    if seed and bootstrap is None:
+        raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     check_destinations(output=output, json=json_file, report=report)
     craft = read_craft(vehicle)
     trajectories = [cut(load(path, craft, topics), span) for path in recordings]
@@ -130,7 +147,11 @@ def identify(
             stride=stride or (7 if method == "lm" else 1),
             degree=degree,
             frame="body" if com_frame == "body" else "world",
+            robust=robust,
+            bootstrap=bootstrap or 0,
+            seed=seed,
             progress=progress,
+            resampled=show_resampling(quiet, bootstrap or 0),
         )
     fit.model.save(output)
     if report is not None:
@@ -140,10 +161,7 @@ def identify(
     write_json(json_file, fit.to_json())
     warn(fit.warnings, quiet)
     if not quiet and not is_stdout(json_file):
-        print(
-            f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
-            f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
-        )
+        print_fit(fit)
         print(output)
 
 

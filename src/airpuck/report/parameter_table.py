@@ -32,7 +32,8 @@ class Cell:
     Attributes
     ----------
     text : str
-        The formatted value; a dash where the model does not use the parameter.
+        The formatted value, with half the width of its 95 % interval where there is one; a dash
+        where the model does not use the parameter.
     free : bool
         Whether it was learned.
     """
@@ -217,5 +218,10 @@ def _row(
             cells.append(Cell("–", False))
             continue
         mask = model.parameters.mask(frozenset({quantity}))
-        cells.append(Cell(format(float(value(model)), form), bool(model.free[mask].any())))
+        text = format(float(value(model)), form)
+        if model.uncertainty is not None:
+            reach = model.uncertainty.quantile * float(model.standard_error(value))
+            if np.isfinite(reach) and reach > 0:
+                text += f" ± {reach:{form}}"
+        cells.append(Cell(text, bool(model.free[mask].any())))
     return Row(label, unit, tuple(cells))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from airpuck.identification.fit import Fit
 from airpuck.report.craft import craft_figure, frames_figure
 from airpuck.report.error_distribution import error_distribution_figure
 from airpuck.report.error_timeline import WORST, error_timeline_figure, share_of_squares, touched_by
@@ -21,6 +22,12 @@ from airpuck.vehicle import Vehicle
 #: Factors and formats of x, y, yaw in tables.
 _FACTORS, _FORMATS = (1e3, 1e3, 1.0), (".2f", ".2f", ".4f")
 _CHANNELS = ("x mm", "y mm", "γ rad")
+#: What stands behind a value.
+INTERVALS = (
+    " ±: half the 95 % interval, from blocks of two seconds taken as independent; a learned value "
+    "without one is held by a constraint, or known only as part of a product. What is wrong in all "
+    "of the data alike is not in it."
+)
 
 
 def craft_section(vehicle: Vehicle) -> Section:
@@ -185,6 +192,8 @@ def thrust_section(study: Study, names: Sequence[str] | None = None) -> Section:
                 "Thrust of each motor over its normalised speed. Broad: fitted; dashed: "
                 f"{study.reference_label}. "
                 * bool(reference)
+                + "Bands: 95 % intervals at each speed. "
+                * any(m.uncertainty is not None for m in models)
                 + "Bars: share of the training samples at each command, in twentieths of the range "
                 "(a bar that is cut off has its share beside it); the bracket on the axis is the "
                 "range that was commanded, outside of which a curve is extrapolated." + note,
@@ -297,10 +306,13 @@ def parameter_section(study: Study) -> Section:
     blocks: list[Picture | Table | Text] = [
         table(
             "Parameters; bold: learned. F(1) is the thrust at full speed, of M4 at the physical "
-            "scale.",
+            "scale." + INTERVALS * any(m.uncertainty is not None for m in models),
             main_rows(models),
         )
     ]
+    told = [words for fit in study.fits for words in _determined(fit)]
+    if told:
+        blocks.append(Text(told, bullets=True))
     if study.reference:
         blocks.append(
             Picture(
@@ -327,6 +339,18 @@ def parameter_section(study: Study) -> Section:
         )
     )
     return Section("parameters", "Parameters", tuple(blocks))
+
+
+def _determined(fit: Fit) -> list[str]:
+    """Say what the data determine of a model."""
+    found, known = fit.identifiability, fit.uncertainty
+    if found is None or known is None:
+        return []
+    first = (
+        f"{fit.model.name}: {found.rank} of {found.free} free parameters are determined; condition "
+        f"of the scaled information {found.condition:.1e}, weakest: {', '.join(found.weakest)}."
+    )
+    return [first, *(f"{fit.model.name}: {note}." for note in [*found.notes, *known.notes])]
 
 
 def _rank_of_rmse(study: Study) -> str:

@@ -19,6 +19,7 @@ from airpuck.report.style import (
     GREY,
     LIGHT,
     PAGE_WIDTH,
+    SKY,
     new_figure,
     propeller_groups,
     rung_color,
@@ -46,7 +47,8 @@ def thrust_figure(
 
     Shows fitted curves (broad) beside the reference (thin, dashed). Grey bars at the bottom give
     the share of the training samples in each twentieth of the command's range, with the range
-    that was commanded at all; a curve outside it is extrapolated. Curves of a model with a directly
+    that was commanded at all; a curve outside it is extrapolated. Bands are 95 % intervals at each
+    speed, where a model knows its uncertainty. Curves of a model with a directly
     learned configuration matrix are brought to newtons (`airpuck.report.gauge`).
 
     Parameters
@@ -71,7 +73,18 @@ def thrust_figure(
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     speed = np.linspace(0, 1, 201)
     highest = 0.0
+    bands = [_band(model, speed) for model in models]
     for axes, motor in zip(panels.ravel(), order, strict=False):
+        for model, band in zip(models, bands, strict=True):
+            if band is not None:
+                axes.fill_between(
+                    speed,
+                    *band[:, motor],
+                    color=rung_color(model.name),
+                    alpha=0.18,
+                    lw=0,
+                    zorder=1.5,
+                )
         for model in [*models, *reference]:
             of_reference = any(model is other for other in reference)
             curve = thrust(physical_thrust(model)[motor : motor + 1], speed[None])[0]
@@ -86,6 +99,9 @@ def thrust_figure(
                 zorder=3 if of_reference else 2,
             )
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
+    # A band that knows nothing must not flatten the curves.
+    widest = [np.nanmax(band[1], initial=0.0) for band in bands if band is not None]
+    highest = max([highest, *(min(top, 1.3 * highest) for top in widest)])
     for axes, motor in zip(panels.ravel(), order, strict=False):
         axes.set(xlim=(0, 1), ylim=(0, 1.08 * highest))
         axes.set(xlabel="motor speed φ, command u [–]", ylabel="thrust [N]")
@@ -99,12 +115,28 @@ def thrust_figure(
         Line2D([], [], color=rung_color(model.name), lw=3, alpha=0.6, label=_label(model))
         for model in models
     ]
+    if any(band is not None for band in bands):
+        color = rung_color(models[0].name) if len(models) == 1 else SKY
+        handles.append(Patch(color=color, alpha=0.25, lw=0, label="95 % interval"))
     if reference:
         handles.append(Line2D([], [], color=BLACK, lw=1.1, ls=(0, (4, 2)), label=reference_label))
     if trajectory is not None:
         handles.append(Patch(color=LIGHT, label="commands in training"))
     top_legend(figure, handles)
     return figure
+
+
+def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"] | None:
+    """Return the ends of the 95 % intervals of all thrust curves; None where there are none."""
+    if model.uncertainty is None:
+        return None
+
+    def curves(model: Model) -> Float[np.ndarray, "n K"]:
+        coefficients = physical_thrust(model)
+        return thrust(coefficients, np.broadcast_to(speed, (len(coefficients), len(speed))))
+
+    reach = model.uncertainty.quantile * model.standard_error(curves)
+    return np.stack([curves(model) - reach, curves(model) + reach])
 
 
 def _label(model: Model) -> str:
