@@ -207,7 +207,10 @@ def test_m4_knows_products_only():
     assert [n for n in before.notes if "product" in n] == [n for n in known.notes if "product" in n]
     errors = fit.uncertainty.standard_errors
     labels = fit.model.parameters.labels(NAMES)
-    assert np.isfinite(errors[labels.index("motor_time_constant")])
+    lag = errors[labels.index("motor_time_constant")]
+    assert lag > 0
+    found = fit.model.standard_error(lambda m: m.parameters.motor_time_constant)
+    assert found == pytest.approx(lag, rel=1e-6)
     thrust = fit.model.standard_error(lambda m: m.parameters.thrust.sum(axis=1))
     assert np.isnan(thrust).all()
     physical = fit.model.standard_error(lambda m: physical_thrust(m).sum(axis=1))

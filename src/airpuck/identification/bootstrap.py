@@ -77,9 +77,10 @@ def bootstrap(
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(count, np.full(count, 1 / count), size=replicates).astype(float)
     method = method or LevenbergMarquardt(tolerance=1e-5)
+    counted = np.ones(len(clusters)) if loss.multiplicity is None else loss.multiplicity
 
     def fit(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
-        resampled = replace(loss, multiplicity=draw[clusters])
+        resampled = replace(loss, multiplicity=counted * draw[clusters])
         try:
             return method.minimize(resampled, parameters, free).parameters.to_vector()
         except (InputError, ArithmeticError):

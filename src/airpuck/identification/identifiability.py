@@ -60,9 +60,10 @@ class Identifiability:
         Returns
         -------
         dict
-            Its attributes.
+            Its attributes; None for a condition that is not finite.
         """
-        return asdict(self)
+        condition = self.condition if np.isfinite(self.condition) else None
+        return {**asdict(self), "condition": condition}
 
 
 def identifiability_of(

@@ -121,6 +121,9 @@ def subspace(
     known = value > UNDETERMINED * max(value.max(initial=0.0), 1e-300)
     reach = np.linalg.norm(inside / np.where(scale > 0, scale, 1.0)[:, None], axis=1)
     blind = np.linalg.qr(inside @ vector[:, ~known])[0].T
+    # Rounding leaves a trace of every parameter in every direction.
+    size = np.abs(blind) / np.where(scale > 0, scale, 1.0)
+    blind = np.where(size > 1e-6 * size.max(axis=1, initial=0.0, keepdims=True), blind, 0.0)
     return Subspace(
         basis=inside @ vector[:, known] / np.sqrt(value[known]),
         undetermined=blind,
@@ -240,9 +243,8 @@ def sandwich(
     covariance = (count - 1) / count * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
     # What moves along a direction without information has no error of its own.
-    scale = scaling(hessian, free)
-    blind = np.abs(space.undetermined / np.where(scale > 0, scale, 1.0)).max(axis=0, initial=0.0)
-    unknown = ~free | space.held | (blind > 1e-6 * max(blind.max(initial=0.0), 1e-300))
+    blind = (space.undetermined != 0).any(axis=0)
+    unknown = ~free | space.held | blind
     return Uncertainty(
         estimate=vector,
         covariance=covariance,
