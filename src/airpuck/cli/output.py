@@ -146,9 +146,10 @@ def print_replay(replay: Replay) -> None:
 def print_excitation(excited: Excited) -> None:
     """Print how near to the rails the craft came."""
     contacts = excited.contacts
-    met = f"met a rail {len(contacts)} times" if contacts else "met no rail"
+    met = "none met"
     if contacts:
-        met += f", first at {contacts[0]:.1f} s: what a rail does is in no model"
+        times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + (" …" * (len(contacts) > 10))
+        met = f"{len(contacts)} met, which no model knows, at {times} s"
     print(f"signals paused for {excited.paused:.1f} s near the rails; {met}")
 
 
