@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
-    from airpuck.identification.fit import Fit, identify
+    from airpuck.identification.fit import Fit, identifiability, identify
     from airpuck.identification.layout_check import check_layout
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
     from airpuck.model.parameters import Parameters
@@ -76,6 +76,7 @@ _HOME = {
     "excite": "airpuck.twin.experiments",
     "fetch": "airpuck.recording.dataset",
     "fly_fleet": "airpuck.twin.fleet",
+    "identifiability": "airpuck.identification.fit",
     "identify": "airpuck.identification.fit",
     "load_trajectory": "airpuck.preprocessing.load",
     "preprocess": "airpuck.preprocessing.pipeline",
@@ -123,6 +124,7 @@ __all__ = [
     "excite",
     "fetch",
     "fly_fleet",
+    "identifiability",
     "identify",
     "load_trajectory",
     "preprocess",

@@ -352,3 +352,43 @@ def test_a_seed_gives_the_same_bootstrap(fit):
     assert estimates.shape == (3, len(fit.model.free))
     np.testing.assert_allclose(bootstrap(*of, seed=4)[1], estimates, rtol=1e-9)
     assert not np.allclose(bootstrap(*of, seed=5)[1], estimates, rtol=1e-9)
+
+
+def commands_at_random(seed, duration):
+    """One motor of each pair and its opposite, and back: the craft stays far from any rail."""
+    rng, rows = np.random.default_rng(seed), []
+    for _ in range(round(duration / 0.4)):
+        first, second = np.full((2, 6), 0.05)
+        which, command = rng.integers(0, 2, 3), rng.uniform(0.05, 0.6, 3)
+        first[np.arange(0, 6, 2) + which] = second[np.arange(1, 6, 2) - which] = command
+        rows += [first] * 10 + [second] * 20 + [first] * 10
+    return np.array(rows)
+
+
+@pytest.mark.study
+def test_intervals_hold_the_truth():
+    from airpuck.preprocessing.pipeline import preprocess
+    from airpuck.table import Table
+    from airpuck.twin.fleet import fly_fleet
+    from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
+
+    flights, delay = 60, 5 / 240
+    settings = TwinSettings(
+        table=Table(length_m=200.0, width_m=200.0),
+        radio=Radio(delay_s=delay),
+        motion_capture=MotionCapture(position_noise_m=5e-5, yaw_noise_rad=6e-4),
+        on_board=OnBoard(rate_hz=0.0),
+        effects=Effects(),
+    )
+    commands = np.stack([commands_at_random(seed, 20.0) for seed in range(flights)], axis=-1)
+    fleet = fly_fleet(TRUTH, commands, seeds=range(flights), settings=settings)
+    held = []
+    for craft in range(flights):
+        # A command acts from the next sample on, on average half a sample late: that is in every
+        # flight alike, which no interval knows.
+        trajectory = preprocess(fleet.recording(craft), delay=delay - 0.5 / 240)
+        known = identify(trajectory).uncertainty
+        low, high = known.intervals.T
+        true, has = TRUTH.parameters.to_vector(), np.isfinite(low)
+        held.append(((low <= true) & (true <= high))[has])
+    assert 0.85 <= np.mean(np.concatenate(held)) <= 0.99

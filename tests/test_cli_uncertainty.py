@@ -1,0 +1,56 @@
+"""Standard errors on the command line."""
+
+import json
+
+import pytest
+
+from airpuck.model_file import read_model
+from airpuck.recording import write_bag
+
+from .synthetic import record
+from .test_cli import airpuck, refused
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags") / "flight"
+    write_bag(record(duration=14.0, noise=1e-4), folder)
+    return folder
+
+
+def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
+    out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "fit.json", "--report", tmp_path / "r")
+    process = airpuck("identify", bag, *out, "--model", "M4", "--bootstrap", 10, "--seed", 3)
+    assert process.returncode == 0, process.stderr
+    assert "±" in process.stdout
+    assert "F(0.5) motor_c_2" in process.stdout
+    assert "10 resampled" in process.stdout
+    assert "column motor_a_1 of Π can only be determined as a product" in process.stdout
+    assert "resampled 10 of 10" in process.stderr
+    figures = json.loads((tmp_path / "fit.json").read_text())
+    lag = figures["parameters"]["motor_time_constant"]
+    low, high = lag["interval_95"]
+    assert low < lag["value"] < high
+    assert lag["standard_error"] > 0
+    assert len(lag["bootstrap_95"]) == 2
+    assert figures["parameters"]["inertia"]["standard_error"] is None
+    assert figures["identifiability"]["free"] - figures["identifiability"]["rank"] == 6
+    assert figures["uncertainty"]["seed"] == 3
+    assert read_model(tmp_path / "m.toml").uncertainty.bootstrap.seed == 3
+    page = (tmp_path / "r" / "index.html").read_text()
+    assert "can only be determined as a product" in page
+    assert " ± " in page
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--seed", 3), ("--seed", "--bootstrap")),
+        (("--bootstrap", 20, "--method", "adam"), ("--bootstrap", "lm only")),
+        (("--bootstrap", 3), ("--bootstrap",)),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words):
+    process = airpuck("identify", bag, "-o", tmp_path / "m.toml", *options)
+    assert process.returncode == 2
+    assert refused(process, *words) or words
