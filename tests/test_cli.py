@@ -186,8 +186,8 @@ def test_excite_says_how_often_a_rail_was_met(tmp_path):
     # 0.48 m downhill, without a command that arrives.
     assert contacts[0] == pytest.approx((2 * 0.48 / 0.981) ** 0.5, abs=0.01)
     assert 0.1 < figures["paused_s"] < 3
-    assert f"paused for {figures['paused_s']:.1f} s" in process.stdout
-    assert f"{len(contacts)} met, which no model knows, at 1.0" in process.stdout
+    assert f"paused near the rails: {figures['paused_s']:.1f} s" in process.stdout
+    assert f"with a rail: {len(contacts)}, at 1.0" in process.stdout
 
 
 @pytest.mark.parametrize("folder", [None, "elsewhere"])

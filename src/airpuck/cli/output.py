@@ -146,11 +146,11 @@ def print_replay(replay: Replay) -> None:
 def print_excitation(excited: Excited) -> None:
     """Print how near to the rails the craft came."""
     contacts = excited.contacts
-    met = "none met"
+    told = "none"
     if contacts:
-        times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + (" …" * (len(contacts) > 10))
-        met = f"{len(contacts)} met, which no model knows, at {times} s"
-    print(f"signals paused for {excited.paused:.1f} s near the rails; {met}")
+        times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)
+        told = f"{len(contacts)}, at {times} s (rails are in no model)"
+    print(f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {told}")
 
 
 def print_tracks(flights: list[Tracked]) -> None:
