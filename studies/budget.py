@@ -49,7 +49,7 @@ def flown(settings: TwinSettings, seed: int) -> tuple[Trajectory, np.ndarray]:
     twin = Twin(model, settings, seed=seed, plant=build_plant(model, settings))
     pilot = Excitation(nominal_model(model.vehicle), seed=seed, table=settings.table)
     fly(pilot, twin, DURATION, pilot.controller.tuning.period_s)
-    trajectory = preprocess(twin.recording(), delay=settings.radio.delay_s)
+    trajectory = preprocess(twin.recording(), delay=twin.settings.radio.delay_s)
     states = twin.truth[1]
     # Both are frames of the same camera: the first ones belong together where poses agree best.
     poses, count = states[:, :2], len(trajectory)
