@@ -22,8 +22,8 @@ _ALIKE = 0.95
 _MAIN = 0.5
 #: Most parameters to name at once.
 _NAMED = 4
-#: Condition number of the scaled information from which a fit is said to be poorly determined:
-#: three of twelve digits of a double-precision solution, and a factor 1000 in standard errors.
+#: Condition number of the scaled information from which a fit is said to be poorly determined: a
+#: factor 1000 between the standard errors of its best and its worst direction.
 _POOR = 1e6
 
 

@@ -1,0 +1,46 @@
+"""Intervals in figures and tables."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.model_file import published_model
+from airpuck.report.parameter_table import main_rows
+from airpuck.report.thrust_curves import thrust_figure
+
+PLAIN = published_model("M3")
+
+
+@pytest.fixture
+def known():
+    vector = PLAIN.parameters.to_vector()
+    errors = np.where(PLAIN.free, 0.01 * np.abs(vector), np.nan)
+    covariance = np.diag(np.nan_to_num(errors) ** 2)
+    nothing = np.zeros((0, len(vector)))
+    return replace(PLAIN, uncertainty=Uncertainty(vector, covariance, errors, nothing, 30, 2.0))
+
+
+def bands(figure):
+    return [c for axes in figure.axes for c in axes.collections if isinstance(c, PolyCollection)]
+
+
+def test_thrust_curves_have_bands_where_they_are_known(known):
+    assert not bands(thrust_figure([PLAIN]))
+    found = bands(thrust_figure([known]))
+    assert len(found) == 6
+    ends = found[0].get_paths()[0].vertices
+    full = ends[np.isclose(ends[:, 0], 1.0), 1]
+    reach = 2.0 * 0.01 * np.linalg.norm(PLAIN.parameters.thrust[0])
+    middle = PLAIN.parameters.thrust[0].sum()
+    assert full.min() == pytest.approx(middle - reach, rel=1e-6)
+    assert full.max() == pytest.approx(middle + reach, rel=1e-6)
+
+
+def test_the_table_has_half_the_interval(known):
+    lag = next(row for row in main_rows([PLAIN, known]) if row.label == "τ")
+    without, with_error = (cell.text for cell in lag.cells)
+    assert "±" not in without
+    assert with_error == f"{without} ± {2 * 0.01 * float(without):.2f}"
