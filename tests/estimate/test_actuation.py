@@ -32,7 +32,7 @@ from ..synthetic import fly
 MODEL = replace(published_model("M3"), indexing="start")
 #: Of exact states: hardly any noise.
 EXACT = ActuationEncoder(
-    length=40, pose_noise=(1e-6, 1e-5), velocity_noise=(1e-5, 1e-4), disturbance=(1e-3, 1e-2)
+    pose_noise=(1e-6, 1e-5), velocity_noise=(1e-5, 1e-4), disturbance=(1e-3, 1e-2)
 )
 
 
@@ -100,9 +100,7 @@ def test_predictions_of_a_craft_that_lost_thrust_are_far_better():
 def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     """Against the joint normal distribution of everything, its dense covariance written down."""
     prior = EffectivenessPrior(1.0, 0.2, 0.1)
-    encoder = ActuationEncoder(
-        length=12, velocity=velocity, disturbance=disturbance, priors=(prior,)
-    )
+    encoder = ActuationEncoder(velocity=velocity, disturbance=disturbance, priors=(prior,))
     whole = past_of(flight, 12, 300)
     past = Past(whole.state[..., :1], whole.command[..., :1], whole.duration[..., :1])
     rng = np.random.default_rng(0)
@@ -151,7 +149,7 @@ def test_priors_compete_by_their_evidence(flight):
     priors = (EffectivenessPrior(0.7, 0.05, 0.05), EffectivenessPrior(0.3, 0.3, 0.2))
     whole = past_of(flight, 12, 300)
     past = Past(whole.state[..., :1], whole.command[..., :1], whole.duration[..., :1])
-    encoder = ActuationEncoder(length=12, priors=priors, tail=1e9, tempering=1.0)
+    encoder = ActuationEncoder(priors=priors, tail=1e9, tempering=1.0)
     found = encoder.estimate(MODEL.dynamics, past)
     weights = []
     for prior in priors:

@@ -95,8 +95,6 @@ class ActuationEncoder:
 
     Attributes
     ----------
-    length : int
-        Samples E.
     velocity : {"smoothed", "causal"}
         Whether the smoothed velocity of the present, which looks some samples ahead, is a
         measurement, as in the paper's encoder; or poses up to the present are all there is.
@@ -116,7 +114,6 @@ class ActuationEncoder:
         (a power posterior: Grünwald and van Ommen, Bayesian Analysis 12, 2017).
     """
 
-    length: int = 20
     velocity: Literal["smoothed", "causal"] = "smoothed"
     pose_noise: tuple[float, float] = (5e-5, 6e-4)
     velocity_noise: tuple[float, float] = (2e-3, 2e-2)

@@ -84,7 +84,7 @@ def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
         return PaperEncoder(protocol.encoder_length, model.indexing)
     if name == "actuation":
         velocity = "causal" if protocol.causal else "smoothed"
-        return ActuationEncoder(protocol.encoder_length, velocity)
+        return ActuationEncoder(velocity)
     raise InputError(f"{name!r} is none of {', '.join(ENCODERS)}", field="encoder")
 
 
