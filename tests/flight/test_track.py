@@ -135,6 +135,58 @@ def test_whole_turns_are_no_error(turns):
     assert found.overshoot == pytest.approx(plain.overshoot, abs=1e-12)
 
 
+def without(flight, begin, stop):
+    """The flight with poses missing."""
+    kept = (flight.time < begin) | (flight.time >= stop)
+    return replace(flight, time=flight.time[kept], pose=flight.pose[kept])
+
+
+def test_without_poses_at_the_end_of_a_dwell_there_is_no_steady_state():
+    set_points = ([0.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    whole = track(lambda t: (0.01 * t, 0.0, 0.0), set_points)
+    first, second = without(whole, 1.4, 2.0).results()
+    assert first.steady_state_error is None
+    assert first.to_json()["steady_state_error"] is None
+    assert second == whole.results()[1]
+    # With some of them missing it is the mean of the others.
+    first, _ = without(whole, 1.75, 2.0).results()
+    assert first.steady_state_error[0] == pytest.approx(0.01 * 1.625, abs=5e-5)
+
+
+STAYS = [(0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.0, 0.0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("at", "poses", "first"),
+    [
+        ((0.0, 0.0, 0.0), STAYS, 1),
+        ((0.01, -0.01, 2 * np.pi + 0.04), STAYS, 1),  # there, within the tolerance
+        ((0.0, 0.0, 0.0), [STAYS[0], STAYS[0], (0.01, 0.0, 0.0)], 2),
+        ((0.0, 0.0, 0.0), STAYS[1:], 0),
+        ((0.5, 0.0, 0.0), STAYS, 0),
+        ((0.0, 0.0, 0.0), [STAYS[0]] * 3, 0),  # nothing moves: nothing is left out
+    ],
+)
+def test_the_set_point_of_the_start_is_left_out_for_what_it_is(at, poses, first):
+    times = [0.7, 1.7, 2.7][: len(poses)]
+    flight = track(lambda t: at, (times, poses))
+    assert flight.first_move == first
+    assert flight.moves() == flight.results()[first:]
+    assert flight.origin == pytest.approx(times[first] - 0.5)
+
+
+def test_time_is_not_counted_from_before_the_first_pose():
+    assert track(approach, TO_ONE).origin == 0
+
+
+def test_a_comparison_counts_time_from_the_first_move():
+    set_points = ([0.0, 3.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    one = track(lambda t: (0.0, 0.0, 0.0), set_points, duration=12.0)
+    other = track(lambda t: (t, 0.0, 0.0), set_points, duration=12.0)
+    apart = one.difference(other)[:, 0]
+    assert (apart[0], apart[-1]) == pytest.approx((3.0, 9.0), abs=1.01 / RATE)
+
+
 def test_a_set_point_in_force_for_fewer_than_ten_poses_is_left_out():
     set_points = ([0.0, 1.0, 1.03], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.0, 0.0)])
     assert [r.start for r in track(lambda t: (0.0, 0.0, 0.0), set_points).results()] == [0, 1.03]
@@ -196,7 +248,7 @@ def recording(*, columns=MOTORS, poses=None, order=None, start=0.5):
     command_time = start + np.arange(300) / 100
     commands = np.linspace(0.1, 0.6, 6) * np.ones((300, 1))
     set_point_times = np.array([start, start, start + 2.0])
-    set_points = np.array([[0, 0, 0], [9, 9, 9], [1, 0.3, 1.5]], dtype=float)
+    set_points = np.array([[9, 9, 9], [0, 0, 0], [1, 0.3, 1.5]], dtype=float)
 
     def stream(times, values, names):
         stamp = EPOCH + np.rint(times * 1e9).astype(np.int64)
@@ -219,7 +271,7 @@ def test_a_recording_is_read_from_its_first_command_on():
     assert found.time[0] == pytest.approx(-0.5, abs=1e-6)
     assert found.command_time[0] == 0
     np.testing.assert_allclose(found.set_points.times, [0.0, 2.0], atol=1e-6)
-    # Of two set points at the same time the first counts.
+    # Of two set points at the same time the last is the one in force.
     np.testing.assert_array_equal(found.set_points.poses, [[0, 0, 0], [1, 0.3, 1.5]])
     np.testing.assert_allclose(found.command[0], np.linspace(0.1, 0.6, 6))
     assert (found.motors, found.command_min, found.label) == (MOTORS, 0.03, "flight")
@@ -264,7 +316,7 @@ def test_set_points_that_are_not_numbers_are_refused():
     whole = recording()
     logged = whole["reference"]
     values = logged.values.copy()
-    values[0, 0] = np.nan
+    values[-1, 0] = np.nan
     streams = {**whole.streams, "reference": replace(logged, values=values)}
     with pytest.raises(InputError) as caught:
         recorded_set_points(replace(whole, streams=streams), 0.0)

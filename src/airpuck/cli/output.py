@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +66,7 @@ def write_json(json_file: Path | None, figures: Any) -> None:
     """Write figures where --json says."""
     if json_file is None:
         return
-    text = json.dumps(figures, indent=2) + "\n"
+    text = json.dumps(_without_nan(figures), indent=2, allow_nan=False) + "\n"
     if is_stdout(json_file):
         sys.stdout.write(text)
         return
@@ -73,6 +74,15 @@ def write_json(json_file: Path | None, figures: Any) -> None:
 
     with replacing(json_file) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _without_nan(figures: Any) -> Any:
+    """Put null for what is no number, which JSON has no word for."""
+    if isinstance(figures, dict):
+        return {key: _without_nan(value) for key, value in figures.items()}
+    if isinstance(figures, (list, tuple)):
+        return [_without_nan(value) for value in figures]
+    return None if isinstance(figures, float) and not math.isfinite(figures) else figures
 
 
 def show_progress(quiet: bool) -> Any:
@@ -157,17 +167,20 @@ def print_tracks(flights: list[Tracked]) -> None:
     """Print what became of the set points."""
     for flight in flights:
         for result in flight.results:
-            x, y, yaw = result.steady_state_error
             settled = result.settling_time
+            end = "no poses at the end"
+            if result.steady_state_error is not None:
+                x, y, yaw = result.steady_state_error
+                end = f"off by {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad at the end"
             print(
                 f"{flight.model:8s} to ({result.pose[0]:4.1f}, {result.pose[1]:4.1f}, "
                 f"{result.pose[2]:4.1f}): "
                 f"{'did not settle' if settled is None else f'settled in {settled:.2f} s':18s} "
-                f"off by {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad at the end"
+                f"{end}"
             )
         if flight.rmse is not None:
             x, y, yaw = flight.rmse
             print(
-                f"{flight.model:8s} twin against the real flight, 0.5 to 6.5 s: "
+                f"{flight.model:8s} twin against the real flight, 6 s from the first move on: "
                 f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
             )

@@ -20,6 +20,8 @@ from airpuck.vehicle import Vehicle, match_columns
 TOLERANCE = (0.02, 0.02, 0.05)
 #: The steady state is the mean over the last second of a dwell, or its last quarter if it is short.
 _STEADY_S, _STEADY_SHARE = 1.0, 0.25
+#: Figures and comparisons begin this long before the first set point that moves the craft.
+_LEAD_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,9 @@ class SetPointResult:
         Until the pose stays within `TOLERANCE`; None if it does not [s].
     overshoot : tuple of float
         How far x, y, yaw went beyond, seen from where they were at the start [m, m, rad].
-    steady_state_error : tuple of float
-        Mean pose minus set point at the end of the dwell [m, m, rad].
+    steady_state_error : tuple of float or None
+        Mean pose minus set point at the end of the dwell; None if poses are missing there
+        [m, m, rad].
     effort : float
         Mean over the dwell of the sum of squared commands above the lowest.
     """
@@ -47,7 +50,7 @@ class SetPointResult:
     pose: tuple[float, float, float]
     settling_time: float | None
     overshoot: tuple[float, float, float]
-    steady_state_error: tuple[float, float, float]
+    steady_state_error: tuple[float, float, float] | None
     effort: float
 
     def to_json(self) -> dict[str, Any]:
@@ -64,7 +67,9 @@ class SetPointResult:
             "set_point": _named(self.pose),
             "settling_time_s": self.settling_time,
             "overshoot": _named(self.overshoot),
-            "steady_state_error": _named(self.steady_state_error),
+            "steady_state_error": (
+                None if self.steady_state_error is None else _named(self.steady_state_error)
+            ),
             "effort": self.effort,
         }
 
@@ -145,6 +150,41 @@ class Track:
             command_min=vehicle.command_min,
         )
 
+    @property
+    def first_move(self) -> int:
+        """Number of the first set point that differs from the start.
+
+        The first one of a flight does unless the craft stands there already, within `TOLERANCE`,
+        when it comes into force; later ones do if they differ from the first. Zero where none does.
+        """
+        times, poses = self.set_points.times, self.set_points.poses
+        begin = min(int(self.time.searchsorted(times[0])), len(self.time) - 1)
+        away = self.pose[begin] - poses[0]
+        away[2] -= 2 * np.pi * np.round(away[2] / (2 * np.pi))
+        if (np.abs(away) > TOLERANCE).any():
+            return 0
+        return int((poses != poses[0]).any(axis=1).argmax())
+
+    @property
+    def origin(self) -> float:
+        """Where figures and comparisons count time from [s].
+
+        Half a second before the first set point that differs from the start, if there are poses.
+        """
+        begin = float(self.set_points.times[self.first_move]) - _LEAD_S
+        return max(begin, float(self.time[0]))
+
+    def moves(self) -> list[SetPointResult]:
+        """Measure what became of the set points from the first that differs from the start on.
+
+        Returns
+        -------
+        list of SetPointResult
+            As `results`, without the set point that holds the craft where it stands at first.
+        """
+        begin = self.set_points.times[self.first_move]
+        return [result for result in self.results() if result.start >= begin]
+
     def results(self) -> list[SetPointResult]:
         """Measure what became of each set point.
 
@@ -190,7 +230,8 @@ class Track:
             pose=_triple(pose),
             settling_time=settled,
             overshoot=_triple(beyond),
-            steady_state_error=_triple(error[steady].mean(axis=0)),
+            # Without poses there nobody knows where the craft was.
+            steady_state_error=_triple(error[steady].mean(axis=0)) if steady.any() else None,
             effort=float((above**2).sum(axis=1).mean()) if given.any() else 0.0,
         )
 
@@ -204,7 +245,7 @@ class Track:
         other : Track
             Flown to the same set points at the same times.
         span : (float, float), default (0.5, 6.5)
-            Times to compare [s].
+            Times to compare, from this flight's `origin` on [s].
 
         Returns
         -------
@@ -216,8 +257,9 @@ class Track:
         InputError
             If the flights have no time in common.
         """
-        stop = min(span[1], self.time[-1], other.time[-1])
-        inside = (self.time >= max(span[0], other.time[0])) & (self.time <= stop)
+        begin, stop = self.origin + span[0], self.origin + span[1]
+        stop = min(stop, self.time[-1], other.time[-1])
+        inside = (self.time >= max(begin, other.time[0])) & (self.time <= stop)
         if not inside.any():
             raise InputError(f"{self.label} and {other.label} have no time in common")
         apart = [
@@ -241,7 +283,7 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     Returns
     -------
     SetPoints
-        On that axis; repeated times count once.
+        On that axis; of several of one time the last, which is the one in force.
 
     Raises
     ------
@@ -251,8 +293,8 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     logged = recording["reference"]
     # In the same arithmetic as the commands: one of the same moment must not seem earlier.
     times = seconds(logged.received_ns) - epoch
-    first = np.concatenate([[True], np.diff(times) > 0])
-    return SetPoints(times[first].tolist(), [tuple(p) for p in logged.values[first, :3].tolist()])
+    last = np.append(np.diff(times) > 0, True)
+    return SetPoints(times[last].tolist(), [tuple(p) for p in logged.values[last, :3].tolist()])
 
 
 def _triple(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -30,7 +30,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     """Draw pose and set points over time, for all models.
 
     Real flights begin at different times: each is drawn from half a second before its first
-    set point that moves the craft.
+    set point that differs from the start (`Track.origin`).
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     handles = [Line2D([], [], color=BLACK, linewidth=0.9, linestyle=":", label="set point")]
     for number, flight in enumerate(flights):
         color = rung_color(flight.model)
-        origin = _origin(flight.twin)
+        origin = flight.origin
         if number == 0:
             _draw_set_points(panels, flight.twin, origin)
         _draw_pose(panels, flight.twin, origin, color=color, linewidth=1.5)
@@ -58,7 +58,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
             handles.append(Line2D([], [], label=f"{flight.model}, real flight", **style))
     for axes, (name, unit) in zip(panels, _POSE, strict=True):
         axes.set_ylabel(f"{name} [{unit}]")
-    last = max(float(f.twin.time[-1]) - _origin(f.twin) for f in flights)
+    last = max(float(f.twin.time[-1]) - f.origin for f in flights)
     panels[-1].set_xlim(0.0, last)
     panels[-1].set_xlabel("time [s]")
     top_legend(figure, handles)
@@ -86,7 +86,7 @@ def input_figure(flight: Tracked) -> Figure:
     handles = [Line2D([], [], color=VERMILLION, label="twin", linewidth=1.0)]
     if flight.real is not None:
         handles.append(Line2D([], [], color=GREY, linewidth=2.0, label="real flight"))
-    origin = _origin(flight.twin)
+    origin = flight.origin
     for i, axes in enumerate(panels.ravel()):
         if i >= len(motors):
             axes.set_axis_off()
@@ -107,14 +107,7 @@ def input_figure(flight: Tracked) -> Figure:
     return figure
 
 
-def _origin(track: Track) -> float:
-    """Return half a second before the first set point that differs from the one before."""
-    moves = np.flatnonzero(np.abs(np.diff(track.set_points.poses, axis=0)).max(axis=1) > 0)
-    first = track.set_points.times[moves[0] + 1] if len(moves) else track.time[0]
-    return max(float(first) - 0.5, float(track.time[0]))
-
-
-def _draw_set_points(panels: Sequence[Axes], track: Track, origin: float) -> None:
+def _draw_set_points(panels: Any, track: Track, origin: float) -> None:
     """Draw the steps of the set points."""
     times = np.append(track.set_points.times, track.time[-1]) - origin
     poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
@@ -122,7 +115,7 @@ def _draw_set_points(panels: Sequence[Axes], track: Track, origin: float) -> Non
         axes.step(times, values, where="post", color=BLACK, linewidth=0.9, linestyle=":")
 
 
-def _draw_pose(panels: Sequence[Axes], track: Track, origin: float, **style: object) -> None:
+def _draw_pose(panels: Any, track: Track, origin: float, **style: object) -> None:
     """Draw a flight."""
     for axes, values in zip(panels, track.pose.T, strict=True):
         axes.plot(track.time - origin, values, **style)  # pyright: ignore[reportArgumentType]

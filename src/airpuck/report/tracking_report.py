@@ -57,7 +57,7 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
     for flight in flights:
         rows += [[f"{flight.model}, twin", *_row(result)] for result in flight.results]
         if flight.real is not None:
-            real = flight.real.results()[-len(flight.results) :]
+            real = flight.real.moves()
             rows += [[f"{flight.model}, real flight", *_row(result)] for result in real]
     table = Table(
         "What became of each set point. Settled: within 20 mm and 0.05 rad. Steady-state error: "
@@ -79,7 +79,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
     if apart:
         blocks.append(
             Table(
-                "Twin against the real flight, 0.5 to 6.5 s, root mean square.",
+                "Twin against the real flight, 0.5 to 6.5 s on the figure's axis, root mean "
+                "square.",
                 ["flight", "x [mm]", "y [mm]", "yaw [rad]"],
                 [
                     [model, f"{1e3 * rmse[0]:.1f}", f"{1e3 * rmse[1]:.1f}", f"{rmse[2]:.3f}"]
@@ -101,7 +102,7 @@ def _row(result: SetPointResult) -> list[str]:
         f"{result.pose[0]:.1f}, {result.pose[1]:.1f} m, {result.pose[2]:.1f} rad",
         settled,
         _triple(result.overshoot),
-        _triple(result.steady_state_error),
+        "no poses" if result.steady_state_error is None else _triple(result.steady_state_error),
         f"{result.effort:.3f}",
     ]
 

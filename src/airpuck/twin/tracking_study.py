@@ -55,12 +55,21 @@ class Tracked:
 
     @property
     def results(self) -> list[SetPointResult]:
-        """What became of the set points on the twin, the start in the middle left out."""
-        return self.twin.results()[-(len(SET_POINTS) - 1) :]
+        """What became of the set points on the twin, that of the start left out."""
+        return self.twin.moves()
+
+    @property
+    def origin(self) -> float:
+        """Where the figure's axis begins [s]; see `Track.origin`."""
+        return (self.real or self.twin).origin
 
     @property
     def rmse(self) -> Float[np.ndarray, " 3"] | None:
-        """Difference between twin and real flight, 0.5 to 6.5 s, root mean square [m, m, rad]."""
+        """Difference between twin and real flight, root mean square [m, m, rad].
+
+        Over the six seconds from the first set point that differs from the start on, which is
+        0.5 to 6.5 s on the figure's axis (`origin`).
+        """
         if self.real is None:
             return None
         return np.sqrt(np.mean(self.real.difference(self.twin) ** 2, axis=0))
@@ -72,7 +81,8 @@ class Tracked:
         -------
         dict
             ``model``, ``gains``, ``setpoints``, ``outcomes``, and where there is a real flight
-            ``against_flight`` (``rmse``) and ``flight_setpoints``.
+            ``against_flight`` (``rmse``, ``span_s`` from ``origin_s`` on) and
+            ``flight_setpoints``.
         """
         figures: dict[str, Any] = {
             "model": self.model,
@@ -84,10 +94,11 @@ class Tracked:
             names = ("x_m", "y_m", "yaw_rad")
             figures["against_flight"] = {
                 "rmse": dict(zip(names, self.rmse.tolist(), strict=True)),
+                # On the figure's axis, which begins at this time of the flight.
                 "span_s": [0.5, 6.5],
+                "origin_s": self.origin,
             }
-            real = self.real.results()[-(len(SET_POINTS) - 1) :]
-            figures["flight_setpoints"] = [result.to_json() for result in real]
+            figures["flight_setpoints"] = [result.to_json() for result in self.real.moves()]
         return figures
 
 
@@ -154,7 +165,8 @@ def tracking_study(
             real = Track.of(flight, model.vehicle, f"{model.name}, real")
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains
             set_points, duration = real.set_points, float(real.command_time[-1])
-            x, y, yaw = real.pose[int(np.searchsorted(real.time, 0.0))].tolist()
+            first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
+            x, y, yaw = real.pose[first].tolist()
             pose = (x, y, yaw)
         recording, log = track(
             model,

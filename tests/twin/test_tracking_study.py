@@ -1,0 +1,76 @@
+"""The tracking study: what it reports, and how it imitates a flight."""
+
+import json
+
+import numpy as np
+import pytest
+
+from airpuck.cli.output import print_tracks, write_json
+from airpuck.control.reference import SetPoints
+from airpuck.model_file import published_model
+from airpuck.report.tracking_report import tracking_sections
+from airpuck.twin.experiments import track
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.tracking_study import SET_POINTS, tracking_study
+from airpuck.twin.twin import build_plant
+
+M4 = published_model("M4")
+#: One more than the paper's: the start, and four moves.
+TIMES = [0.0, 0.9, 1.9, 2.9, 3.9]
+POSES = [(0.2, -0.1, 1.0), (0.5, 0.1, 1.5), (0.2, -0.2, 0.5), (0.0, 0.0, 0.0), (0.3, 0.0, 0.3)]
+
+
+@pytest.fixture(scope="module")
+def imitated():
+    start = POSES[0]
+    flight, _ = track(M4, SetPoints(TIMES, POSES), 5.0, seed=3, pose=start, plant=build_plant(M4))
+    (tracked,) = tracking_study([M4], M4, flights=[flight], seed=4)
+    return tracked
+
+
+def test_a_flight_is_imitated_from_where_it_began(imitated):
+    real, twin = imitated.real, imitated.twin
+    np.testing.assert_allclose(twin.pose[0], POSES[0], atol=5e-3)
+    np.testing.assert_allclose(twin.set_points.times, real.set_points.times, atol=0.011)
+    np.testing.assert_array_equal(twin.set_points.poses, real.set_points.poses)
+    assert twin.time[-1] == pytest.approx(real.time[-1], abs=0.02)
+    # Only noise and the fitted gains tell them apart.
+    assert (imitated.rmse < [0.02, 0.02, 0.1]).all()
+
+
+def test_all_moves_of_a_flight_are_reported_however_many(imitated):
+    content = imitated.to_json()
+    for key in ("setpoints", "flight_setpoints"):
+        found = [list(result["set_point"].values()) for result in content[key]]
+        np.testing.assert_allclose(found, POSES[1:])
+    assert content["against_flight"]["span_s"] == [0.5, 6.5]
+    assert content["against_flight"]["origin_s"] == pytest.approx(0.4, abs=0.011)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path, capsys):
+    settings = default_twin_settings()
+    capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.2, 1.45),)})
+    flown = tracking_study(
+        [M4], M4, dwell=0.5, settings=settings.model_copy(update={"motion_capture": capture})
+    )
+    results = flown[0].results
+    assert [r.pose for r in results] == list(SET_POINTS[1:])
+    assert [r.steady_state_error is None for r in results] == [True, False, False]
+    write_json(tmp_path / "track.json", flown[0].to_json())
+    content = json.loads((tmp_path / "track.json").read_text(), parse_constant=pytest.fail)
+    assert content["setpoints"][0]["steady_state_error"] is None
+    print_tracks(flown)
+    assert "no poses at the end" in capsys.readouterr().out.splitlines()[0]
+    table = tracking_sections(flown)[0].blocks[1]
+    assert table.rows[0][4] == "no poses"
+
+
+def test_json_has_null_for_what_is_no_number(capsys):
+    from pathlib import Path
+
+    write_json(Path("-"), {"a": [np.nan, (float("inf"), 1.0)], "b": {"c": 2, "d": None}})
+    assert json.loads(capsys.readouterr().out) == {
+        "a": [None, [None, 1.0]],
+        "b": {"c": 2, "d": None},
+    }
