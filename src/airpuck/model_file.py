@@ -130,7 +130,8 @@ class Model:
         Raises
         ------
         InputError
-            If python-control is not installed, or there is not one command for each propeller.
+            If python-control is not installed, there is not one command for each propeller, or a
+            number is out of range.
         """
         try:
             import control
@@ -144,6 +145,13 @@ class Model:
         command = trim(self.dynamics) if command is None else np.asarray(command, dtype=float)
         if command.shape != (len(names),):
             raise InputError(f"needs {len(names)} numbers, one for each motor", field="command")
+        if not ((command >= 0) & (command <= 1)).all():
+            raise InputError("must lie in [0, 1]", field="command")
+        if not np.isfinite(yaw):
+            raise InputError("must be a finite number", field="yaw")
+        # To python-control a period of zero means continuous time.
+        if period is not None and not (np.isfinite(period) and period > 0):
+            raise InputError("must be a positive number of seconds", field="period")
         a, b = linearize(self.dynamics, yaw, command)
         states = ["x", "y", "yaw", "vx", "vy", "spin", *(f"speed_{name}" for name in names)]
         system = control.StateSpace(

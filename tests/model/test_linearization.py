@@ -74,3 +74,17 @@ def test_the_discrete_model_is_the_continuous_one_with_held_inputs():
 def test_a_wrong_number_of_commands_is_refused():
     with pytest.raises(InputError, match="6 numbers"):
         published_model("M3").to_statespace(command=np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *(("period", value) for value in (0.0, -1.0, np.nan, np.inf)),
+        *(("yaw", value) for value in (np.nan, np.inf)),
+        *(("command", np.full(6, value)) for value in (np.nan, -0.1, 1.1)),
+    ],
+)
+def test_a_number_out_of_range_is_refused(field, value):
+    with pytest.raises(InputError) as caught:
+        published_model("M3").to_statespace(**{field: value})
+    assert caught.value.field == field
