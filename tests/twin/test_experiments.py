@@ -1,5 +1,7 @@
 """Experiments on the twin: excitation, identification of the truth, and set points."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,7 @@ from airpuck.identification.fit import identify
 from airpuck.model.thrust import thrust
 from airpuck.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
+from airpuck.recording import read_recording, write_bag
 from airpuck.twin.experiments import excite, track
 from airpuck.twin.settings import Radio, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
@@ -149,8 +152,8 @@ def test_a_flight_begins_where_it_is_told_to(plant_m4):
     np.testing.assert_array_equal(recording["command"].values, log.command)
 
 
-@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan])
-def test_a_duration_that_is_not_positive_is_refused(duration):
+@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, 0.009, np.inf])
+def test_a_duration_without_a_command_or_an_end_is_refused(duration):
     for attempt in (
         lambda: excite(TRUTH, duration),
         lambda: track(M4, SetPoint(0, 0, 0), duration),
@@ -158,6 +161,50 @@ def test_a_duration_that_is_not_positive_is_refused(duration):
         with pytest.raises(InputError) as caught:
             attempt()
         assert caught.value.field == "duration"
+
+
+def test_a_flight_of_one_command_can_be_read_back(tmp_path, plant):
+    flown = excite(TRUTH, 0.01, plant=plant)
+    write_bag(flown, tmp_path / "bag")
+    assert len(read_recording(tmp_path / "bag")["command"]) == len(flown["command"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("seed", -1),
+        ("pose", (0.0, np.nan, 0.0)),
+        ("pose", (0.0, 0.0, np.inf)),
+        ("pose", (5.0, 0.0, 0.0)),
+        ("pose", (0.0, -5.0, 0.0)),
+        ("gain", np.full((3, 6), np.nan)),
+    ],
+)
+def test_what_no_flight_can_begin_with_is_named(field, value, plant_m4):
+    with pytest.raises(InputError) as caught:
+        track(M4, SetPoint(0, 0, 0), 0.1, plant=plant_m4, **{field: value})
+    assert caught.value.field == field
+    if field == "seed":
+        with pytest.raises(InputError, match="seed"):
+            excite(TRUTH, 0.1, value)
+
+
+def test_values_of_no_such_kind_are_refused_where_nothing_checks_types():
+    code = """
+import numpy as np
+from airpuck import InputError, read_model, track
+from airpuck.control.reference import SetPoint
+
+model = read_model("paper:M3")
+for field, value in (("gain", np.ones((2, 6))), ("seed", 0.5), ("pose", (0.0, 0.0))):
+    try:
+        track(model, SetPoint(0, 0, 0), 0.1, **{field: value})
+    except InputError as error:
+        assert error.field == field, error
+    else:
+        raise AssertionError(field)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_another_number_of_propellers_is_refused():

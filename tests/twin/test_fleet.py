@@ -1,5 +1,7 @@
 """A fleet, against the twin, which simulates one craft at a time."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -195,6 +197,7 @@ STALLS = Motors(stalls=(Stall(motor="motor_a_1", start_s=0.1, stop_s=0.2),))
         ({"period": 0.0}, "period"),
         ({"delays": np.array([-0.01])}, "delays"),
         ({"every": 0}, "every"),
+        ({"seeds": (1, -1)}, "seeds: must be a whole"),
         ({"models": [MODEL, replace(MODEL, frame="world")]}, "models"),
         ({"settings": QUIET.model_copy(update={"motors": STALLS})}, "Twin"),
     ],
@@ -203,3 +206,26 @@ def test_what_cannot_be_flown_is_refused(arguments, told):
     given = {"models": MODEL, "command": COMMAND, **arguments}
     with pytest.raises(InputError, match=told):
         fly_fleet(given.pop("models"), given.pop("command"), **given)
+
+
+def test_values_of_no_such_kind_are_refused_where_nothing_checks_types():
+    code = """
+import numpy as np
+from airpuck import InputError, fly_fleet, read_model
+
+for field, value in (("every", 2.5), ("precision", "half"), ("seeds", (0.5,))):
+    try:
+        fly_fleet(read_model("paper:M3"), np.zeros((3, 6)), **{field: value})
+    except InputError as error:
+        assert error.field == field, error
+    else:
+        raise AssertionError(field)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_recording_needs_every_frame_though_only_the_first_was_kept():
+    flight = fly_fleet(MODEL, COMMAND, settings=QUIET, every=1000)
+    assert len(flight.time) == 1
+    with pytest.raises(InputError, match="every frame"):
+        flight.recording(0)

@@ -8,6 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from airpuck.control.excitation import Excitation
+from airpuck.errors import InputError
 from airpuck.model.rollout import rollout
 from airpuck.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
@@ -163,6 +164,48 @@ def test_battery_sag_takes_its_share_of_the_thrust():
     full = MODEL.dynamics.configuration[2, 0] * (MODEL.dynamics.thrust[0] @ [0.5, 0.25, 0.125])
     assert heard[0.5] == pytest.approx(full * (1 - 0.4 * 0.494), rel=0.01)
     assert heard[2.6] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_accelerometer_feels_what_pushes_and_no_more():
+    # On a table that falls along x, one motor runs while the battery loses its power.
+    on_board = QUIET.on_board.model_copy(update={"rate_hz": 100.0})
+    changes = {"on_board": on_board, "radio": Radio(delay_s=0, timeout_s=9)}
+    effects = Effects(battery_sag_1_s=0.4, tilt_rad=(0.01, 0.0))
+    twin = Twin(MODEL, QUIET.model_copy(update={**changes, "effects": effects}))
+    twin.wait_until(0.2)
+    rest = [m.values for m in twin.wait_until(0.5) if m.kind == "imu"]
+    np.testing.assert_array_equal(rest, np.tile([0, 0, 9.81, 0, 0, rest[0][5]], (len(rest), 1)))
+    felt = {}
+    for sag in (0.0, 0.4):
+        effects = Effects(battery_sag_1_s=sag)
+        twin = Twin(MODEL, QUIET.model_copy(update={**changes, "effects": effects}))
+        twin.send(np.array([0.5, 0.0, 0, 0, 0, 0]))
+        imu = [m for m in twin.wait_until(0.5) if m.kind == "imu"]
+        felt[sag] = imu[-1]
+    assert felt[0.4].stamp == felt[0.0].stamp
+    push = MODEL.dynamics.configuration[:2, 0] * (
+        MODEL.dynamics.thrust[0] @ [0.5, 0.25, 0.125] * (1 - 0.4 * felt[0.4].stamp)
+    )
+    assert np.hypot(*push) > 0.1
+    # What is left is the pull of the centre of mass, off the centre, of a craft that turns.
+    spin = twin.state[5]
+    assert np.hypot(*felt[0.4].values[:2]) == pytest.approx(
+        np.hypot(*push), abs=2e-3 * (spin**2 + abs(spin) * 20)
+    )
+    assert np.hypot(*felt[0.4].values[:2]) < 0.9 * np.hypot(*felt[0.0].values[:2])
+
+
+def test_a_radio_clips_and_sends_no_nonsense(plant):
+    twin = Twin(MODEL, QUIET, plant=plant)
+    twin.send(np.array([-0.5, 1.5, 0.3, 0.0, 1.0, 0.2]))
+    np.testing.assert_array_equal(
+        twin.recording()["command"].values, [[0.0, 1.0, 0.3, 0.0, 1.0, 0.2]]
+    )
+    twin.wait_until(0.5)
+    assert twin.state[6:].min() >= 0
+    for bad in (np.full(6, np.nan), np.full(6, np.inf), np.zeros(4)):
+        with pytest.raises(InputError, match="command: needs 6 finite"):
+            twin.send(bad)
 
 
 def test_unarmed_motors_do_nothing(plant):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float
 from airpuck.control.excitation import Excitation
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning
+from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.errors import InputError
 from airpuck.flight.loop import FlightLog, fly
 from airpuck.model_file import Model, nominal_model
@@ -107,8 +108,7 @@ def fly_excitation(
     plant: Plant | None = None,
 ) -> Excited:
     """Fly the excitation experiment and say how near to the rails it came; see `excite`."""
-    if not duration > 0:
-        raise InputError("must be positive", field="duration")
+    _check_duration(duration, tuning)
     settings = settings or default_twin_settings()
     twin = Twin(model, settings, seed=seed, plant=plant)
     pilot = Excitation(
@@ -184,8 +184,9 @@ def track(
     InputError
         If a number is out of range.
     """
-    if not duration > 0:
-        raise InputError("must be positive", field="duration")
+    _check_duration(duration, tuning)
+    if gain is not None and (np.shape(gain) != (3, 6) or not np.isfinite(gain).all()):
+        raise InputError("must be 3 rows of 6 finite numbers", field="gain")
     truth = truth or model
     if truth.vehicle.n_propellers != model.vehicle.n_propellers:
         raise InputError(
@@ -204,3 +205,13 @@ def track(
     log = fly(pilot, twin, duration, pilot.tuning.period_s, on_board=on_board)
     source = f"{model.name} tracking on a twin of {truth.name}, seed {seed}"
     return replace(twin.recording(), source=source), log
+
+
+def _check_duration(duration: float, tuning: Tuning | None) -> None:
+    """Refuse a flight that ends before its first command does, or never."""
+    period = (tuning or default_tuning()).period_s
+    if not (math.isfinite(duration) and duration >= period):
+        raise InputError(
+            f"must be a number of seconds, at least the controller's period, {period:g} s",
+            field="duration",
+        )

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from numbers import Integral
 from typing import Any, Literal
 
 import numpy as np
@@ -27,7 +28,7 @@ from airpuck.table import Table
 from airpuck.twin.plant import LONGEST_STEP, Disc, advance, scaled
 from airpuck.twin.radio import passage
 from airpuck.twin.settings import Radio, TwinSettings, default_twin_settings
-from airpuck.twin.twin import EPOCH_NS, build_plant, command_stream, pose_sensor
+from airpuck.twin.twin import EPOCH_NS, build_plant, check_seed, command_stream, pose_sensor
 
 #: Craft of one batch on a CPU: enough that the loop costs little, few enough for its cache.
 BATCH = 512
@@ -57,6 +58,8 @@ class FleetFlight:
         Table, sensors, radio, effects.
     steps : int
         Steps of the integration, of all craft together.
+    every : int
+        Of so many frames one was kept.
     """
 
     time: Float[np.ndarray, " N"]
@@ -67,6 +70,7 @@ class FleetFlight:
     command: Float[np.ndarray, "K n B"]
     settings: TwinSettings
     steps: int
+    every: int = 1
 
     def __len__(self) -> int:
         return self.state.shape[2]
@@ -89,10 +93,9 @@ class FleetFlight:
         InputError
             If not every frame was kept.
         """
-        capture = self.settings.motion_capture
-        if len(self.time) > 1 and self.time[1] * capture.rate_hz > 1.5:
-            raise InputError("a recording needs every frame", field="every")
-        sensor = pose_sensor(capture, self.seeds[craft])
+        if self.every != 1:
+            raise InputError("a recording needs every frame; fly with every=1", field="every")
+        sensor = pose_sensor(self.settings.motion_capture, self.seeds[craft])
         for pose in self.state[:, :3, craft].astype(float):
             sensor.measure(pose)
         sent = list(zip(self.command_time.tolist(), self.command[:, :, craft], strict=True))
@@ -162,6 +165,8 @@ def fly_fleet(
     poses = np.zeros((3, 1)) if poses is None else np.asarray(poses, dtype=float)
     delays = np.array(_delays(settings, models) if delays is None else delays, dtype=float)
     _check(models, command, period, seeds, delays, poses, settings, every)
+    if precision not in ("double", "single"):
+        raise InputError(f"must be 'double' or 'single', not {precision!r}", field="precision")
     size = _common_size(
         models=len(models),
         command=command.shape[2] if command.ndim == 3 else 1,
@@ -195,6 +200,7 @@ def fly_fleet(
         command=np.broadcast_to(fleet.commands[:-1], (len(command), n, size)),
         settings=settings,
         steps=steps,
+        every=every,
     )
 
 
@@ -234,6 +240,8 @@ def _check(
         raise InputError("is empty", field="models")
     if not len(seeds):
         raise InputError("is empty", field="seeds")
+    for seed in seeds:
+        check_seed(seed, "seeds")
     n = models[0].vehicle.n_propellers
     kinds = {
         (m.frame, m.parameters.thrust.shape, m.vehicle.mass_kg, m.vehicle.radius_m) for m in models
@@ -254,8 +262,8 @@ def _check(
         raise InputError("must be a list of numbers that are not negative", field="delays")
     if poses.ndim != 2 or len(poses) != 3 or not poses.size or not np.isfinite(poses).all():
         raise InputError("must have the shape (3, B) and be finite", field="poses")
-    if every < 1:
-        raise InputError("must be at least 1", field="every")
+    if not isinstance(every, Integral) or every < 1:
+        raise InputError("must be a whole number, at least 1", field="every")
     if settings.motors.starting_delay_s or settings.motors.stalls:
         raise InputError(
             "motors of a fleet neither start late nor stall; use Twin", field="settings.motors"

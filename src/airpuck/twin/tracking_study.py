@@ -167,6 +167,9 @@ def tracking_study(
             set_points, duration = real.set_points, float(real.command_time[-1])
             first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
             x, y, yaw = real.pose[first].tolist()
+            # Noise, or another radius, may put one that leans on a rail beyond it.
+            reach = settings.table.reach(truth.vehicle.radius_m)
+            x, y = (min(max(v, -r), r) for v, r in zip((x, y), reach, strict=True))
             pose = (x, y, yaw)
         recording, log = track(
             model,

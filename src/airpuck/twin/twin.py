@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.errors import InputError
 from airpuck.flight.link import Kind, Measurement
 from airpuck.model.effects import Drag, Effect, Inflow, PairInteraction, Tilt
 from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import Model
 from airpuck.recording.stream import COLUMNS, Recording, Stream
+from airpuck.table import Table
 from airpuck.twin.motors import MotorUnit
-from airpuck.twin.plant import LONGEST_STEP, Plant
+from airpuck.twin.plant import LONGEST_STEP, Plant, scaled
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.sensors import Sensor
 from airpuck.twin.settings import Effects, MotionCapture, TwinSettings, default_twin_settings
@@ -84,6 +87,11 @@ class Twin:
     ----------
     contacts : list of float
         When the craft met a rail [s].
+
+    Raises
+    ------
+    InputError
+        If the seed is no number to begin with, or the craft would not stand on the table.
     """
 
     def __init__(
@@ -95,10 +103,15 @@ class Twin:
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         plant: Plant | None = None,
     ) -> None:
+        check_seed(seed)
         self.model = model
         settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
+        _check_pose(pose, settings.table, model.vehicle.radius_m)
+        # An accelerometer feels what pushes the craft, but not the pull of gravity along a slope.
+        pushed = tuple(e for e in self.plant.dynamics.effects if not isinstance(e, Tilt))
+        self._felt = replace(self.plant.dynamics, effects=pushed)
         n = model.vehicle.n_propellers
         self.now = 0.0
         # As of the last frame, packet or other event: who asks for the time moves no state.
@@ -132,8 +145,23 @@ class Twin:
         return [measurement for _, measurement in arrived]
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
-        """Send a command by radio, now; see `airpuck.flight.link.Link`."""
+        """Send a command by radio, now; see `airpuck.flight.link.Link`.
+
+        Parameters
+        ----------
+        command : array, shape (n,)
+            Motor commands; what lies outside [0, 1] is clipped, as a real radio does.
+
+        Raises
+        ------
+        InputError
+            If there is not one finite number for each motor.
+        """
         command = np.array(command, dtype=float)
+        n = self.model.vehicle.n_propellers
+        if command.shape != (n,) or not np.isfinite(command).all():
+            raise InputError(f"needs {n} finite numbers, one for each motor", field="command")
+        command = np.clip(command, 0.0, 1.0)
         self._sent.append((self.now, command))
         self._radio.send(self.now, command)
 
@@ -171,13 +199,17 @@ class Twin:
         while begin < time:
             duration = min(time - begin, LONGEST_STEP)
             command = self._motors.follow(begin, self._radio.command(begin))
-            sag = 1 - self.settings.effects.battery_sag_1_s * begin
-            self.state, met = self.plant.advance(self.state, command, duration, max(sag, 0.0))
+            left = self._thrust_left(begin)
+            self.state, met = self.plant.advance(self.state, command, duration, left)
             # The last piece ends at the time itself, not a rounding error before it.
             begin = time if duration == time - begin else begin + duration
             if met:
                 self.contacts.append(begin)
         self._state_time = time
+
+    def _thrust_left(self, time: float) -> float:
+        """Return the share of the thrust that the battery still gives."""
+        return max(1 - self.settings.effects.battery_sag_1_s * time, 0.0)
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
         """Return what a perfect sensor would say."""
@@ -187,8 +219,40 @@ class Twin:
         cos, sin = math.cos(yaw), math.sin(yaw)
         if kind == "mouse":
             return np.array([cos * vx + sin * vy, cos * vy - sin * vx])
-        ax, ay, _ = acceleration(np, self.plant.dynamics, self.state[2:6], self.state[6:])
+        felt = scaled(self._felt, self._thrust_left(self._state_time))
+        ax, ay, _ = acceleration(np, felt, self.state[2:6], self.state[6:])
         return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
+
+
+def check_seed(seed: Any, field: str = "seed") -> None:
+    """Refuse what random numbers cannot begin with.
+
+    Parameters
+    ----------
+    seed : object
+        Should be a whole number that is not negative.
+    field : str, default "seed"
+        What it was given as.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError(f"must be a whole number that is not negative, not {seed!r}", field=field)
+
+
+def _check_pose(pose: Any, table: Table, radius: float) -> None:
+    """Refuse a pose off the table."""
+    if len(pose) != 3 or not all(map(math.isfinite, pose)):
+        raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field="pose")
+    reach = table.reach(radius)
+    if abs(pose[0]) > reach[0] or abs(pose[1]) > reach[1]:
+        raise InputError(
+            f"is beyond the rails; x must lie within ±{reach[0]:g} m, y within ±{reach[1]:g} m",
+            field="pose",
+        )
 
 
 def pose_sensor(capture: MotionCapture, seed: int) -> Sensor:
