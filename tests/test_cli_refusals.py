@@ -1,6 +1,7 @@
 """What the command line refuses, in one line and with nothing written."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,8 @@ def test_a_trajectory_with_flipped_bytes(archive, tmp_path):
         (("replay", "{bag}", "--model", "nonsense.toml", "-o", "r"), ("nonsense.toml",)),
         (("excite", "-o", "{bag}"), ("-o", "exists")),
         (("excite", "-o", "b", "--duration", "-3"), ("duration",)),
+        (("excite", "-o", "b", "--duration", "0.001"), ("duration", "0.01 s")),
+        (("excite", "-o", "b", "--duration", "inf"), ("duration",)),
         (("excite", "-o", "b", "--amplitude", "2"), ("amplitude",)),
         (("track", "--model", "paper:M7"), ("M7",)),
         (("track", "--dwell", "0"), ("--dwell",)),
@@ -103,6 +106,23 @@ def test_the_demo_deletes_nothing_of_yours(tmp_path):
     mine.write_text("mine")
     assert refused(airpuck("demo", "-o", tmp_path), "bags", "-o")
     assert mine.read_text() == "mine"
+
+
+def test_what_a_file_makes_the_controller_refuse_is_told_with_its_name(tmp_path):
+    from airpuck.model_file import published_model
+
+    published = published_model("M3")
+    thrust = published.parameters.thrust.copy()
+    thrust[2] = [0.1, -1.0, 0.2]
+    falling = replace(published, parameters=replace(published.parameters, thrust=thrust))
+    falling.save(tmp_path / "falling.toml")
+    track = ("track", "--dwell", "1", "--model")
+    words = ("falling.toml", "thrust_N", "propeller 3 falls")
+    assert refused(airpuck(*track, "falling.toml", cwd=tmp_path), *words)
+    for line in ("position = 0", "position = 1e300"):
+        (tmp_path / "mine.toml").write_text(f"[weights]\n{line}\n")
+        process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", cwd=tmp_path)
+        assert refused(process, "mine.toml", "weights.position")
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ def test_missing_file(tmp_path):
         ("mass_kg = nan", "mass_kg: Input should be a finite number"),
         ("", "mass_kg: is required"),
         ("mass_kg = 1.0\nmas = 2", "mas: is not a known key"),
+        ("mas_kg = 1.0", "mas_kg: is not a known key"),
         ("mass_kg = 1.0\nrows = [[1.0], ['x']]", r"rows\.1\.0"),
     ],
 )

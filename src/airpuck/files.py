@@ -102,7 +102,9 @@ def checked(
         # and not about Python's containers.
         return schema.model_validate_json(json.dumps(content, default=str), strict=True)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
+        # A misspelt key is missing, too, where it should be: its spelling is the mistake.
+        found = error.errors()
+        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
         # Discriminator tags and function names are pydantic's business, not the user's.
         field = ".".join(
             str(part) for part in first["loc"] if not str(part).startswith("function-")

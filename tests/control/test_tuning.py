@@ -2,10 +2,13 @@
 
 import re
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from airpuck.control.discretization import point_mass
+from airpuck.control.lqr import regulator
 from airpuck.control.tuning import (
     Allocation,
     Estimation,
@@ -18,6 +21,7 @@ from airpuck.errors import InputError
 
 positive = st.floats(1e-9, 1e9)
 non_negative = st.just(0.0) | positive
+weight = st.floats(1e-6, 1e6)
 
 GOOD = """
 period_s = 0.02
@@ -43,11 +47,11 @@ angular_disturbance_density = 0.4
 @given(
     st.builds(
         Tuning,
-        period_s=positive,
+        period_s=st.floats(1e-3, 0.1),
         weights=st.builds(
             Weights,
-            **dict.fromkeys(("position", "speed", "yaw", "spin"), non_negative),
-            **dict.fromkeys(("acceleration", "angular_acceleration"), positive),
+            **dict.fromkeys(("speed", "spin"), st.just(0.0) | weight),
+            **dict.fromkeys(("position", "yaw", "acceleration", "angular_acceleration"), weight),
         ),
         allocation=st.builds(
             Allocation, solver=st.sampled_from(["daqp", "piqp"]), slack_weight=positive
@@ -70,6 +74,24 @@ def test_a_saved_tuning_reads_back_equal(tmp_path_factory, tuning):
     path = tmp_path_factory.mktemp("tuning") / "tuning.toml"
     tuning.save(path)
     assert read_tuning(path) == tuning
+
+
+@given(
+    st.builds(
+        Weights,
+        **dict.fromkeys(("speed", "spin"), st.just(0.0) | weight),
+        **dict.fromkeys(("position", "yaw", "acceleration", "angular_acceleration"), weight),
+    ),
+    st.floats(1e-3, 0.1),
+)
+def test_weights_of_a_file_give_a_regulator_or_are_refused(weights, period):
+    try:
+        gain = regulator(weights, period)
+    except InputError as error:
+        assert error.field == "weights"
+        return
+    a, b = point_mass(period)
+    assert np.abs(np.linalg.eigvals(a - b @ gain)).max() < 1 + 1e-9
 
 
 def test_every_number_of_a_file_arrives_where_it_belongs(tmp_path):
@@ -99,12 +121,26 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
         ("period_s = 0.02", "period = 1\nperiod_s = 0.02", "period", "not a known key"),
         ("yaw = 3.0", 'yaw = "much"', "weights.yaw", "number"),
         ("yaw = 3.0", "yaw = [3.0]", "weights.yaw", "number"),
-        ("yaw = 3.0", "yaw = -3.0", "weights.yaw", "greater than or equal to 0"),
+        ("yaw = 3.0", "yaw = -3.0", "weights.yaw", "greater than or equal to 0.000001"),
+        ("yaw = 3.0", "yaw = 0.0", "weights.yaw", "greater than or equal to 0.000001"),
+        ("position = 1.0", "position = 0", "weights.position", "greater than or equal to 0.000001"),
+        ("position = 1.0", "position = 1e300", "weights.position", "less than or equal to 1000000"),
+        ("speed = 2.0", "speed = 1e300", "weights.speed", "less than or equal to 1000000"),
+        ("speed = 2.0", "speed = -1.0", "weights.speed", "greater than or equal to 0"),
+        # A key that is misspelt is missing, too.
+        ("position = 1.0", "positon = 0", "weights.positon", "not a known key"),
         ("yaw = 3.0", "yaw = nan", "weights.yaw", "finite"),
         ("yaw = 3.0", "yaw = inf", "weights.yaw", "finite"),
-        ("\nacceleration = 5.0", "\nacceleration = 0.0", "weights.acceleration", "greater than 0"),
-        ("period_s = 0.02", "period_s = -0.02", "period_s", "greater than 0"),
-        ("period_s = 0.02", "period_s = 0", "period_s", "greater than 0"),
+        ("\nacceleration = 5.0", "\nacceleration = 0.0", "weights.acceleration", "greater than"),
+        ("period_s = 0.02", "period_s = -0.02", "period_s", "greater than or equal to 0.001"),
+        ("period_s = 0.02", "period_s = 9e-4", "period_s", "greater than or equal to 0.001"),
+        ("period_s = 0.02", "period_s = 0.2", "period_s", "less than or equal to 0.1"),
+        (
+            "[estimation]",
+            "[allocation]\nslack_weight = 1e14\n[estimation]",
+            "allocation.slack_weight",
+            "less than or equal to 10000000000",
+        ),
         ("position_m = 1e-4", "position_m = 0.0", "estimation.position_m", "greater than 0"),
         (
             "[estimation]",

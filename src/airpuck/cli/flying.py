@@ -8,7 +8,15 @@ from typing import Annotated
 import typer
 
 from airpuck.cli.app import app
-from airpuck.cli.inputs import choose, known_flights, missing_flights, read_craft, read_flight
+from airpuck.cli.inputs import (
+    choose,
+    known_flights,
+    missing_flights,
+    read_belief,
+    read_controls,
+    read_craft,
+    read_flight,
+)
 from airpuck.cli.options import (
     Json,
     Seed,
@@ -52,13 +60,12 @@ def replay(
     json_file: Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with those sent."""
-    from airpuck.control.tuning import default_tuning, read_tuning
+    from airpuck.control.tuning import default_tuning
     from airpuck.flight.replay import replay
-    from airpuck.model_file import read_model
 
     check_destinations(output=output, json=json_file)
-    craft = read_model(model)
-    settings = default_tuning() if tuning is None else read_tuning(tuning)
+    craft = read_belief(model)
+    settings = read_controls(tuning) or default_tuning()
     result = replay(
         read_flight(flight, topics),
         craft,
@@ -97,7 +104,6 @@ def excite(
     json_file: Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
-    from airpuck.control.tuning import read_tuning
     from airpuck.errors import InputError
     from airpuck.model_file import nominal_model, read_model
     from airpuck.recording import write_bag, write_csv
@@ -119,7 +125,7 @@ def excite(
         amplitude=amplitude,
         hold=hold,
         settings=None if twin is None else read_twin_settings(twin),
-        tuning=None if tuning is None else read_tuning(tuning),
+        tuning=read_controls(tuning),
     )
     (write_csv if csv else write_bag)(excited.recording, output)
     streams = excited.recording.streams
@@ -164,7 +170,6 @@ def track(
     json_file: Json = None,
 ) -> None:
     """Fly the paper's set points on the twin, beside the real flights."""
-    from airpuck.control.tuning import read_tuning
     from airpuck.errors import InputError
     from airpuck.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
@@ -184,14 +189,14 @@ def track(
     check_destinations(output=output, json=json_file)
     plant = read_model(truth)
     tracked = tracking_study(
-        [read_model(name) for name in names],
+        [read_belief(name) for name in names],
         plant,
         flights=[None if path is None else read_flight(path, None) for path in paths],
         dwell=dwell or DWELL,
         seed=seed,
         full_controller=controller == "full",
         settings=None if twin is None else read_twin_settings(twin),
-        tuning=None if tuning is None else read_tuning(tuning),
+        tuning=read_controls(tuning),
     )
     if output is not None:
         from airpuck.report.tracking_report import tracking_report

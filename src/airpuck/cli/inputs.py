@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from airpuck.control.tuning import Tuning
+    from airpuck.model_file import Model
     from airpuck.recording.stream import Recording
     from airpuck.trajectory import Trajectory
     from airpuck.vehicle import Vehicle
@@ -35,6 +38,43 @@ def load(
 def cut(trajectory: Trajectory, span: tuple[float, float] | None) -> Trajectory:
     """Keep the part that --span names."""
     return trajectory if span is None else trajectory.slice(*span)
+
+
+@contextmanager
+def about(file: str | Path, field: str | None = None) -> Iterator[None]:
+    """Name the file, and the field as the file calls it, in what is refused."""
+    from airpuck.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        raise InputError(
+            error.problem, file=error.file or file, field=field or error.field
+        ) from error
+
+
+def read_belief(name: str) -> Model:
+    """Read a model for the controller, which inverts its thrust curves."""
+    from airpuck.model.thrust import InverseThrust
+    from airpuck.model_file import read_model
+
+    model = read_model(name)
+    with about(name, "parameters.thrust_N"):
+        InverseThrust(model.dynamics.thrust)
+    return model
+
+
+def read_controls(path: Path | None) -> Tuning | None:
+    """Read the tuning file, if one is given, and see that it gives a regulator."""
+    if path is None:
+        return None
+    from airpuck.control.lqr import regulator
+    from airpuck.control.tuning import read_tuning
+
+    tuning = read_tuning(path)
+    with about(path):
+        regulator(tuning.weights, tuning.period_s)
+    return tuning
 
 
 def choose(option: str, value: str, choices: tuple[str, ...]) -> None:

@@ -42,9 +42,10 @@ def lqr(
 
     try:
         p = solve_discrete_are(a, b, q, r)
-    except LinAlgError as error:
+    except (LinAlgError, ValueError) as error:
         raise InputError(
-            "these weights give no stabilising regulator; give position and yaw a positive weight",
+            "these weights give no stabilising regulator; give position and yaw a positive weight, "
+            "and weights that differ less",
             field="weights",
         ) from error
     return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)

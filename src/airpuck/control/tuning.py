@@ -12,10 +12,15 @@ from airpuck.files import Section, read_toml, write_toml
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
+# Beyond these the Riccati equation is out of reach of the arithmetic.
+Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
+PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
 
 
 class Weights(Section):
     """Weights of the linear-quadratic regulator, on squared errors and inputs.
+
+    From 1e-6 to 1e6; those of the rates may be zero.
 
     Attributes
     ----------
@@ -25,12 +30,12 @@ class Weights(Section):
         On ax and ay [s⁴/m²], ω' [s⁴/rad²].
     """
 
-    position: NonNegative
-    speed: NonNegative
-    yaw: NonNegative
-    spin: NonNegative
-    acceleration: Positive
-    angular_acceleration: Positive
+    position: PositiveWeight
+    speed: Weight
+    yaw: PositiveWeight
+    spin: Weight
+    acceleration: PositiveWeight
+    angular_acceleration: PositiveWeight
 
 
 class Allocation(Section):
@@ -41,11 +46,11 @@ class Allocation(Section):
     solver : {"daqp", "piqp"}
         Quadratic programming solver.
     slack_weight : float
-        μ: how much more scaling down a request costs than thrust.
+        μ: how much more scaling down a request costs than thrust; at most 1e10.
     """
 
     solver: Literal["daqp", "piqp"] = "daqp"
-    slack_weight: Positive = 1e6
+    slack_weight: float = pydantic.Field(1e6, gt=0, le=1e10)
 
 
 class Estimation(Section):
@@ -81,7 +86,7 @@ class Tuning(Section):
     Attributes
     ----------
     period_s : float
-        Time between commands.
+        Time between commands, from 1e-3 to 0.1.
     weights : Weights
         Of the regulator.
     allocation : Allocation
@@ -90,7 +95,7 @@ class Tuning(Section):
         Of the state estimator.
     """
 
-    period_s: Positive = 0.01
+    period_s: float = pydantic.Field(0.01, ge=1e-3, le=0.1)
     weights: Weights
     allocation: Allocation = Allocation()
     estimation: Estimation
