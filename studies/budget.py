@@ -134,4 +134,6 @@ def _print_share(name: str, errors: np.ndarray, chosen: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from one_line import run
+
+    run(main)

@@ -63,7 +63,9 @@ def flown(seed: int, seeds: int = 100) -> dict[str, float]:
         plant=_plant(),
     )
     flight = Track.of(recording, model.vehicle, "")
-    errors = np.abs([result.steady_state_error for result in flight.results()])
+    # Where poses are missing, nan: not reached.
+    unknown = (np.nan, np.nan, np.nan)
+    errors = np.abs([result.steady_state_error or unknown for result in flight.results()])
     reach = default_twin_settings().table.reach(model.vehicle.radius_m)
     clearance = reach - np.abs(flight.pose[:, :2]).max(axis=0)
     return {
@@ -97,4 +99,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from one_line import run
+
+    run(main)

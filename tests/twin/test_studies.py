@@ -1,6 +1,8 @@
 """The long studies of the twin, as they stand in `studies/`."""
 
 import importlib.util
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -21,6 +23,18 @@ def study(name):
 
 def flight(seed):
     return study("robustness").flown(seed)
+
+
+def test_a_study_without_its_data_ends_with_one_line():
+    code = "from airpuck import load_trajectory; from one_line import run; "
+    code += "run(lambda: load_trajectory('nowhere') and None)"
+    process = subprocess.run(
+        [sys.executable, "-c", code], cwd=STUDIES, capture_output=True, text=True
+    )
+    assert process.returncode == 2
+    assert len(process.stderr.strip().splitlines()) == 1
+    for script in STUDIES.glob("*.py"):
+        assert script.name == "one_line.py" or script.read_text().endswith("    run(main)\n")
 
 
 @pytest.mark.study
