@@ -51,6 +51,11 @@ def test_a_set_point_is_not_anticipated():
         ([0.0, float("nan")], [(0, 0, 0), (1, 0, 0)], "finite"),
         ([0.0, float("inf")], [(0, 0, 0), (1, 0, 0)], "finite"),
         ([0.0], [(0, float("nan"), 0)], "finite"),
+        ([0.0, 1.0], [(0, 0), (1, 1), (2, 2)], "three numbers"),
+        ([0.0], [(0, 0)], "three numbers"),
+        ([0.0, 1.0], [(0, 0, 0), (1, 1)], "three numbers"),
+        ([0.0], np.zeros(3), "three numbers"),
+        (np.zeros((1, 1)), [(0, 0, 0)], "as many times as set points"),
     ],
 )
 def test_set_points_that_make_no_sense_are_refused(times, poses, problem):
@@ -144,12 +149,24 @@ def test_the_yaw_of_a_path_may_go_round():
         ([0.0, np.nan], [[0, 0, 0], [1, 0, 0]], "finite"),
         ([0.0, np.inf], [[0, 0, 0], [1, 0, 0]], "finite"),
         ([0.0, 1.0], [[0, 0, np.nan], [1, 0, 0]], "finite"),
+        ([0.0, 1.0, 2.0], np.zeros((3, 2)), "three numbers"),
+        ([0.0, 1.0, 2.0], np.zeros(3), "three numbers"),
+        ([0.0, 1.0, 2.0], np.zeros((4, 3)), "as many times as poses"),
+        ([], [], "at least two"),
     ],
 )
 def test_paths_that_make_no_sense_are_refused(times, poses, problem):
     with pytest.raises(InputError, match=problem) as error:
         TimedPath(np.array(times), np.array(poses, dtype=float))
     assert error.value.field == "path"
+
+
+def test_what_the_caller_changes_later_changes_no_path():
+    times, poses = path()
+    curve, kept = TimedPath(times, poses), TimedPath(times.copy(), poses.copy())
+    times *= 2
+    poses *= 2
+    np.testing.assert_array_equal(curve.at(1.0, 0.0).state, kept.at(1.0, 0.0).state)
 
 
 def test_all_of_them_are_references():

@@ -86,16 +86,21 @@ class SetPoints:
     Raises
     ------
     InputError
-        If there are none, times do not increase, or a number is not finite.
+        If there are none, a set point is not three numbers, times do not increase, or a number is
+        not finite.
     """
 
-    def __init__(self, times: Sequence[float], poses: Sequence[tuple[float, float, float]]) -> None:
+    def __init__(
+        self,
+        times: Sequence[float] | np.ndarray,
+        poses: Sequence[Sequence[float]] | np.ndarray,
+    ) -> None:
         self.times = np.array(times, dtype=float)
-        self.poses = np.array(poses, dtype=float).reshape(-1, 3)
+        self.poses = _poses(poses, "setpoint")
+        if len(self.times) == 0 or self.times.shape != (len(self.poses),):
+            raise InputError("give as many times as set points, and at least one", field="setpoint")
         at_rest = np.concatenate([self.poses, np.zeros_like(self.poses)], axis=1)
         self._targets = [Target(state, np.zeros(3)) for state in at_rest]
-        if len(self.times) == 0 or len(self.times) != len(self.poses):
-            raise InputError("give as many times as set points, and at least one", field="setpoint")
         if not (np.isfinite(self.times).all() and np.isfinite(self.poses).all()):
             raise InputError("times and set points must be finite numbers", field="setpoint")
         if (np.diff(self.times) <= 0).any():
@@ -122,12 +127,20 @@ class TimedPath:
     Raises
     ------
     InputError
-        If there are fewer than two, times do not increase, or a number is not finite.
+        If there are fewer than two, a pose is not three numbers, times do not increase, or a number
+        is not finite.
     """
 
-    def __init__(self, times: Float[np.ndarray, " N"], poses: Float[np.ndarray, "N 3"]) -> None:
+    def __init__(
+        self,
+        times: Sequence[float] | np.ndarray,
+        poses: Sequence[Sequence[float]] | np.ndarray,
+    ) -> None:
         from scipy.interpolate import CubicSpline
 
+        times, poses = np.array(times, dtype=float), _poses(poses, "path")
+        if times.shape != (len(poses),):
+            raise InputError("give as many times as poses", field="path")
         if len(times) < 2 or not (np.isfinite(times).all() and np.isfinite(poses).all()):
             raise InputError("give at least two times and poses, all finite", field="path")
         if (np.diff(times) <= 0).any():
@@ -144,3 +157,16 @@ class TimedPath:
         if inside != time:
             velocity, acceleration = np.zeros(3), np.zeros(3)
         return Target(np.concatenate([pose, velocity]), acceleration)
+
+
+def _poses(given: Sequence[Sequence[float]] | np.ndarray, field: str) -> Float[np.ndarray, "N 3"]:
+    """Return poses as rows of three numbers, none regrouped and none left out."""
+    try:
+        poses = np.array(given, dtype=float)
+    except ValueError:
+        poses = np.zeros((1, 1))  # rows of different lengths
+    if poses.size == 0:
+        return np.zeros((0, 3))
+    if poses.ndim != 2 or poses.shape[1] != 3:
+        raise InputError("each pose must be three numbers: x, y, yaw", field=field)
+    return poses
