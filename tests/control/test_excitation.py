@@ -1,6 +1,7 @@
 """The excitation experiment's pilot: signals, mixing, and keeping to the table."""
 
 import copy
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -293,6 +294,31 @@ def test_without_poses_for_long_the_motors_idle_and_then_go_on():
     assert not step.flies
     np.testing.assert_array_equal(step.command, IDLE)
     assert at_rest(excitation, 5, start=0.4).max() > 0.1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_time_that_is_not_a_number_idles_the_motors_once(bad):
+    whole, excitation = at_rest(pilot(seed=3), 60), pilot(seed=3)
+    assert excitation.step(bad).status == "bad input"
+    found = at_rest(excitation, 30)
+    assert excitation.step(bad).status == "bad input"
+    np.testing.assert_allclose(at_rest(excitation, 30, start=0.3), whole[30:], atol=1e-6)
+    np.testing.assert_allclose(found, whole[:30], atol=1e-6)
+
+
+def test_a_jump_of_the_clock_costs_no_time_and_signals_go_on():
+    # A year has 10⁸ changes: drawn one by one they would take minutes.
+    excitation = pilot(seed=3)
+    at_rest(excitation, 5)
+    year = 3e7
+    began = perf_counter()
+    after = at_rest(excitation, 40, start=year)
+    assert perf_counter() - began < 5
+    assert np.abs(np.diff(after, axis=0)).max() > 0.1
+    # And back: the signals begin anew.
+    back = at_rest(excitation, 60, start=-5.0)
+    changed = np.flatnonzero(np.abs(np.diff(back, axis=0)).max(axis=1) > 1e-3) + 1
+    np.testing.assert_array_equal(changed, [20, 40])
 
 
 @pytest.mark.parametrize("amplitude", [0.0, -0.5, 1.01, np.nan])

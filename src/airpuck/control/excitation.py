@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import Step, TrackingController
+from airpuck.control.tracking import Numbers, Step, TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.errors import InputError
 from airpuck.estimate.kalman import Estimate
@@ -88,7 +89,8 @@ class Excitation:
                 field="hold",
             )
         self._amplitude, self._hold = amplitude, hold
-        self._rng = np.random.default_rng(seed)
+        self._bits = np.random.PCG64(seed)
+        self._rng = np.random.Generator(self._bits)
         self._signed, self._mixer = _mixing(model)
         vehicle = model.vehicle
         self._reach = np.array((table or Table()).reach(vehicle.radius_m)) - _MARGIN
@@ -115,19 +117,19 @@ class Excitation:
         """What the controller steers to."""
         return self.controller.reference
 
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+    def pose(self, time: float, pose: Numbers) -> None:
         """Pass a pose on; see `TrackingController.pose`."""
         self.controller.pose(time, pose)
 
-    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
         """Pass an inertial measurement on; see `TrackingController.imu`."""
         self.controller.imu(time, acceleration, gyro)
 
-    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+    def mouse(self, time: float, velocity: Numbers) -> None:
         """Pass a velocity on; see `TrackingController.mouse`."""
         self.controller.mouse(time, velocity)
 
-    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+    def sent(self, time: float, command: Numbers) -> None:
         """Pass on what was sent; see `TrackingController.sent`."""
         self.controller.sent(time, command)
 
@@ -145,23 +147,31 @@ class Excitation:
             The controller's command plus the signals; without them where the controller idles or
             the rails are near.
         """
-        if self._begun is None:
-            self._begun = time
-        # The signals change with the time, not with the steps that were possible: half a
-        # nanosecond keeps rounding from delaying a change.
-        due = int((time - self._begun + 5e-10) / self._hold) + 1
-        while self._changes < due:
-            self._signal = self._rng.uniform(-self._amplitude, self._amplitude, len(self._signal))
-            self._changes += 1
         step = self.controller.step(time)
+        if math.isfinite(time) and (self._begun is None or time < self._begun):
+            # The first time, or the first of a clock that was set back.
+            self._begun, self._changes = time, 0
         if not step.flies or step.estimate is None:
             return step
+        self._change(time)
         if not self._can_stop(step.estimate):
             self.pauses += 1
             return step
         vehicle = self.controller.model.vehicle
         signed = self._signed @ step.command + self._mixer @ self._signal
         return replace(step, command=np.clip(signed, vehicle.command_min, vehicle.command_max))
+
+    def _change(self, time: float) -> None:
+        """Take the signals of a time, whichever steps were possible before."""
+        assert self._begun is not None
+        # Half a nanosecond keeps rounding from delaying a change.
+        due = int((time - self._begun + 5e-10) / self._hold) + 1
+        if due <= self._changes:
+            return
+        # As if those that were missed had been drawn, one number of 64 bits each.
+        self._bits.advance((due - 1 - self._changes) * len(self._signal))
+        self._signal = self._rng.uniform(-self._amplitude, self._amplitude, len(self._signal))
+        self._changes = due
 
     def _can_stop(self, estimate: Estimate) -> bool:
         """Say whether the craft could brake before the rails."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -22,6 +22,8 @@ from airpuck.model.rigid_body import acceleration_map
 from airpuck.model.thrust import InverseThrust, inverse_thrust, thrust
 from airpuck.model_file import Model
 
+#: What callers may give for an array of one dimension.
+Numbers = Sequence[float] | np.ndarray
 #: What a control step ended with. The outcomes of the allocation fly; all others idle the motors.
 Status = Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input"]
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest")
@@ -30,9 +32,11 @@ FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest")
 _STALE = 0.05
 #: A pose this far from its prediction cannot be the craft: [m, m, rad].
 _JUMP = (0.1, 0.1, 1.0)
-#: After this many poses in a row that agree with each other but not with the prediction, they are
-#: believed: 50 ms of them.
-_BELIEVED_AFTER = 12
+#: Commands that began to act longer ago than this matter to the motor speeds only [s].
+_REMEMBERED = 0.5
+#: Poses that agree with each other for this long, but not with the prediction, are believed [s];
+#: rounding of stamps must not cost a frame.
+_BELIEVED_AFTER = _STALE - 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,8 @@ class Step:
     Attributes
     ----------
     command : array, shape (n,)
-        Motor commands to send, always finite and within the vehicle's limits.
+        Motor commands to send, always finite and within the vehicle's limits; an array of the
+        caller's own, to change at will.
     status : str
         ``exact``, ``scaled``, ``nearest``: the craft flies; anything else: the motors idle, and
         this is why.
@@ -128,42 +133,63 @@ class TrackingController:
         )
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
         self._plan, self._command = self._programs(compiled)
-        self._doubts: list[Float[np.ndarray, " 3"]] = []
+        #: Stamps of the last pose that was heard of, and of the last that was used.
+        self._heard: float | None = None
+        self._used = -math.inf
+        #: The last of the poses that agree with each other only, and the stamp of their first.
+        self._doubtful: Float[np.ndarray, " 3"] | None = None
+        self._doubtful_since = 0.0
         self._bad_pose = False
+        #: The latest time that is known to have come.
+        self._clock: float | None = None
 
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+    def pose(self, time: float, pose: Numbers) -> None:
         """Take note of a measured pose.
 
         One that is not finite, not newer than the last, or implausibly far from its prediction is
-        not used; after 50 ms of consistent ones elsewhere, these are believed. One that is more
-        than 50 ms older than the last shows that the last stamp was wrong, and is believed at once.
+        not used; ones elsewhere that agree with each other for 50 ms are believed. One that is more
+        than 50 ms older than the last shows that the last stamp was wrong, and is believed at once;
+        so is the first after 50 ms without any.
 
         Parameters
         ----------
         time : float
             Its stamp [s].
         pose : array, shape (3,)
-            x, y [m], yaw [rad].
+            x, y [m], yaw [rad]. It is copied.
+
+        Raises
+        ------
+        InputError
+            If the pose is not three numbers.
         """
+        pose = _copied(pose, 3, "pose")
         self._bad_pose = not math.isfinite(time + float(pose.sum()))
-        last = self.filter.time
-        if self._bad_pose or (last is not None and last - _STALE <= time <= last):
+        heard = self._heard
+        if self._bad_pose or (heard is not None and heard - _STALE <= time <= heard):
             return
-        if last is None or abs(time - last) > _STALE:
+        self._heard = time
+        self._clock = time if self._clock is None else max(self._clock, time)
+        if heard is None or abs(time - heard) > _STALE:
             # Too long ago to predict over, or the last stamp lay in the future: begin anew.
             self._begin(time, pose)
             return
-        if self.filter.pose(time, pose, gate=_JUMP):
-            self._doubts.clear()
+        # A prediction from before 50 ms of doubts is worth no more than they are.
+        if time - self._used <= _STALE and self.filter.pose(time, pose, gate=_JUMP):
+            self._used = time
+            self._doubtful = None
             return
-        if self._doubts and _far(pose, self._doubts[-1]):
-            self._doubts.clear()
-        self._doubts.append(pose)
-        if len(self._doubts) >= _BELIEVED_AFTER:
+        if self._doubtful is None or _far(pose, self._doubtful):
+            self._doubtful_since = time
+        self._doubtful = pose
+        if time - self._doubtful_since >= _BELIEVED_AFTER:
             self._begin(time, pose)
 
-    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
         """Take note of an inertial measurement.
+
+        It may come later than poses with newer stamps. One that is not finite, or more than 50 ms
+        from the last pose, is not used.
 
         Parameters
         ----------
@@ -174,14 +200,17 @@ class TrackingController:
         gyro : float
             Spin [rad/s].
         """
-        last = self.filter.time
-        if last is None or time <= last or not np.isfinite([*acceleration, gyro]).all():
+        acceleration = _copied(acceleration, 2, "acceleration")
+        if self._too_early(time) or not math.isfinite(float(acceleration.sum()) + gyro):
             return
         noise = self.tuning.estimation
         self.filter.imu(time, acceleration, gyro, (noise.imu_acceleration_m_s2, noise.gyro_rad_s))
 
-    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+    def mouse(self, time: float, velocity: Numbers) -> None:
         """Take note of a velocity from the optical sensor under the craft.
+
+        It may come later than poses with newer stamps. One that is not finite, or more than 50 ms
+        from the last pose, is not used.
 
         Parameters
         ----------
@@ -190,22 +219,40 @@ class TrackingController:
         velocity : array, shape (2,)
             Along the body's x and y axes [m/s].
         """
-        last = self.filter.time
-        if last is None or time <= last or not np.isfinite(velocity).all():
+        velocity = _copied(velocity, 2, "velocity")
+        if self._too_early(time) or not math.isfinite(float(velocity.sum())):
             return
         self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
 
-    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+    def sent(self, time: float, command: Numbers) -> None:
         """Take note of the command that was really sent.
+
+        One that is not finite is taken as not sent: the one before stays in force. A time that is
+        not finite, or more than 50 ms ahead of the last step, pose and command, is taken as now.
 
         Parameters
         ----------
         time : float
             When [s].
         command : array, shape (n,)
-            Motor commands.
+            Motor commands. They are copied.
+
+        Raises
+        ------
+        InputError
+            If there is not one command for each propeller.
         """
+        command = _copied(command, len(self._idle), "command")
+        if not math.isfinite(float(command.sum())):
+            return
+        late = self._clock is not None and time > self._clock + _STALE
+        if self._clock is not None and (late or not math.isfinite(time)):
+            time = self._clock
+        if not math.isfinite(time):
+            return
+        self._clock = time if self._clock is None else max(self._clock, time)
         self.filter.command(time, command)
+        self.filter.run_motors(time - _REMEMBERED)
 
     def step(self, time: float) -> Step:
         """Compute the command to send now; `sent` tells the controller that it was.
@@ -273,7 +320,8 @@ class TrackingController:
         (command,) = self._command(allocated.thrust, coasting)
         if allocated.outcome == "failed" or not math.isfinite(float(command.sum())):
             return Step(self._idle.copy(), "failed", request, estimate)
-        return Step(command, allocated.outcome, request, estimate)
+        # What compiled programs return cannot be written to.
+        return Step(np.array(command), allocated.outcome, request, estimate)
 
     def _programs(self, compiled: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
         """Return what runs before and after the allocation, in NumPy or compiled."""
@@ -337,21 +385,28 @@ class TrackingController:
         str or None
             The status of a step that idles the motors; None if the craft can be steered.
         """
-        last = self.filter.time
-        if self._bad_pose or not math.isfinite(time):
+        if not math.isfinite(time):
             return "bad input"
-        if last is None:
+        self._clock = time
+        if self._bad_pose:
+            return "bad input"
+        if self._heard is None:
             return "no pose"
-        if self._doubts:
-            return "jumping pose"
-        if abs(time - last) > _STALE:
+        if abs(time - self._heard) > _STALE:
             return "stale pose"
+        if self._doubtful is not None:
+            return "jumping pose"
         return None
 
     def _begin(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Start the filter anew at a pose, keeping what is known of commands."""
-        self._doubts.clear()
+        self._doubtful = None
+        self._used = time
         self.filter.restart(time, pose)
+
+    def _too_early(self, time: float) -> bool:
+        """Say whether a sensor on board speaks of a time that no pose is near."""
+        return self._heard is None or not abs(time - self._heard) <= _STALE
 
 
 def _commands_all_directions(model: Model) -> bool:
@@ -361,6 +416,14 @@ def _commands_all_directions(model: Model) -> bool:
     rows = np.array([1.0, 1.0, arm])[:, None] * np.asarray(model.dynamics.configuration)
     strength = np.linalg.svd(rows, compute_uv=False)
     return len(strength) == 3 and bool(strength[2] > 1e-6 * strength[0])
+
+
+def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
+    """Copy what a caller may change later, and check how much of it there is."""
+    copied = np.array(values, dtype=float)
+    if copied.shape != (count,):
+        raise InputError(f"give {count} numbers, not an array of shape {copied.shape}", field=name)
+    return copied
 
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:

@@ -26,10 +26,22 @@ from airpuck.model_file import Model
 #: Pieces of time with one command each that a call handles: few, since XLA gives programs above
 #: some size to several threads, which costs more than all the arithmetic.
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 1
-
+#: How late a measurement may come where sensors have different latencies [s].
+_REMEMBERED = 0.1
 
 #: One turn of each axis, and its inverse: only the yaw goes round.
 _TURN, _PER_TURN = np.array([0.0, 0.0, 2 * np.pi]), np.array([0.0, 0.0, 0.5 / np.pi])
+
+
+#: Time, mean, covariance, motor speeds, the command that acts, how many have begun to.
+_State = tuple[
+    float,
+    Float[np.ndarray, "3 3"],
+    Float[np.ndarray, "3 3 3"],
+    Float[np.ndarray, " n"],
+    Float[np.ndarray, " n"],
+    int,
+]
 
 
 @dataclass(frozen=True)
@@ -202,6 +214,10 @@ class KalmanFilter:
     -----
     Commands act `model.transport_delay` after their time. They must be given in the order of their
     times and before measurements that they have acted on.
+
+    Once an inertial sensor or a mouse has spoken, the measurements of the last 100 ms are
+    remembered with the filter before each: one that comes late is put where it belongs, and those
+    after it are used again.
     """
 
     #: Standard deviation of velocity and disturbance at the first pose, in each axis.
@@ -265,6 +281,14 @@ class KalmanFilter:
         self._acting = self._idle
         #: Commands on their way: when they begin to act, and what they are.
         self._pending: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
+        #: Time of the motor speeds where they have left the rest behind.
+        self._motors_at: float | None = None
+        #: Measurements and the filter before each: stamp, state, method, arguments.
+        self._history: deque[tuple[float, _State, str, tuple[Any, ...]]] = deque()
+        self._remembers = False
+        #: How many commands have begun to act, and those that the history may need again.
+        self._begun = 0
+        self._recent: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
 
     @property
     def time(self) -> float | None:
@@ -279,9 +303,40 @@ class KalmanFilter:
         time : float
             When it was sent [s].
         command : array, shape (n,)
-            Motor commands.
+            Motor commands. They are copied.
         """
-        self._pending.append((time + self.model.transport_delay, command))
+        begins = time + self.model.transport_delay
+        # Commands that would begin later than this one, which was sent after them, had wrong times.
+        while self._pending and self._pending[-1][0] >= begins:
+            self._pending.pop()
+        self._pending.append((begins, np.array(command, dtype=float)))
+
+    def run_motors(self, time: float) -> None:
+        """Go through all commands that began to act before a time, for the motors only.
+
+        Where that is later than the last measurement, the rest of the state is lost: the next pose
+        begins anew.
+
+        Parameters
+        ----------
+        time : float
+            Up to when [s].
+        """
+        while self._pending and self._pending[0][0] < time:
+            begins, command = self._pending.popleft()
+            self._turn_motors(begins)
+            self._acting = command
+
+    def _turn_motors(self, time: float) -> None:
+        """Let the motors run under the command that acts until a time, if it is later."""
+        last = self._time if self._motors_at is None else self._motors_at
+        if last is not None and time <= last:
+            return
+        if last is not None:
+            tau = self.model.dynamics.motor_time_constant
+            self._motor_speed = motor_step(np, self._motor_speed, self._acting, time - last, tau)
+        self._motors_at = time
+        self._forget()
 
     def pose(
         self,
@@ -294,7 +349,7 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            Its stamp, later than that of the last measurement [s].
+            Its stamp [s].
         pose : array, shape (3,)
             x, y [m], yaw [rad], wrapped or not.
         gate : tuple of float, optional
@@ -304,11 +359,14 @@ class KalmanFilter:
         Returns
         -------
         bool
-            Whether it was used; otherwise the filter is as it was.
+            Whether it was used; otherwise the filter is as it was. One from before what is
+            remembered is not.
         """
-        if self._time is None:
+        if self._time is None or self._motors_at is not None:
             self.restart(time, pose)
             return True
+        if time < self._time:
+            return self._late(time, "pose", (time, np.array(pose, dtype=float), gate))
         mean, speed, pieces, used = self._pieces(time, _PIECES_TO_MEASURE)
         mean, covariance, speed, innovation = self._measure_pose(
             mean, self._covariance, speed, time - self._time, *pieces, pose
@@ -317,8 +375,12 @@ class KalmanFilter:
             x, y, yaw = innovation.tolist()
             if abs(x) > gate[0] or abs(y) > gate[1] or abs(yaw) > gate[2]:
                 return False
+        before = self._state() if self._remembers else None
         self._settle(used)
         self._mean, self._covariance, self._motor_speed, self._time = mean, covariance, speed, time
+        if before is not None:
+            # It was plausible once: a late measurement must not change that.
+            self._remember(before, "pose", (time, np.array(pose, dtype=float)))
         return True
 
     def imu(
@@ -333,7 +395,7 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            Its stamp [s].
+            Its stamp; from before what is remembered, it is not used [s].
         acceleration_body : array, shape (2,)
             Acceleration along the body's x and y axes [m/s²].
         gyro : float
@@ -341,7 +403,9 @@ class KalmanFilter:
         noise : tuple of float
             Standard deviations of acceleration and spin [m/s², rad/s].
         """
-        if self._time is None:
+        given = time, np.array(acceleration_body, dtype=float), gyro, noise
+        before = self._prepare(time, "imu", given)
+        if before is None:
             return
         self._advance(time)
         (_, vx, dx), (_, vy, dy), (yaw, spin, _) = self._mean
@@ -353,6 +417,7 @@ class KalmanFilter:
         self._mean, self._covariance = correct(
             self._mean, self._covariance, 1, innovation, variance
         )
+        self._remember(before, "imu", given)
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
         """Use the velocity that the optical sensor under the craft measured.
@@ -360,17 +425,20 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            Its stamp [s].
+            Its stamp; from before what is remembered, it is not used [s].
         velocity : array, shape (2,)
             Velocity along the body's x and y axes [m/s].
         noise : float
             Standard deviation [m/s].
         """
-        if self._time is None:
+        given = time, np.array(velocity, dtype=float), noise
+        before = self._prepare(time, "mouse", given)
+        if before is None:
             return
         self._advance(time)
         vx, vy = self._to_world(velocity)
         self._correct(1, [vx - self._mean[0, 1], vy - self._mean[1, 1], 0.0], noise)
+        self._remember(before, "mouse", given)
 
     def predict(self, time: float) -> Estimate:
         """Predict with the commands that are known, without changing anything.
@@ -400,8 +468,15 @@ class KalmanFilter:
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
-        if self._time is not None and time > self._time:
-            self._advance(time)
+        if self._time is not None and time < self._time and self._motors_at is None:
+            self._rewind(time)
+        while self._pending and self._pending[0][0] <= time:
+            begins, command = self._pending.popleft()
+            self._turn_motors(begins)
+            self._acting = command
+        self._turn_motors(time)
+        self._motors_at = None
+        self._forget()
         self._time = time
         self._mean = np.zeros((3, 3))
         self._mean[:, 0] = pose
@@ -422,7 +497,75 @@ class KalmanFilter:
     def _settle(self, used: int) -> None:
         """Take commands off the list that have begun to act."""
         for _ in range(used):
-            self._acting = self._pending.popleft()[1]
+            begun = self._pending.popleft()
+            self._acting = begun[1]
+            if self._remembers:
+                self._begun += 1
+                self._recent.append(begun)
+
+    def _state(self) -> _State:
+        """Return what a measurement changes; the arrays are never written to."""
+        assert self._time is not None
+        return (
+            self._time,
+            self._mean,
+            self._covariance,
+            self._motor_speed,
+            self._acting,
+            self._begun,
+        )
+
+    def _prepare(self, time: float, kind: str, given: tuple[Any, ...]) -> _State | None:
+        """Return the state to remember before a measurement; None if nothing is left to do."""
+        if self._time is None or self._motors_at is not None:
+            return None
+        self._remembers = True
+        if time < self._time:
+            self._late(time, kind, given)
+            return None
+        return self._state()
+
+    def _remember(self, before: _State, kind: str, given: tuple[Any, ...]) -> None:
+        """Note a measurement that was used, and let go of old ones."""
+        history, time = self._history, given[0]
+        history.append((time, before, kind, given))
+        while history[0][0] < time - _REMEMBERED:
+            history.popleft()
+        while self._begun - len(self._recent) < history[0][1][-1]:
+            self._recent.popleft()
+
+    def _forget(self) -> None:
+        """Let go of everything that was remembered."""
+        self._history.clear()
+        self._recent.clear()
+
+    def _late(self, time: float, kind: str, given: tuple[Any, ...]) -> bool:
+        """Use a measurement from before the last one; say whether it was used."""
+        later = self._rewind(time)
+        if later is None:
+            return False
+        used = getattr(self, kind)(*given)
+        for again, arguments in later:
+            getattr(self, again)(*arguments)
+        return used is not False
+
+    def _rewind(self, time: float) -> list[tuple[str, tuple[Any, ...]]] | None:
+        """Go back to before all measurements later than a time, and return these.
+
+        None, and nothing is changed, where that is not remembered.
+        """
+        history = self._history
+        count = sum(entry[0] > time for entry in history)
+        if count == 0 or history[-count][1][0] > time:
+            return None
+        state, later = history[-count][1], [entry[2:] for entry in list(history)[-count:]]
+        for _ in range(count):
+            history.pop()
+        self._time, self._mean, self._covariance, self._motor_speed, self._acting, begun = state
+        for _ in range(self._begun - begun):
+            self._pending.appendleft(self._recent.pop())
+        self._begun = begun
+        return later
 
     def _pieces(
         self, time: float, most: int
@@ -444,11 +587,11 @@ class KalmanFilter:
             used += 1
         pieces.append((time - now, acting))
         mean, speed = self._mean, self._motor_speed
-        while len(pieces) > most:
-            count = min(len(pieces) - most, _PIECES_TO_PREDICT)
-            early, pieces = pieces[:count], pieces[count:]
-            mean, speed = self._propagate(mean, speed, *_arrays(early, _PIECES_TO_PREDICT))
-        return mean, speed, _arrays(pieces, most), used
+        early = max(len(pieces) - most, 0)
+        for first in range(0, early, _PIECES_TO_PREDICT):
+            some = pieces[first : min(first + _PIECES_TO_PREDICT, early)]
+            mean, speed = self._propagate(mean, speed, *_arrays(some, _PIECES_TO_PREDICT))
+        return mean, speed, _arrays(pieces[early:], most), used
 
     def _to_world(self, vector: Float[np.ndarray, " 2"]) -> tuple[float, float]:
         """Turn a body vector into the world frame."""
