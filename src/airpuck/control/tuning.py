@@ -50,7 +50,7 @@ class Allocation(Section):
     """
 
     solver: Literal["daqp", "piqp"] = "daqp"
-    slack_weight: float = pydantic.Field(1e6, gt=0, le=1e10)
+    slack_weight: Annotated[float, pydantic.Field(gt=0, le=1e10)] = 1e6
 
 
 class Estimation(Section):
@@ -95,7 +95,7 @@ class Tuning(Section):
         Of the state estimator.
     """
 
-    period_s: float = pydantic.Field(0.01, ge=1e-3, le=0.1)
+    period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
     weights: Weights
     allocation: Allocation = Allocation()
     estimation: Estimation
