@@ -182,6 +182,41 @@ def test_any_data_are_filtered_as_the_textbook_says(seed):
     agrees(ahead, book)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_of_arrival_does_not_matter(seed):
+    # Three sensors of different latencies, some stamps equal: by stamp or by arrival is the same.
+    random = np.random.default_rng(seed)
+    told = [(k / 100, "mouse", (random.normal(size=2), 0.01), 0.0) for k in range(1, 40)]
+    told += [(k / 100, "imu", (random.normal(size=2), 0.1, (0.35, 0.015)), 0.01) for k in range(40)]
+    told += [(k / 200, "pose", (0.01 * random.normal(size=3),), 0.0213) for k in range(1, 80)]
+    told.append((0.0, "pose", (np.zeros(3),), -1.0))
+    found = []
+    for order in (lambda m: m[0], lambda m: m[0] + m[3]):
+        ours, commands = KalmanFilter(MODEL, NOISE, compiled=False), some_commands(0.45, seed)
+        ours.pose(-0.001, np.zeros(3))
+        ours.mouse(-0.001, np.zeros(2), 0.01)
+        told.sort(key=lambda m: (m[0], m[3]))
+        for time, kind, values, late in sorted(told, key=order):
+            while commands and commands[0][0] <= time + max(late, 0):
+                ours.command(*commands.pop(0))
+            getattr(ours, kind)(time, *values)
+            assert len(ours._history) < 60
+        found.append(ours.predict(0.41))
+    one, other = found
+    np.testing.assert_allclose(one.state, other.state, atol=1e-9)
+    np.testing.assert_allclose(one.disturbance, other.disturbance, atol=1e-7)
+    np.testing.assert_allclose(one.motor_speed, other.motor_speed, atol=1e-12)
+
+
+def test_only_poses_leave_nothing_to_remember():
+    ours = KalmanFilter(MODEL, NOISE, compiled=False)
+    for command in some_commands(0.4):
+        ours.command(*command)
+    for k in range(80):
+        ours.pose(k / 200, np.zeros(3))
+    assert len(ours._history) == len(ours._recent) == 0
+
+
 def test_compiled_and_numpy_agree():
     random = np.random.default_rng(5)
     filters = [KalmanFilter(MODEL, NOISE, compiled=compiled) for compiled in (True, False)]

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from airpuck.control.reference import SetPoint, SetPoints
-from airpuck.control.tracking import Step
+from airpuck.control.tracking import FLYING, Step, TrackingController
 from airpuck.flight.link import Measurement
 from airpuck.flight.loop import fly
+from airpuck.model_file import read_model
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
 
 IDLE = np.full(6, 0.03)
 
@@ -174,6 +177,51 @@ def test_sensors_on_board_are_told_of_if_asked_for():
     assert hearing.told("imu") == [(0.015, (1, 2, 6))]
     assert hearing.told("mouse") == [(0.025, (0.7, 0.8))]
     assert len(deaf.told("pose")) == len(hearing.told("pose")) == 1
+
+
+class Used(TrackingController):
+    """Counts the poses it is told of, and those that its filter uses."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.told, self.used, use = 0, 0, self.filter.pose
+
+        def counted(time, pose, gate=None):
+            used = use(time, pose, gate)
+            self.used += used and gate is not None
+            return used
+
+        self.filter.pose = counted
+
+    def pose(self, time, pose):
+        self.told += 1
+        super().pose(time, pose)
+
+
+def test_sensors_of_different_latencies_fly_together():
+    settings = default_twin_settings()
+    capture = settings.motion_capture.model_copy(update={"latency_s": 0.02})
+    board = settings.on_board.model_copy(update={"latency_s": 0.01})
+    settings = settings.model_copy(update={"motion_capture": capture, "on_board": board})
+    model = read_model("paper:M4")
+    pilot = Used(model, SetPoints([0.0, 0.5], [(0, 0, 0), (0.3, 0.2, 1.0)]))
+    twin = Twin(model, settings)
+    fly(pilot, twin, 4.0, on_board=True)
+    assert pilot.used > 0.97 * pilot.told > 700
+    time, state = twin.truth
+    np.testing.assert_allclose(state[time > 3.5, :2], [[0.3, 0.2]] * sum(time > 3.5), atol=5e-3)
+
+
+def test_without_poses_sensors_on_board_keep_nothing_in_flight():
+    settings = default_twin_settings()
+    capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.0, 2.0),)})
+    settings = settings.model_copy(update={"motion_capture": capture})
+    model = read_model("paper:M4")
+    pilot = TrackingController(model, SetPoint(0.1, 0.0, 0.0))
+    log = fly(pilot, Twin(model, settings), 2.5, on_board=True)
+    status = np.array(log.status)
+    assert (status[(log.time > 1.07) & (log.time < 2.0)] == "stale pose").all()
+    assert np.isin(status[(log.time > 2.03) | (np.abs(log.time - 0.5) < 0.4)], FLYING).all()
 
 
 def test_a_failing_pilot_is_not_hidden():
