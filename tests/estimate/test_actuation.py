@@ -139,7 +139,7 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     gain = before @ matrix.T @ np.linalg.inv(matrix @ before @ matrix.T + spread)
     mean, after = gain @ y, before - gain @ matrix @ before
     np.testing.assert_allclose(found.effectiveness[:, 0] - 1, mean[6:], atol=2e-4)
-    np.testing.assert_allclose(found.deviation[:, 0], np.sqrt(np.diag(after))[6:], rtol=1e-3)
+    np.testing.assert_allclose(found.deviation[:, 0], np.sqrt(np.diag(after)[6:]), rtol=1e-3)
     moved = found.state[:6, 0] - np.concatenate([past.state[-1, :3, 0], np.zeros(3)])
     np.testing.assert_allclose(moved, mean[:6], atol=2e-4)
 

@@ -1,0 +1,169 @@
+"""The equations of the filter: pure functions over an array namespace.
+
+Three axes x, y, γ, each with a state (p, v, d): p' = v, v' = a(t) + d + w₁, d' = w₂.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.model.motor import motor_step
+from airpuck.model.rigid_body import Dynamics, acceleration
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the three axes x, y, γ.
+
+    Attributes
+    ----------
+    pose : tuple of float
+        Standard deviation of the measured pose [m, m, rad].
+    acceleration : tuple of float
+        Density of the white acceleration w₁ [m/s²/√Hz, m/s²/√Hz, rad/s²/√Hz].
+    disturbance : tuple of float
+        Density of w₂, which drives the disturbance [m/s³/√Hz, m/s³/√Hz, rad/s³/√Hz].
+    """
+
+    pose: tuple[float, float, float]
+    acceleration: tuple[float, float, float]
+    disturbance: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the filter believes.
+
+    Attributes
+    ----------
+    time : float
+        When [s].
+    state : array, shape (6,)
+        x, y, γ (continuous), vx, vy, ω.
+    motor_speed : array, shape (n,)
+        Normalised motor speeds φ.
+    disturbance : array, shape (3,)
+        Acceleration that the model does not explain [m/s², m/s², rad/s²].
+    """
+
+    time: float
+    state: Float[np.ndarray, " 6"]
+    motor_speed: Float[np.ndarray, " n"]
+    disturbance: Float[np.ndarray, " 3"]
+
+
+def propagate(
+    xp: Any, dynamics: Dynamics, mean: Any, motor_speed: Any, durations: Any, commands: Any
+) -> tuple[Any, Any]:
+    """Move mean and motor speeds through pieces of time with one command each.
+
+    In each piece the acceleration is that of its middle, so that the error is of second order.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        The model.
+    mean : array, shape (3, 3)
+        Axes x, y, γ; components p, v, d.
+    motor_speed : array, shape (n,)
+        φ.
+    durations : array, shape (S,)
+        Lengths of the pieces, zero for none [s].
+    commands : array, shape (S, n)
+        The command that acts in each.
+
+    Returns
+    -------
+    mean, motor_speed : array, shape (3, 3) and (n,)
+        At the end.
+    """
+    tau = dynamics.motor_time_constant
+    for k in range(len(durations)):
+        h, command = durations[k], commands[k]
+        middle = motor_step(xp, motor_speed, command, h / 2, tau)
+        motion = mean[2, 0] + h / 2 * mean[2, 1], mean[0, 1], mean[1, 1], mean[2, 1]
+        rate = xp.stack(acceleration(xp, dynamics, motion, middle)) + mean[:, 2]
+        p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
+        mean = xp.stack([p + h * v + h * h / 2 * rate, v + h * rate, d], axis=1)
+        motor_speed = motor_step(xp, motor_speed, command, h, tau)
+    return mean, motor_speed
+
+
+def spread(
+    xp: Any, covariance: Any, duration: Any, acceleration_density: Any, disturbance_density: Any
+) -> Any:
+    """Let the covariance grow over a time without measurements.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    covariance : array, shape (3, 3, 3)
+        One matrix for each axis.
+    duration : float
+        h [s].
+    acceleration_density, disturbance_density : array, shape (3,)
+        Squared densities of w₁ and w₂.
+
+    Returns
+    -------
+    array, shape (3, 3, 3)
+        A P Aᵀ plus the integrals of both noises over h.
+    """
+    h = duration
+    step = xp.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+    by_acceleration = xp.array([[h**3 / 3, h**2 / 2, 0.0], [h**2 / 2, h, 0.0], [0.0, 0.0, 0.0]])
+    by_disturbance = xp.array(
+        [
+            [h**5 / 20, h**4 / 8, h**3 / 6],
+            [h**4 / 8, h**3 / 3, h**2 / 2],
+            [h**3 / 6, h**2 / 2, h],
+        ]
+    )
+    return (
+        _product(xp, _product(xp, step, covariance), step.T)
+        + acceleration_density[:, None, None] * by_acceleration
+        + disturbance_density[:, None, None] * by_disturbance
+    )
+
+
+def _product(xp: Any, left: Any, right: Any) -> Any:
+    """Multiply stacks of small matrices, without the call to a library that `@` would be."""
+    return xp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
+
+
+def correct(
+    mean: Any, covariance: Any, component: int, innovation: Any, variance: Any
+) -> tuple[Any, Any]:
+    """Use a measurement of one component of every axis.
+
+    Parameters
+    ----------
+    mean : array, shape (3, 3)
+        Axes x, y, γ; components p, v, d.
+    covariance : array, shape (3, 3, 3)
+        One matrix for each axis.
+    component : int
+        0: p, 1: v, 2: d.
+    innovation : array, shape (3,)
+        Measured minus predicted.
+    variance : array, shape (3,)
+        Of the measurement; infinite where an axis was not measured.
+
+    Returns
+    -------
+    mean, covariance : array, shape (3, 3) and (3, 3, 3)
+        After the measurement.
+    """
+    column = covariance[:, :, component]
+    gain = column / (column[:, component] + variance)[:, None]
+    return (
+        mean + gain * innovation[:, None],
+        covariance - gain[:, :, None] * column[:, None, :],
+    )
