@@ -173,6 +173,8 @@ class Daqp(Solver):
     _OPTIMAL = 1
     # The default, 3.7e-11, takes small requests with nearly parallel columns for infeasible ones.
     _SINGULAR = 1e-14
+    # By default, 1e-6, one request in a million is missed by 1e-4 rad/s².
+    _FEASIBLE = 1e-9
 
     def __init__(self, cost: Float[np.ndarray, " m"], ties: Float[np.ndarray, " m"]) -> None:
         import daqp
@@ -200,6 +202,7 @@ class Daqp(Solver):
             np.concatenate([lower, b]),
             self._with_equality,
             sing_tol=self._SINGULAR,
+            primal_tol=self._FEASIBLE,
         )
         return x if flag == self._OPTIMAL else None
 
