@@ -1,0 +1,140 @@
+"""Frames of an animation are the recording's: poses, thrusts, set points, gaps; nothing made up."""
+
+import numpy as np
+import pytest
+
+from airpuck.recording.stream import Recording, Stream
+from airpuck.report.animation_frames import frame_times, frames_at, read_scene, thinned, trail
+
+from .conftest import VEHICLES
+from .flights import CRAFT, EPOCH, flight, with_pose
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_frames_are_the_recording_interpolated(name):
+    vehicle = VEHICLES[name]()
+    recording = flight(vehicle)
+    scene = read_scene(recording, vehicle)
+    at = np.array([0.0, 0.3333, 1.004, 1.904])
+    frames = frames_at(scene, at)
+    pose, command = recording["pose"], recording["command"]
+    t = (pose.stamp_ns - EPOCH) * 1e-9
+    for i in range(2):
+        np.testing.assert_allclose(
+            frames.pose[:, i], np.interp(at, t, pose.values[:, i]), atol=1e-6
+        )
+    np.testing.assert_allclose(frames.pose[:, 2], 2.5 * at + 3, atol=1e-5)  # not wrapped
+    assert frames.known.all()
+    k = (command.stamp_ns - EPOCH) * 1e-9
+    assert np.isnan(frames.command[0]).all()  # nothing had been commanded yet
+    for row, moment in zip(frames.command[1:], at[1:], strict=True):
+        np.testing.assert_array_equal(row, command.values[np.flatnonzero(k <= moment)[-1]])
+
+
+def test_set_points_hold_and_are_near_the_yaw():
+    frames = frames_at(read_scene(flight(), CRAFT), np.array([0.4, 0.6, 1.1, 1.3]))
+    assert np.isnan(frames.reference[0]).all()
+    np.testing.assert_allclose(frames.reference[1:3, :2], [[0.0, 0.1]] * 2)
+    np.testing.assert_allclose(frames.reference[3, :2], [0.2, -0.1])
+    assert np.all(np.abs(frames.reference[1:, 2] - frames.pose[1:, 2]) <= np.pi)
+    np.testing.assert_allclose(np.cos(frames.reference[1:, 2]), np.cos([0, 0, -3.0]), atol=1e-12)
+
+
+def test_commands_are_in_the_order_of_the_propellers():
+    recording = flight()
+    command = recording["command"]
+    turned = Stream(
+        command.stamp_ns, command.received_ns, command.values[:, ::-1], command.columns[::-1]
+    )
+    other = Recording({**recording.streams, "command": turned}, "x")
+    np.testing.assert_array_equal(
+        read_scene(recording, CRAFT).command, read_scene(other, CRAFT).command
+    )
+
+
+def test_nothing_is_made_up_in_a_gap():
+    recording = flight(left_out=(0.8, 1.0))
+    scene = read_scene(recording, CRAFT)
+    t = (recording["pose"].stamp_ns - EPOCH) * 1e-9
+    before = recording["pose"].values[t <= 0.8 + 1e-9][-1, :2]
+    frames = frames_at(scene, np.array([0.79, 0.85, 0.99, 1.01]))
+    assert frames.known.tolist() == [True, False, False, True]
+    np.testing.assert_array_equal(frames.pose[1:3, :2], [before] * 2)  # where it was last seen
+    for until in (0.9, 1.0, 1.3, 1.9):
+        lines, age = trail(scene, until, 0.7)
+        # The craft is never faster than 1 m/s: a line across the gap would be longer.
+        assert np.hypot(*(lines[:, 1] - lines[:, 0]).T).max() < 0.01
+        assert np.all((age >= 0) & (age <= 1))
+
+
+def test_poses_that_are_not_finite_are_a_gap():
+    values = flight()["pose"].values.copy()
+    values[100:150, 1] = np.nan
+    values[300, 2] = np.inf
+    scene = read_scene(with_pose(flight(), values), CRAFT)
+    assert np.isfinite(scene.pose).all()
+    frames = frames_at(scene, np.array([125, 300]) / 240)
+    assert frames.known.tolist() == [False, True]  # one missing sample is bridged
+
+
+def test_a_frozen_pose_is_a_gap():
+    values = flight()["pose"].values.copy()
+    values[100:150] = values[100]
+    frames = frames_at(read_scene(with_pose(flight(), values), CRAFT), np.array([99, 125]) / 240)
+    assert frames.known.tolist() == [True, False]
+
+
+def test_a_command_does_not_hold_for_ever():
+    recording = flight()
+    command = recording["command"]
+    cut = Stream(
+        command.stamp_ns[:50], command.received_ns[:50], command.values[:50], command.columns
+    )
+    scene = read_scene(Recording({**recording.streams, "command": cut}, "x"), CRAFT)
+    last = 0.1 + 49 * 0.01
+    frames = frames_at(scene, np.array([last + 0.05, last + 0.2]))
+    assert np.isfinite(frames.command[0]).all()
+    assert np.isnan(frames.command[1]).all()
+
+
+def test_the_trail_follows_the_craft():
+    recording = flight()
+    lines, age = trail(read_scene(recording, CRAFT), 1.5003, 0.5)
+    t = (recording["pose"].stamp_ns - EPOCH) * 1e-9
+    for end, moment in ((lines[0, 0], 1.0003), (lines[-1, 1], 1.5003)):
+        expected = [np.interp(moment, t, recording["pose"].values[:, i]) for i in range(2)]
+        np.testing.assert_allclose(end, expected, atol=1e-6)
+    np.testing.assert_array_equal(lines[1:, 0], lines[:-1, 1])
+    assert np.all(np.diff(age) < 0)
+
+
+def test_thinning_keeps_the_ends_of_every_stretch():
+    scene = read_scene(flight(left_out=(0.8, 1.0)), CRAFT)
+    less = thinned(scene, 60.0)
+    assert len(less.time) < 0.3 * len(scene.time)
+    jump = int(np.flatnonzero(np.diff(scene.time) > 0.1)[0])
+    assert {scene.time[k] for k in (0, jump, jump + 1, -1)} <= set(less.time)
+    assert set(less.time) <= set(scene.time)
+    assert thinned(scene, 1e4).time.tolist() == scene.time.tolist()
+
+
+def test_the_table_is_drawn_only_around_a_flight_on_it():
+    on = read_scene(flight(), CRAFT)
+    assert on.table == (2.2, 1.1)
+    assert on.view == (-1.1, 1.1, -0.55, 0.55)
+    away = flight()["pose"].values + np.array([3.0, 1.0, 0.0])
+    off = read_scene(with_pose(flight(), away), CRAFT)
+    assert off.table is None
+    x0, x1, y0, y1 = off.view
+    radius = CRAFT.radius_m
+    assert x0 < off.pose[:, 0].min() - radius
+    assert x1 > off.pose[:, 0].max() + radius
+    assert y0 < min(off.pose[:, 1].min(), -0.1) - radius  # the set points are in view too
+    assert y1 > off.pose[:, 1].max() + radius
+
+
+def test_frames_are_evenly_spaced():
+    times = frame_times(10.0, 12.0, 0.5, 25.0)
+    assert len(times) == 101
+    np.testing.assert_allclose([times[0], times[-1]], [10, 12])
+    assert len(frame_times(0.0, 0.1, 100.0, 25.0)) == 1
