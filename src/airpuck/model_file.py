@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -76,6 +77,20 @@ class Model:
     def dynamics(self) -> Dynamics:
         """Coefficients of the equations of motion."""
         return self.parameters.dynamics(np, self.vehicle, self.frame)
+
+    @property
+    def radius_of_gyration(self) -> float:
+        """√(I/m) [m]: at this arm a force turns the craft as hard as it pushes it."""
+        return math.sqrt(float(self.parameters.inertia) / self.vehicle.mass_kg)
+
+    @property
+    def propeller_effects(self) -> Float[np.ndarray, "3 n"]:
+        """Accelerations per thrust, the angular ones times the radius of gyration [1/kg].
+
+        Without effects other than thrust, such as drag.
+        """
+        rows = np.array([1.0, 1.0, self.radius_of_gyration])
+        return rows[:, None] * np.asarray(self.dynamics.configuration)
 
     def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
         """Compute the standard error of anything made from the parameters (delta method).

@@ -193,7 +193,7 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
         If the propellers of a pair do not oppose each other: what the controller wants of both
         would not survive the difference of their commands.
     """
-    vehicle, effects = model.vehicle, _effects(model)
+    vehicle, effects = model.vehicle, model.propeller_effects
     effects = effects / np.linalg.norm(effects, axis=0)
     n, pairs = vehicle.n_propellers, vehicle.pair_indices
     paired = {index for pair in pairs for index in pair}
@@ -216,18 +216,12 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
     return signed, mixer
 
 
-def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
-    """Return accelerations per thrust; the angular one times the radius of gyration [1/kg]."""
-    gyration = np.sqrt(float(model.parameters.inertia) / model.vehicle.mass_kg)
-    return np.asarray(model.dynamics.configuration) * np.array([[1.0], [1.0], [gyration]])
-
-
 def _weakest_effort(model: Model) -> float:
     """Return the greatest acceleration in the combination of push and turn in which it is least.
 
     Angular accelerations count times the radius of gyration [m/s²].
     """
-    each = _effects(model) * model.dynamics.thrust.sum(axis=1)
+    each = model.propeller_effects * model.dynamics.thrust.sum(axis=1)
     # Between directions to which a propeller stands at right angles, what all give together is
     # concave: it is least where two do.
     first, second = np.triu_indices(each.shape[1], 1)

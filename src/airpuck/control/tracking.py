@@ -128,7 +128,7 @@ class TrackingController:
         self.filter = KalmanFilter(model, _noise(tuning.estimation), compiled=compiled)
         self._allocator = ThrustAllocator(
             vehicle.n_propellers,
-            float(np.sqrt(model.parameters.inertia / vehicle.mass_kg)),
+            model.radius_of_gyration,
             tuning.allocation.slack_weight,
             tuning.allocation.solver,
         )
@@ -413,9 +413,7 @@ class TrackingController:
 def _commands_all_directions(model: Model) -> bool:
     """Say whether the propellers' forces and moments span all accelerations."""
     # Moments as forces at the radius of gyration: one unit for all three rows.
-    arm = np.sqrt(model.parameters.inertia / model.vehicle.mass_kg)
-    rows = np.array([1.0, 1.0, arm])[:, None] * np.asarray(model.dynamics.configuration)
-    strength = np.linalg.svd(rows, compute_uv=False)
+    strength = np.linalg.svd(model.propeller_effects, compute_uv=False)
     return len(strength) == 3 and bool(strength[2] > 1e-6 * strength[0])
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.model.motor import motor_speeds
-from airpuck.model.parameters import nominal_parameters
 from airpuck.model.thrust import thrust
+from airpuck.model_file import nominal_model
 from airpuck.trajectory import Trajectory, check_propellers, hold
 from airpuck.vehicle import Vehicle
 
@@ -139,12 +139,11 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
         A verdict for each propeller, and for the layout as a whole.
     """
     check_propellers(vehicle, trajectory)
-    nominal = nominal_parameters(vehicle)
     # Forces and moments in one unit: the moment as a force at the radius of gyration.
-    gyration = np.sqrt(nominal.inertia / vehicle.mass_kg)
-    scale = np.array([1.0, 1.0, gyration])
-    stated = scale[:, None] * nominal.dynamics(np, vehicle).configuration
-    accelerations = scale[:, None] * _body_acceleration(trajectory)
+    nominal = nominal_model(vehicle)
+    stated = nominal.propeller_effects
+    accelerations = _body_acceleration(trajectory)
+    accelerations[2] *= nominal.radius_of_gyration
     period = trajectory.sample_period
     forces = _nominal_thrusts(trajectory, vehicle)
     fits = []
