@@ -1,0 +1,1 @@
+"""Flying on a ROS 2 graph: the twin, the controller and the recorder as processes."""

@@ -1,0 +1,402 @@
+"""A ROS 2 graph without ROS: publishers, subscriptions and discovery over Cyclone DDS."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from airpuck.errors import InputError
+from airpuck.live.domain import domain_config, domain_id
+from airpuck.live.idl import dds_topic, idl_struct, raw_type, ros_topic, ros_type
+from airpuck.recording.cdr import Types
+
+if TYPE_CHECKING:
+    from uuid import UUID
+
+_SECOND_NS = 10**9
+#: Samples taken at once; more wait for the next call.
+_BATCH = 256
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Quality of service, as far as ROS 2 topics differ in it.
+
+    Attributes
+    ----------
+    reliable : bool
+        Whether lost packets are sent again.
+    transient_local : bool
+        Whether those that come later are sent what was said before.
+    depth : int
+        Messages kept.
+    lifespan : float or None
+        For how long a message is worth being sent [s].
+    """
+
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = 64
+    lifespan: float | None = None
+
+
+#: As the table's recordings have them: sensors and commands do not send again.
+SENSOR = Quality(reliable=False)
+STATE = Quality()
+#: That of ``/rosout``.
+LOG = Quality(transient_local=True, depth=1000, lifespan=10.0)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A message as it came.
+
+    Attributes
+    ----------
+    sent_ns : int
+        When it was sent, by the sender's clock [ns since the epoch].
+    data : bytes
+        In CDR, with encapsulation.
+    """
+
+    sent_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """Somebody who publishes on a topic.
+
+    Attributes
+    ----------
+    key : UUID
+        Its own.
+    participant : UUID
+        That of its process.
+    topic, msgtype : str
+        ROS names.
+    reliable, transient_local : bool
+        What it offers.
+    """
+
+    key: UUID
+    participant: UUID
+    topic: str
+    msgtype: str
+    reliable: bool
+    transient_local: bool
+
+
+class Publisher:
+    """Sends messages on a topic; from `Graph.publisher`."""
+
+    def __init__(self, writer: Any, kind: Any) -> None:
+        self._writer, self._kind = writer, kind
+
+    @property
+    def key(self) -> UUID:
+        """Its key in discovery."""
+        return self._writer.get_guid()
+
+    def send(self, data: bytes) -> None:
+        """Send a message.
+
+        Parameters
+        ----------
+        data : bytes
+            In CDR, with encapsulation.
+        """
+        self._writer.write(self._kind(data))
+
+
+class Subscription:
+    """Receives messages of a topic; from `Graph.subscription`."""
+
+    def __init__(self, reader: Any, kind: Any) -> None:
+        self._reader, self._kind = reader, kind
+
+    def take(self) -> list[Sample]:
+        """Take what has come since the last call.
+
+        Returns
+        -------
+        list of Sample
+            In the order of arrival.
+        """
+        taken = self._reader.take(_BATCH)
+        return [
+            Sample(item.sample_info.source_timestamp, item.data)
+            for item in taken
+            if isinstance(item, self._kind)
+        ]
+
+
+class Graph:
+    """A process on the graph.
+
+    Parameters
+    ----------
+    name : str
+        What others are told that it is.
+    domain : int, optional
+        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
+    interface : str, optional
+        Network interface; by default loopback, so that nothing leaves the machine.
+
+    Raises
+    ------
+    InputError
+        If Cyclone DDS is not installed, the domain or the interface do not exist, or this process
+        is in the domain over another interface already.
+    """
+
+    #: Cyclone configures a domain once in a process.
+    _configured: dict[int, tuple[str, Any]] = {}  # noqa: RUF012
+
+    def __init__(
+        self, name: str, *, domain: int | None = None, interface: str | None = None
+    ) -> None:
+        self.domain = domain_id(domain)
+        config = domain_config(interface)
+        try:
+            from cyclonedds.core import DDSException, Policy, Qos, WaitSet
+            from cyclonedds.domain import Domain, DomainParticipant
+        except ImportError as error:
+            raise InputError(
+                "flying live needs Cyclone DDS: pip install 'airpuck[ros2]'"
+            ) from error
+        try:
+            if self.domain not in self._configured:
+                self._configured[self.domain] = config, Domain(self.domain, config)
+            if self._configured[self.domain][0] != config:
+                raise InputError(
+                    "this process is in the domain over another interface", field="--interface"
+                )
+            described = f"{name} (process {os.getpid()} on {socket.gethostname()})"
+            self._participant = DomainParticipant(self.domain, Qos(Policy.EntityName(described)))
+        except DDSException as error:
+            raise InputError(
+                f"domain {self.domain} cannot be entered ({error}); are there too many processes "
+                "in it?",
+                field="--domain",
+            ) from error
+        self._waitset = WaitSet(self._participant)
+        self._kinds: dict[str, Any] = {}
+        self._structs: dict[str, Any] = {}
+        self._topics: dict[str, tuple[str, Any]] = {}
+        self._kept: list[Any] = []
+        self._discovery = _Discovery(self._participant)
+
+    def publisher(self, topic: str, msgtype: str, types: Types, quality: Quality) -> Publisher:
+        """Publish on a topic.
+
+        Parameters
+        ----------
+        topic, msgtype : str
+            ROS names.
+        types : mapping
+            Definitions by type name.
+        quality : Quality
+            What is offered.
+
+        Returns
+        -------
+        Publisher
+            Sends.
+        """
+        from cyclonedds.pub import DataWriter
+
+        writer = DataWriter(
+            self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
+        )
+        self._kept.append(writer)
+        return Publisher(writer, self._kinds[msgtype])
+
+    def subscription(
+        self, topic: str, msgtype: str, types: Types, quality: Quality, *, wakes: bool = False
+    ) -> Subscription:
+        """Subscribe to a topic.
+
+        Parameters
+        ----------
+        topic, msgtype : str
+            ROS names.
+        types : mapping
+            Definitions by type name.
+        quality : Quality
+            What is asked for; senders that offer less are not heard.
+        wakes : bool, default False
+            Whether `wait` returns when something comes.
+
+        Returns
+        -------
+        Subscription
+            Receives.
+
+        Raises
+        ------
+        InputError
+            If this process has the topic with another type.
+        """
+        from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
+        from cyclonedds.sub import DataReader
+
+        reader = DataReader(
+            self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
+        )
+        if wakes:
+            anything = ViewState.Any | InstanceState.Any | SampleState.Any
+            condition = ReadCondition(reader, anything)
+            self._waitset.attach(condition)
+            self._kept.append(condition)
+        return Subscription(reader, self._kinds[msgtype])
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until something comes on a subscription that wakes, or a time has passed.
+
+        Parameters
+        ----------
+        seconds : float
+            The longest time [s].
+        """
+        if seconds > 0:
+            self._waitset.wait(int(seconds * _SECOND_NS))
+
+    def publishers(self, topic: str | None = None) -> list[Endpoint]:
+        """Return who publishes in other processes, as far as discovery has got.
+
+        Parameters
+        ----------
+        topic : str, optional
+            Only those of this ROS topic.
+
+        Returns
+        -------
+        list of Endpoint
+            Alive ones.
+        """
+        own = self._participant.get_guid()
+        return [
+            endpoint
+            for endpoint in self._discovery.publishers()
+            if endpoint.participant != own and topic in (None, endpoint.topic)
+        ]
+
+    def describe(self, endpoint: Endpoint) -> str:
+        """Say whose an endpoint is.
+
+        Parameters
+        ----------
+        endpoint : Endpoint
+            From `publishers`.
+
+        Returns
+        -------
+        str
+            Name, process and machine, as far as the other side tells them.
+        """
+        return self._discovery.owner(endpoint.participant)
+
+    def close(self) -> None:
+        """Leave the graph; others see it at once."""
+        self._kept.clear()
+        # Cyclone's Python deletes an entity when nobody refers to it, and there is no other way.
+        participant: Any = self._participant
+        participant._delete(participant._ref)
+
+    def _topic(self, topic: str, msgtype: str, types: Types) -> Any:
+        """Return the DDS topic, made once."""
+        from cyclonedds.topic import Topic
+
+        if topic in self._topics:
+            known, made = self._topics[topic]
+            if known != msgtype:
+                raise InputError(f"is {known} already, not {msgtype}", field=topic)
+            return made
+        if msgtype not in self._kinds:
+            self._kinds[msgtype] = raw_type(idl_struct(types, msgtype, self._structs))
+        made = Topic(self._participant, dds_topic(topic), self._kinds[msgtype])
+        self._topics[topic] = msgtype, made
+        return made
+
+
+class _Discovery:
+    """What DDS tells about other participants and their writers, kept up to date."""
+
+    def __init__(self, participant: Any) -> None:
+        from cyclonedds import builtin
+
+        self._participants = builtin.BuiltinDataReader(
+            participant, builtin.BuiltinTopicDcpsParticipant
+        )
+        self._publications = builtin.BuiltinDataReader(
+            participant, builtin.BuiltinTopicDcpsPublication
+        )
+        self._owners: dict[UUID, str] = {}
+        self._endpoints: dict[UUID, Endpoint] = {}
+
+    def publishers(self) -> Iterable[Endpoint]:
+        from cyclonedds.core import InstanceState, Policy
+
+        for item in self._publications.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                self._endpoints.pop(item.key, None)
+                continue
+            topic = ros_topic(item.topic_name)
+            if topic is None:
+                continue
+            self._endpoints[item.key] = Endpoint(
+                item.key,
+                item.participant_key,
+                topic,
+                ros_type(item.type_name),
+                isinstance(item.qos[Policy.Reliability], Policy.Reliability.Reliable),
+                item.qos[Policy.Durability] != Policy.Durability.Volatile,
+            )
+        return self._endpoints.values()
+
+    def owner(self, participant: UUID) -> str:
+        from cyclonedds.core import InstanceState, Policy
+
+        for item in self._participants.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                continue
+            told = {policy.key: policy.value for policy in item.qos if _is_property(policy)}
+            name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
+            # A process that is none of ours: what Cyclone tells of it, if it is Cyclone's.
+            self._owners[item.key] = name or (
+                f"{told.get('__ProcessName', 'an unknown program')} "
+                f"(process {told.get('__Pid', '?')} on {told.get('__Hostname', '?')})"
+            )
+        return self._owners.get(participant, f"an unknown program (participant {participant})")
+
+
+def _is_property(policy: Any) -> bool:
+    """Say whether a policy is one of the properties that a participant tells."""
+    return type(policy).__name__ == "Property"
+
+
+def _qos(quality: Quality) -> Any:
+    """Return Cyclone's settings; ROS 2 speaks the first version of CDR."""
+    from cyclonedds.core import Policy, Qos
+
+    reliability = (
+        Policy.Reliability.Reliable(max_blocking_time=_SECOND_NS // 10)
+        if quality.reliable
+        else Policy.Reliability.BestEffort
+    )
+    durability = (
+        Policy.Durability.TransientLocal if quality.transient_local else Policy.Durability.Volatile
+    )
+    policies = [
+        reliability,
+        durability,
+        Policy.History.KeepLast(quality.depth),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    ]
+    if quality.lifespan is not None:
+        policies.append(Policy.Lifespan(int(quality.lifespan * _SECOND_NS)))
+    return Qos(*policies)

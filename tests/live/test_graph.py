@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.live.graph import SENSOR, STATE, Graph
+from airpuck.recording.message import StreamCodec
+
+POSE = StreamCodec("pose")
+
+
+@pytest.fixture
+def pair(domain):
+    first, second = Graph("first", domain=domain), Graph("second", domain=domain)
+    yield first, second
+    first.close()
+    second.close()
+
+
+def until(condition, timeout=10.0):
+    """Wait for something to become true."""
+    stop = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < stop, "it did not happen"
+        time.sleep(0.01)
+
+
+def test_bytes_arrive_as_they_were_sent_and_wake_who_waits(pair):
+    first, second = pair
+    heard = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR, wakes=True)
+    says = first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
+    message = POSE.encode(1_700_000_000_123_456_789, (0.5, -0.25, 3.0))
+    before, taken = time.time_ns(), []
+    until(lambda: says.send(message) or taken.extend(heard.take()) or taken)
+    assert taken[0].data == message
+    assert before <= taken[0].sent_ns <= time.time_ns()
+    says.send(message)
+    started = time.monotonic()
+    second.wait(5.0)
+    assert time.monotonic() - started < 1.0
+
+
+def test_others_are_seen_come_and_go_with_their_names(pair, domain):
+    first, second = pair
+    first.publisher("/drone/control", POSE.msgtype, POSE.types, SENSOR)
+    until(lambda: second.publishers("/drone/control"))
+    (endpoint,) = second.publishers("/drone/control")
+    assert endpoint.msgtype == "geometry_msgs/msg/PoseStamped"
+    assert not endpoint.reliable
+    assert second.describe(endpoint).startswith("first (process ")
+    assert first.publishers("/drone/control") == []  # its own
+    assert second.publishers("/other") == []
+    first.close()
+    until(lambda: not second.publishers("/drone/control"))
+
+
+def test_a_sender_that_offers_less_than_asked_is_not_heard(pair):
+    first, second = pair
+    asks_more = second.subscription("/pose", POSE.msgtype, POSE.types, STATE)
+    asks_less = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR)
+    says = first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
+    until(lambda: says.send(POSE.encode(0, (0, 0, 0))) or asks_less.take())
+    assert asks_more.take() == []
+
+
+def test_a_topic_has_one_type(pair):
+    first, _ = pair
+    other = StreamCodec("estimate")
+    first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
+    with pytest.raises(InputError, match=r"/pose: is geometry_msgs/msg/PoseStamped already"):
+        first.publisher("/pose", other.msgtype, other.types, SENSOR)

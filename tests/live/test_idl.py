@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from airpuck.live.idl import dds_topic, dds_type, idl_struct, ros_topic, ros_type
+from airpuck.recording.message_types import HOLOHOVER_CONTROL, command_type, definitions
+
+pytest.importorskip("cyclonedds")
+
+TYPES = {**definitions(""), **command_type(("left", "right"))[1]}
+SENT = (
+    "geometry_msgs/msg/PoseStamped",
+    HOLOHOVER_CONTROL,
+    "airpuck_msgs/msg/Command2Stamped",
+    "holohover_msgs/msg/HolohoverState",
+    "holohover_msgs/msg/HolohoverStateStamped",
+    "holohover_msgs/msg/HolohoverIMUStamped",
+    "holohover_msgs/msg/HolohoverMouseStamped",
+    "rcl_interfaces/msg/Log",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "sensor_msgs/msg/Imu",
+)
+STRUCTS: dict = {}
+INTEGERS = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
+
+
+@pytest.fixture(scope="module")
+def store():
+    made = get_typestore(Stores.EMPTY)
+    made.register({k: v for k, v in TYPES.items() if not k.startswith("service_msgs")})
+    return made
+
+
+def values(draw, node, description):
+    """What one field may hold, in plain lists and dictionaries."""
+    if node == Nodetype.NAME:
+        return {name: values(draw, *field) for name, field in TYPES[description][1]}
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        element, count = description
+        n = count if node == Nodetype.ARRAY else draw(st.integers(0, 3))
+        return [values(draw, *element) for _ in range(n)]
+    kind = description[0]
+    if kind == "string":
+        letters = st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=["Cs"])
+        return draw(st.text(letters, max_size=9))
+    if kind == "float64":
+        return draw(st.floats(allow_nan=False))
+    return draw(st.integers(*INTEGERS.get(kind, (0, 127))))
+
+
+def build(given_values, node, description, make, array):
+    """Put plain values into message objects of either library."""
+    if node == Nodetype.NAME:
+        fields = {
+            name: build(given_values[name], *field, make, array)
+            for name, field in TYPES[description][1]
+        }
+        return make(description)(**fields)
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        (inner, of), _ = description
+        made = [build(value, inner, of, make, array) for value in given_values]
+        return array(made) if inner == Nodetype.BASE else made
+    return given_values
+
+
+@pytest.mark.parametrize("msgtype", SENT)
+@given(data=st.data())
+@settings(max_examples=20)
+def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
+    plain = values(data.draw, Nodetype.NAME, msgtype)
+    root = (Nodetype.NAME, msgtype)
+    ours = build(plain, *root, lambda name: idl_struct(TYPES, name, STRUCTS), list)
+    theirs = build(plain, *root, store.types.__getitem__, np.array)
+    sent = ours.serialize(use_version_2=False)
+    assert sent[:4] == b"\x00\x01\x00\x00"
+    assert sent == bytes(store.serialize_cdr(theirs, msgtype))
+    assert type(ours).deserialize(sent) == ours
+
+
+def test_names_as_ros_2_mangles_them():
+    # As `ddsls` lists the topics of the real table.
+    assert dds_topic("/optitrack/drone/pose") == "rt/optitrack/drone/pose"
+    assert dds_type("geometry_msgs/msg/PoseStamped") == "geometry_msgs::msg::dds_::PoseStamped_"
+    pose = idl_struct(TYPES, "geometry_msgs/msg/PoseStamped", STRUCTS)
+    assert pose.__idl_typename__ == "geometry_msgs::msg::dds_::PoseStamped_"
+
+
+@pytest.mark.parametrize("topic", ["/rosout", "/drone/control"])
+def test_names_come_back(topic):
+    assert ros_topic(dds_topic(topic)) == topic
+    assert ros_type(dds_type(HOLOHOVER_CONTROL)) == HOLOHOVER_CONTROL
+
+
+@pytest.mark.parametrize("name", ["rq/add_two_intsRequest", "DCPSParticipant", "rtx/pose"])
+def test_what_is_no_ros_topic(name):
+    assert ros_topic(name) is None
+
+
+def test_a_foreign_type_keeps_its_name():
+    assert ros_type("HelloWorldData::Msg") == "HelloWorldData::Msg"
+
+
+def test_a_missing_definition_is_a_value_error():
+    with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
+        idl_struct(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.recording.cdr import encode
+from airpuck.recording.message import MessageCodec, StreamCodec
+from airpuck.recording.message_types import HOLOHOVER_CONTROL, HOLOHOVER_MOTORS
+
+NUMBERS = st.floats(-1e3, 1e3)
+CODECS = {name: StreamCodec(name) for name in ("pose", "reference", "estimate", "imu", "mouse")}
+
+
+@pytest.mark.parametrize("stream", CODECS)
+@given(data=st.data())
+@settings(max_examples=20)
+def test_streams_come_back(stream, data):
+    codec = CODECS[stream]
+    values = data.draw(st.lists(NUMBERS, min_size=len(codec.columns), max_size=len(codec.columns)))
+    if stream == "pose":
+        values[2] = data.draw(st.floats(-3.14, 3.14))
+    stamp, decoded = codec.decode(codec.encode(1_700_000_000_000_000_007, values))
+    # The table's references carry no header.
+    assert stamp == (None if stream == "reference" else 1_700_000_000_000_000_007)
+    np.testing.assert_allclose(decoded, values, rtol=0, atol=1e-14)
+
+
+def test_one_command_is_written_like_thousands():
+    codec = StreamCodec("command", HOLOHOVER_MOTORS)
+    assert codec.msgtype == HOLOHOVER_CONTROL
+    command = np.array([0.03, 0.5, 1.0, 0.25, 0.0, 0.75])
+    paths = dict(zip(HOLOHOVER_MOTORS, command[:, None], strict=True))
+    stamps = {"header.stamp.sec": np.array([12]), "header.stamp.nanosec": np.array([345])}
+    (bulk,) = encode(codec.types, codec.msgtype, {**stamps, **paths}, {"header.frame_id": "body"})
+    assert codec.encode(12_000_000_345, command) == bulk
+    # Nothing of the message before is left.
+    codec.encode(99, np.ones(6))
+    assert codec.encode(12_000_000_345, command) == bulk
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda m: m[:-8], lambda m: m + bytes(16), lambda m: b"", lambda m: b"\xff" * len(m)],
+    ids=["cut", "too long", "empty", "noise"],
+)
+def test_what_is_no_message_is_a_value_error(damage):
+    codec = StreamCodec("pose")
+    with pytest.raises(ValueError, match="are no geometry_msgs/msg/PoseStamped"):
+        codec.decode(damage(codec.encode(0, (1.0, 2.0, 3.0))))
+
+
+def test_messages_with_sequences():
+    codec = MessageCodec("diagnostic_msgs/msg/DiagnosticArray")
+    message = codec.blank()
+    value = codec.message("diagnostic_msgs/msg/KeyValue", key="jitter", value="0.2 ms")
+    message.status = [
+        codec.message("diagnostic_msgs/msg/DiagnosticStatus", name="fly", level=1, values=[value])
+    ]
+    (status,) = codec.decode(codec.encode(message)).status
+    assert (status.name, status.level, status.message) == ("fly", 1, "")
+    assert (status.values[0].key, status.values[0].value) == ("jitter", "0.2 ms")
+
+
+def test_a_type_that_nobody_knows_is_a_value_error():
+    with pytest.raises(ValueError, match="nobody_msgs/msg/Thing is missing"):
+        MessageCodec("nobody_msgs/msg/Thing")
