@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from airpuck.errors import InputError
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
+    from airpuck.flight.preflight import preflight
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import Fit, identifiability, identify
@@ -79,6 +80,7 @@ _HOME = {
     "identifiability": "airpuck.identification.fit",
     "identify": "airpuck.identification.fit",
     "load_trajectory": "airpuck.preprocessing.load",
+    "preflight": "airpuck.flight.preflight",
     "preprocess": "airpuck.preprocessing.pipeline",
     "read_model": "airpuck.model_file",
     "read_recording": "airpuck.recording.read",
@@ -127,6 +129,7 @@ __all__ = [
     "identifiability",
     "identify",
     "load_trajectory",
+    "preflight",
     "preprocess",
     "read_model",
     "read_recording",

@@ -1,0 +1,140 @@
+"""Explain measured effects of propellers by an order and signs, or by a turn of them all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+#: Cosine above which a measured and an expected effect agree (26 degrees apart).
+AGREES = 0.9
+#: An effect that is the opposite of one is rather that of another: cables are swapped more often
+#: than propellers are mounted the wrong way round.
+_OPPOSITE = 0.5
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """What a propeller's measured effect is like.
+
+    Attributes
+    ----------
+    acts_as : int or None
+        The propeller of the model whose effect it has; None: there is none.
+    sign : int
+        1, or -1 where it has the opposite effect.
+    cosine : float
+        Between the measured effect and the one expected of it.
+    """
+
+    acts_as: int | None
+    sign: int
+    cosine: float
+
+
+def turn_between(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> float:
+    """Find the rotation that carries expected forces into measured ones.
+
+    In complex numbers: the argument of their inner product (two-dimensional Procrustes).
+
+    Parameters
+    ----------
+    measured, expected : array, shape (3, m)
+        Effects: two forces and the moment.
+
+    Returns
+    -------
+    float
+        Angle, counter-clockwise [rad].
+    """
+    mine, theirs = measured[0] + 1j * measured[1], expected[0] + 1j * expected[1]
+    return float(np.angle(np.vdot(theirs, mine)))
+
+
+def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
+    """Turn forces, and leave moments as they are.
+
+    Parameters
+    ----------
+    effects : array, shape (3, m)
+        Effects.
+    angle : float
+        Counter-clockwise [rad].
+
+    Returns
+    -------
+    array, shape (3, m)
+        Turned effects.
+    """
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ effects
+
+
+def cosines(
+    measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]
+) -> Float[np.ndarray, " m"]:
+    """Compare directions of effects, one with one.
+
+    Parameters
+    ----------
+    measured, expected : array, shape (3, m)
+        Effects, forces and moment in one unit.
+
+    Returns
+    -------
+    array, shape (m,)
+        Cosines of the angles between them.
+    """
+    return np.sum(_unit(measured) * _unit(expected), axis=0)
+
+
+def match_effects(
+    measured: Float[np.ndarray, "3 m"],
+    expected: Float[np.ndarray, "3 n"],
+    motors: Int[np.ndarray, " m"],
+) -> Mapping[int, Likeness]:
+    """Say whose effect each propeller has.
+
+    One that agrees with what is expected of it stays; the others are assigned to what is left such
+    that most agree, in the same or in the opposite direction.
+
+    Parameters
+    ----------
+    measured : array, shape (3, m)
+        Effects, forces and moment in one unit.
+    expected : array, shape (3, n)
+        The model's, in the same unit.
+    motors : array of int, shape (m,)
+        Which of the n were measured.
+
+    Returns
+    -------
+    mapping of int to Likeness
+        For each of `motors`.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    table = _unit(measured).T @ _unit(expected)
+    own = table[np.arange(len(motors)), motors]
+    agrees = own >= AGREES
+    found = {
+        motor: Likeness(motor if stays else None, 1, float(cosine))
+        for motor, stays, cosine in zip(motors.tolist(), agrees, own, strict=True)
+    }
+    worth = np.where(table >= AGREES, table, 0.0)
+    worth = np.where(table <= -AGREES, -_OPPOSITE * table, worth)
+    rows = np.flatnonzero(~agrees)
+    columns = np.setdiff1d(np.arange(expected.shape[1]), motors[agrees])
+    for i, j in zip(*linear_sum_assignment(-worth[np.ix_(rows, columns)]), strict=True):
+        row, column = rows[i], columns[j]
+        if worth[row, column] > 0:
+            sign = 1 if table[row, column] > 0 else -1
+            found[int(motors[row])] = Likeness(int(column), sign, float(own[row]))
+    return found
+
+
+def _unit(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
+    """Scale columns to length one."""
+    return columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)

@@ -1,0 +1,147 @@
+"""Short pulses, one motor at a time: the pilot of a check before flight."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import Reference, SetPoint
+from airpuck.control.tracking import Numbers, Step
+from airpuck.errors import InputError
+from airpuck.table import Table
+from airpuck.vehicle import Vehicle
+
+#: Nothing is sent without a pose from the last 50 ms.
+_STALE = 0.05
+#: Distance to the rails at which the test ends [m].
+_MARGIN = 0.05
+
+
+@dataclass(frozen=True)
+class PulsePlan:
+    """How strong and how long the pulses are.
+
+    Attributes
+    ----------
+    level : float
+        Command of the motor whose turn it is; all others idle.
+    length, rest : float
+        Length of a pulse, and of the pause after it [s].
+    rounds : int
+        How often each motor has its turn.
+    """
+
+    level: float = 0.25
+    length: float = 0.1
+    rest: float = 0.3
+    rounds: int = 2
+
+    def __post_init__(self) -> None:
+        if not 0 < self.level <= 1:
+            raise InputError("must be above 0 and at most 1", field="level")
+        if not (0.02 <= self.length <= 1 and 0.25 <= self.rest <= 10):
+            raise InputError("a pulse takes 0.02 to 1 s, the pause after it 0.25 to 10 s")
+        if not 1 <= self.rounds <= 100:
+            raise InputError("must be between 1 and 100", field="rounds")
+
+
+class PulseTest:
+    """Gives each motor short pulses while all others idle; a `Pilot`.
+
+    It believes nothing: no layout, no thrust, no frame, so that it can find all of them wrong. What
+    keeps the craft on the table is that the pulses are short, that the propellers of a pair follow
+    each other and undo what each does, and that the test ends near a rail and without poses.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft.
+    plan : PulsePlan, optional
+        Strength and length of the pulses.
+    table : Table, optional
+        Where the rails are; by default the paper's table.
+
+    Attributes
+    ----------
+    poses : list of (float, array of shape (3,))
+        Stamps and poses that have come.
+    sent_commands : list of (float, array of shape (n,))
+        What was sent, and when.
+    stopped : str
+        Why the test ended early; empty while it goes on as planned.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, plan: PulsePlan | None = None, table: Table | None = None
+    ) -> None:
+        self.vehicle, self.plan = vehicle, plan or PulsePlan()
+        if self.plan.level <= vehicle.command_min:
+            raise InputError(
+                f"must be above the command of an idle motor, {vehicle.command_min:g}",
+                field="level",
+            )
+        paired = [index for pair in vehicle.pair_indices for index in pair]
+        single = [k for k in range(vehicle.n_propellers) if k not in paired]
+        self._order = [*paired, *single] * self.plan.rounds
+        self._reach = np.array((table or Table()).reach(vehicle.radius_m))
+        self._begun: float | None = None
+        self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
+        self.sent_commands: list[tuple[float, Float[np.ndarray, " n"]]] = []
+        self.stopped = ""
+
+    @property
+    def reference(self) -> Reference:
+        """Where the craft stands best at first; it is not steered there."""
+        return SetPoint(0.0, 0.0, 0.0)
+
+    @property
+    def duration(self) -> float:
+        """How long the test takes, from the first pose on [s]."""
+        return self.plan.rest + len(self._order) * (self.plan.length + self.plan.rest)
+
+    def pose(self, time: float, pose: Numbers) -> None:
+        """Take note of a pose; see `Pilot`."""
+        values = np.array(pose, dtype=float)
+        if math.isfinite(time) and values.shape == (3,) and np.isfinite(values).all():
+            self.poses.append((time, values))
+
+    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
+        """Pass over an inertial measurement; see `Pilot`."""
+
+    def mouse(self, time: float, velocity: Numbers) -> None:
+        """Pass over a velocity; see `Pilot`."""
+
+    def sent(self, time: float, command: Numbers) -> None:
+        """Take note of what was sent; see `Pilot`."""
+        self.sent_commands.append((time, np.array(command, dtype=float)))
+
+    def step(self, time: float) -> Step:
+        """Return the command to send now; see `Pilot`."""
+        idle = np.full(self.vehicle.n_propellers, self.vehicle.command_min)
+        if not self.poses:
+            return Step(idle, "no pose", np.zeros(3), None)
+        stamp, pose = self.poses[-1]
+        if not self.stopped:
+            self.stopped = self._reason_to_stop(time - stamp, pose)
+        if self._begun is None:
+            self._begun = time
+        # A nanosecond keeps rounding from moving a pulse by a period.
+        elapsed = time - self._begun - self.plan.rest + 1e-9
+        turn, phase = divmod(elapsed, self.plan.length + self.plan.rest)
+        if self.stopped:
+            return Step(idle, "stale pose", np.zeros(3), None)
+        if 0 <= turn < len(self._order) and phase < self.plan.length - 2e-9:
+            idle[self._order[int(turn)]] = self.plan.level
+        return Step(idle, "open loop", np.zeros(3), None)
+
+    def _reason_to_stop(self, age: float, pose: Float[np.ndarray, " 3"]) -> str:
+        """Say why the motors must not be driven; empty if they may."""
+        if age > _STALE:
+            return f"poses stopped coming {1e3 * age:.0f} ms ago"
+        if (np.abs(pose[:2]) > self._reach - _MARGIN).any():
+            x, y = pose[:2]
+            return f"the craft is at a rail or off the table, x = {x:.3g} m, y = {y:.3g} m"
+        return ""

@@ -1,0 +1,342 @@
+"""Pulses find what is wrong with a craft before it flies: on twins that are wrong in known ways."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.errors import InputError
+from airpuck.flight.effect_match import match_effects, turned
+from airpuck.flight.loop import fly
+from airpuck.flight.preflight import Preflight, judge_pulses, judge_recording, preflight
+from airpuck.flight.pulse_response import find_pulses, pulse_responses
+from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.model.rigid_body import acceleration_map
+from airpuck.model_file import nominal_model, published_model
+from airpuck.recording.stream import Recording
+from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
+from airpuck.twin.twin import Twin, build_plant
+from airpuck.vehicle import Vehicle
+from tests.report.conftest import four_propellers
+
+MODEL = published_model("M3")
+NAMES = MODEL.vehicle.propeller_names
+PLANT = build_plant(MODEL)
+IDLE = MODEL.vehicle.command_min
+
+
+def same(values):
+    return values
+
+
+@dataclass
+class Changed:
+    """A link to a twin, with commands or poses changed on the way; a pose of None does not come."""
+
+    twin: Twin
+    command: object = same
+    pose: object = same
+
+    @property
+    def now(self):
+        return self.twin.now
+
+    def wait_until(self, time):
+        arrived = [(a, self.pose(a.values)) for a in self.twin.wait_until(time) if a.kind == "pose"]
+        return [replace(a, values=values) for a, values in arrived if values is not None]
+
+    def send(self, command):
+        self.twin.send(self.command(command))
+
+    def announce(self, reference):
+        self.twin.announce(reference)
+
+
+def fly_pulses(command=same, pose=same, seed=3):
+    twin = Twin(MODEL, seed=seed, pose=(0.001, 0.002, 0.4), plant=PLANT)
+    return preflight(Changed(twin, command, pose), MODEL)
+
+
+def words(found: Preflight, name: str) -> str:
+    return next(check.words for check in found.checks if check.name == name)
+
+
+def wrong(found: Preflight) -> list[str]:
+    return [check.name for check in found.checks if check.verdict == "wrong"]
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A test of a healthy craft, as arrays; no pulse reacts, so that changes can be made later."""
+    pilot, twin = PulseTest(MODEL.vehicle), Twin(MODEL, seed=3, pose=(0.01, 0.02, 2.4), plant=PLANT)
+    fly(pilot, twin, pilot.duration)
+    time, pose = map(np.array, zip(*pilot.poses, strict=True))
+    at, command = map(np.array, zip(*pilot.sent_commands, strict=True))
+    return time, pose, at, command
+
+
+def test_a_healthy_craft_is_ready(flown):
+    found = judge_pulses(MODEL, *flown)
+    assert found.ready
+    assert {check.verdict for check in found.checks} == {"ok"}
+    np.testing.assert_allclose(found.strength, 1.0, atol=0.3)  # the radio's jitter
+    assert found.delay == pytest.approx(MODEL.transport_delay, abs=8e-3)
+
+
+@pytest.mark.parametrize(("i", "j"), [(0, 3), (0, 1), (2, 5)])
+def test_swapped_motors_are_named(flown, i, j):
+    time, pose, at, command = flown
+    order = np.arange(6)
+    order[[i, j]] = order[[j, i]]
+    found = judge_pulses(MODEL, time, pose, at, command[:, order])
+    assert wrong(found) == [NAMES[i], NAMES[j]]
+    assert f"acts like {NAMES[j]}" in words(found, NAMES[i])
+    assert f"acts like {NAMES[i]}" in words(found, NAMES[j])
+
+
+def only(motor, share):
+    """One motor that gives only a share of its command above idle."""
+    return lambda u: np.where(np.arange(6) == motor, IDLE + share * (u - IDLE), u)
+
+
+def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
+    dead = fly_pulses(only(2, 0.0))
+    assert wrong(dead) == [NAMES[2]]
+    assert "does nothing" in words(dead, NAMES[2])
+    weak = fly_pulses(only(4, 0.6))
+    assert weak.ready
+    assert [c.name for c in weak.checks if c.verdict == "look"] == [NAMES[4]]
+
+
+def test_a_propeller_that_spins_the_wrong_way_is_named(flown):
+    # As seen from the other side: the model's propeller points the other way.
+    thrust = np.array(MODEL.parameters.thrust)
+    thrust[3] *= -1.2
+    other = replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
+    found = judge_pulses(other, *flown)
+    assert wrong(found) == [NAMES[3]]
+    assert "pushes the other way" in words(found, NAMES[3])
+
+
+def test_all_motors_the_wrong_way_are_one_cause(flown):
+    thrust = -np.array(MODEL.parameters.thrust)
+    found = judge_pulses(
+        replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust)), *flown
+    )
+    assert wrong(found) == ["pose frame"]
+    assert "all motors push the other way" in words(found, "pose frame")
+
+
+FRAMES = {
+    "yaw has the wrong sign": lambda p: p * [1, 1, -1],
+    "axis of the position has the wrong sign": lambda p: p * [1, -1, 1],
+    "seen from below": lambda p: p * [1, -1, -1],
+    "x and y are exchanged": lambda p: p[:, [1, 0, 2]],
+    "turned by -90 degrees": lambda p: np.add(p, [0, 0, np.pi / 2]),
+}
+
+
+@pytest.mark.parametrize("said", FRAMES)
+def test_a_wrong_frame_is_one_cause_not_six(flown, said):
+    time, pose, *commands = flown
+    found = judge_pulses(MODEL, time, FRAMES[said](pose), *commands)
+    assert wrong(found) == ["pose frame"]
+    assert said in words(found, "pose frame")
+
+
+@pytest.mark.parametrize(
+    ("unit", "factors"),
+    [
+        ("degrees", [1, 1, 180 / np.pi]),
+        ("centimetres", [100, 100, 1]),
+        ("millimetres", [1000, 1000, 1]),
+    ],
+)
+def test_units_are_said(flown, unit, factors):
+    time, pose, *commands = flown
+    found = judge_pulses(MODEL, time, pose * factors, *commands)
+    assert f"in {unit}" in words(found, "units")
+    assert wrong(found) == ["units"]
+
+
+def test_a_small_misalignment_is_left_to_a_fit(flown):
+    time, pose, *commands = flown
+    for angle, ready in ((0.6, False), (-0.2, True)):
+        found = judge_pulses(MODEL, time, np.add(pose, [0, 0, angle]), *commands)
+        assert found.ready == ready
+
+
+@pytest.mark.parametrize(("later", "verdict"), [(0.015, "look"), (0.06, "wrong")])
+def test_another_transport_delay_is_said(flown, later, verdict):
+    time, *rest = flown
+    found = judge_pulses(MODEL, time + later, *rest)
+    last = found.checks[-1]
+    assert (last.name, last.verdict) == ("transport delay", verdict)
+    assert found.delay == pytest.approx(judge_pulses(MODEL, *flown).delay + later, abs=2e-3)
+
+
+def test_nothing_moves(flown):
+    time, pose, *commands = flown
+    still = np.random.default_rng(0).normal(pose[0], [5e-5, 5e-5, 6e-4], pose.shape)
+    found = judge_pulses(MODEL, time, still, *commands)
+    assert wrong(found) == ["motors"]
+    assert "none does anything" in words(found, "motors")
+    frozen = judge_pulses(MODEL, time, np.tile(pose[0], (len(time), 1)), *commands)
+    assert "never change" in words(frozen, "poses")
+
+
+def test_slow_poses_are_refused(flown):
+    time, pose, *commands = flown
+    assert "at least 50" in words(judge_pulses(MODEL, time[::8], pose[::8], *commands), "poses")
+
+
+def test_no_poses_and_poses_that_stop():
+    assert wrong(fly_pulses(pose=lambda _: None)) == ["poses"]
+    come = iter(range(300))
+    found = fly_pulses(pose=lambda p: p if next(come, None) is not None else None)
+    assert wrong(found) == ["test"]
+    assert "poses stopped coming" in words(found, "test")
+    assert "was not tried" in words(found, NAMES[5])
+    assert not np.isnan(found.strength[0])
+
+
+def test_garbage_among_the_poses_is_left_out():
+    turn = iter(range(10_000))
+    assert fly_pulses(pose=lambda p: np.full(3, np.nan) if next(turn) % 7 == 0 else p).ready
+
+
+def test_another_craft():
+    quad = nominal_model(four_propellers())
+    found = preflight(Twin(quad, seed=3), quad)
+    assert found.ready, found.checks
+
+
+# The pilot ----------------------------------------------------------------------------------------
+
+
+def test_one_motor_at_a_time_and_partners_in_turn():
+    pilot = PulseTest(MODEL.vehicle)
+    sent = []
+    for k in range(round(pilot.duration / 0.01)):
+        pilot.pose(0.01 * k, [0, 0, 0])
+        sent.append(pilot.step(0.01 * k).command)
+        pilot.sent(0.01 * k, sent[-1])
+    commands = np.array(sent)
+    assert ((commands > IDLE).sum(axis=1) <= 1).all()
+    time = 0.01 * np.arange(len(commands))
+    pulses = find_pulses(time, commands, IDLE)
+    assert [motor for motor, *_ in pulses] == [0, 1, 2, 3, 4, 5] * 2
+    plan = PulsePlan()
+    for k, (_, begin, end) in enumerate(pulses):
+        assert end - begin == pytest.approx(plan.length)
+        assert begin == pytest.approx(plan.rest + k * (plan.length + plan.rest))
+
+
+def test_it_idles_at_a_rail_and_for_good():
+    pilot = PulseTest(MODEL.vehicle)
+    for k, x in enumerate([0.0, 1.02, 0.0]):
+        pilot.pose(0.35 + 0.01 * k, [x, 0, 0])
+        command = pilot.step(0.35 + 0.01 * k).command
+    np.testing.assert_array_equal(command, IDLE)
+    assert "rail" in pilot.stopped
+
+
+@pytest.mark.parametrize(
+    "plan", [{"level": 0.0}, {"level": 1.1}, {"length": 5.0}, {"rest": 0.1}, {"rounds": 0}]
+)
+def test_plans_out_of_range_are_refused(plan):
+    with pytest.raises(InputError):
+        PulsePlan(**plan)
+    with pytest.raises(InputError, match="idle"):
+        PulseTest(MODEL.vehicle, PulsePlan(level=IDLE))
+
+
+# The regression -----------------------------------------------------------------------------------
+
+
+def test_the_effect_is_the_models_column():
+    """Without noise and jitter: M(0) of the model, column by column, and the delay."""
+    quiet = TwinSettings(
+        radio=Radio(delay_s=0.02, jitter_s=0.0),
+        motion_capture=MotionCapture(
+            position_noise_m=0.0, yaw_noise_rad=0.0, latency_s=0.0, latency_jitter_s=0.0
+        ),
+    )
+    still = replace(
+        MODEL, frame="body", parameters=replace(MODEL.parameters, center_of_mass=np.zeros(2))
+    )
+    pilot, twin = PulseTest(still.vehicle), Twin(still, quiet, pose=(0, 0, 2.0))
+    fly(pilot, twin, pilot.duration)
+    time, pose = map(np.array, zip(*pilot.poses, strict=True))
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    at, command = map(np.array, zip(*pilot.sent_commands, strict=True))
+    expected = acceleration_map(np, still.dynamics, 0.0, 0.0)[0]
+    responses = pulse_responses(still, time, pose, at, command)
+    assert len(responses) == 12
+    for response in responses:
+        column = expected[:, response.motor]
+        np.testing.assert_allclose(response.effect[:2], column[:2], atol=0.15)
+        assert response.effect[2] == pytest.approx(column[2], rel=0.02)
+        assert response.delay == pytest.approx(0.02, abs=1.1e-3)
+
+
+# The explanation ----------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    order=st.permutations(range(6)),
+    signs=st.lists(st.sampled_from([1, -1]), min_size=6, max_size=6),
+    seed=st.integers(0, 1000),
+)
+def test_any_order_and_sign_is_found_where_effects_differ(order, signs, seed):
+    """Six effects no two of which are parallel: an octahedron's axes, turned, would be."""
+    rng = np.random.default_rng(seed)
+    fixed = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, -1, 0], [-1, 0.2, 1]]).T
+    seen = np.array(signs) * fixed[:, list(order)] * rng.uniform(0.5, 2, 6)
+    found = match_effects(seen, fixed, np.arange(6))
+    assert {k: (m.acts_as, m.sign) for k, m in found.items()} == {
+        k: (order[k], signs[k]) for k in range(6)
+    }
+
+
+def test_an_effect_like_none_is_said_to_be():
+    expected = acceleration_map(np, MODEL.dynamics, 0.0, 0.0)[0] * np.array([[1], [1], [0.04]])
+    seen = expected.copy()
+    seen[:, 2] = turned(seen[:, 2:3], np.deg2rad(60))[:, 0]
+    found = match_effects(seen, expected, np.arange(6))
+    assert found[2].acts_as is None
+    assert [found[k].acts_as for k in (0, 1, 3, 4, 5)] == [0, 1, 3, 4, 5]
+
+
+# From a recording ---------------------------------------------------------------------------------
+
+
+def test_a_recorded_test_is_judged_alike():
+    twin = Twin(MODEL, seed=3, pose=(0.001, 0.002, 0.4), plant=PLANT)
+    live = preflight(twin, MODEL)
+    again = judge_recording(MODEL, twin.recording())
+    assert [c.verdict for c in again.checks] == [c.verdict for c in live.checks]
+    np.testing.assert_allclose(again.strength, live.strength, rtol=0.05)
+
+
+def test_a_recording_of_other_motors_is_refused():
+    other: Vehicle = four_propellers()
+    with pytest.raises(InputError, match="motor_a_1"):
+        judge_recording(nominal_model(other), one_command())
+
+
+def one_command() -> Recording:
+    twin = Twin(MODEL, plant=PLANT)
+    twin.send(np.full(6, IDLE))
+    twin.wait_until(0.1)
+    return twin.recording()
+
+
+def test_figures_for_scripts(flown):
+    content = judge_pulses(MODEL, *flown).to_json()
+    assert content["ready"] is True
+    assert set(content["strength"]) == set(NAMES)
+    assert {c["verdict"] for c in content["checks"]} <= {"ok", "look", "wrong"}
