@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
     from airpuck.flight.preflight import preflight
+    from airpuck.evaluation.residuals import ResidualTests, resid
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import Fit, identifiability, identify
@@ -58,6 +59,7 @@ _HOME = {
     "Parameters": "airpuck.model.parameters",
     "Recording": "airpuck.recording.stream",
     "Replay": "airpuck.flight.replay",
+    "ResidualTests": "airpuck.evaluation.residuals",
     "SetPoint": "airpuck.control.reference",
     "SetPoints": "airpuck.control.reference",
     "Span": "airpuck.trajectory",
@@ -90,6 +92,7 @@ _HOME = {
     "read_vehicle": "airpuck.vehicle",
     "replay": "airpuck.flight.replay",
     "reproduce": "airpuck.report.reproduce",
+    "resid": "airpuck.evaluation.residuals",
     "track": "airpuck.twin.experiments",
     "tracking_study": "airpuck.twin.tracking_study",
     "write_bag": "airpuck.recording.bag_writer",
@@ -107,6 +110,7 @@ __all__ = [
     "Parameters",
     "Recording",
     "Replay",
+    "ResidualTests",
     "SetPoint",
     "SetPoints",
     "Span",
@@ -139,6 +143,7 @@ __all__ = [
     "read_vehicle",
     "replay",
     "reproduce",
+    "resid",
     "track",
     "tracking_study",
     "write_bag",

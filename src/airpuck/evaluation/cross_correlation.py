@@ -1,0 +1,234 @@
+"""Do commands still explain the innovations? Correlation, and a test that tells motors apart.
+
+Commands of a pair exclude each other and are held over many samples, so that the correlations with
+one motor hold some of the others', and of its own at other lags. The bands account for the latter
+(Ljung 1999, eq. 16.69); the test is Wald's in one regression on all motors' past commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.evaluation.multiple_testing import holm
+from airpuck.evaluation.whiteness import BAND, LEVEL, p_text, with_pauses
+
+#: Share of the largest eigenvalue of a regression below which a direction is not in the data.
+_NONE = 1e-10
+#: Share of the motors that must err the same way for timing to be suspected.
+_ALIKE = 0.75
+#: How much less likely than any other's one motor's innocence must be for it to be named alone.
+_ALONE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCorrelation:
+    """What one motor's command still says about one channel.
+
+    Attributes
+    ----------
+    channel, motor : str
+        Which.
+    correlation : array, shape (2 M + 1,)
+        Of the innovation at t with the command in force at t − k, for lags k = −M … M.
+    band : float
+        99 % lie within ±band, each by itself, where the command explains nothing; from the
+        autocorrelations of both.
+    statistic : float
+        Wald's, that the coefficients of the command at lags 1 … M in a regression on all motors'
+        commands are zero.
+    degrees : int
+        Of the χ² that it follows then.
+    p_value : float
+        Probability of so large a statistic, adjusted for the number of motors (Holm).
+    early : float
+        Summed coefficients of the first third of the lags, in standard errors, positive where the
+        motor does more than modelled: how the innovations answer to a step of the command.
+    share : float
+        How much the motor moves the channel in the model, against the strongest motor.
+    """
+
+    channel: str
+    motor: str
+    correlation: Float[np.ndarray, " K"]
+    band: float
+    statistic: float
+    degrees: int
+    p_value: float
+    early: float
+    share: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether independence is not rejected at the 1 % level."""
+        return self.p_value >= LEVEL
+
+    @property
+    def peak(self) -> tuple[int, float]:
+        """Positive lag with the largest correlation, in samples, and the correlation there."""
+        middle = len(self.correlation) // 2
+        lag = middle + 1 + int(np.abs(self.correlation[middle + 1 :]).argmax())
+        return lag - middle, float(self.correlation[lag])
+
+    @property
+    def verdict(self) -> str:
+        """One sentence; of what is not rejected, too."""
+        test = f"χ² = {self.statistic:.1f}, {self.degrees} degrees of freedom"
+        test += f", {p_text(self.p_value)}"
+        if self.passed:
+            return f"{self.motor} explains nothing more of {self.channel} ({test})"
+        lag, value = self.peak
+        return (
+            f"{self.motor} still explains {self.channel}: correlation {value:.2g} after {lag} "
+            f"samples, band ±{self.band:.2g} ({test})"
+        )
+
+
+def cross_correlations(
+    channel: str,
+    values: Float[np.ndarray, " N"],
+    used: Bool[np.ndarray, " N"],
+    command: Float[np.ndarray, "N n"],
+    motors: Sequence[str],
+    effect: Float[np.ndarray, " n"],
+    lags: int,
+) -> list[CrossCorrelation]:
+    """Test one channel against all motors.
+
+    Parameters
+    ----------
+    channel : str
+        Its name.
+    values : array, shape (N,)
+        Innovations.
+    used : array of bool, shape (N,)
+        Which count.
+    command : array, shape (N, n)
+        Command in force at each sample.
+    motors : sequence of str
+        Their names.
+    effect : array, shape (n,)
+        Which way, and how much, each motor pushes the channel in the model.
+    lags : int
+        M.
+
+    Returns
+    -------
+    list of CrossCorrelation
+        One for each motor that moved.
+    """
+    from scipy.stats import chi2
+
+    moved: list[int] = np.flatnonzero(np.ptp(command[used], axis=0) > 0).tolist()
+    if not moved:
+        return []
+    inputs = with_pauses(command - command[used].mean(axis=0), used, lags)
+    row = with_pauses(values[:, None], used, lags)[:, 0]
+    at = np.flatnonzero(with_pauses(np.ones((len(used), 1)), used, lags)[:, 0] > 0)
+    at = at[at >= lags]
+    past = np.stack([inputs[at - k] for k in range(1, lags + 1)], axis=2)
+    blocks, covariance = _regress(past[:, moved].reshape(len(at), -1), row[at])
+    blocks = blocks.reshape(len(moved), lags)
+    statistics, degrees, early = [], [], []
+    for k, motor in enumerate(moved):
+        part = slice(k * lags, (k + 1) * lags)
+        own = covariance[part, part]
+        inverse, rank = _pseudo_inverse(own)
+        statistics.append(float(blocks[k] @ inverse @ blocks[k]))
+        degrees.append(rank)
+        first = np.arange(lags) < lags // 3
+        spread = np.sqrt(max(float(first @ own @ first), 1e-300))
+        early.append(float(np.sign(effect[motor]) * blocks[k] @ first / spread))
+    adjusted = holm(np.array([chi2.sf(q, d) for q, d in zip(statistics, degrees, strict=True)]))
+    return [
+        CrossCorrelation(
+            channel,
+            motors[motor],
+            *_correlate(row, inputs[:, motor], lags),
+            statistics[k],
+            degrees[k],
+            float(adjusted[k]),
+            early[k],
+            float(abs(effect[motor]) / np.abs(effect).max()),
+        )
+        for k, motor in enumerate(moved)
+    ]
+
+
+def _correlate(
+    row: Float[np.ndarray, " L"], command: Float[np.ndarray, " L"], lags: int
+) -> tuple[Float[np.ndarray, " K"], float]:
+    """Return the correlations at all lags, and half their 99 % band."""
+    size = len(row)
+
+    def products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Sum left(t) right(t - k), for k = -M … M."""
+        ahead = [left[: size - k] @ right[k:] for k in range(lags, 0, -1)]
+        return np.array(ahead + [left[k:] @ right[: size - k] for k in range(lags + 1)])
+
+    own, theirs = products(row, row), products(command, command)
+    scale = np.sqrt(own[lags] * theirs[lags])
+    # The triangle keeps the sum of estimated products from going below zero.
+    triangle = 1 - np.abs(np.arange(-lags, lags + 1)) / (lags + 1)
+    inflation = float(np.sum(triangle * own / own[lags] * theirs / theirs[lags]))
+    count = int(np.count_nonzero(row))
+    return products(row, command) / scale, BAND * float(np.sqrt(max(inflation, 0.0) / count))
+
+
+def _regress(
+    regressors: Float[np.ndarray, "L F"], row: Float[np.ndarray, " L"]
+) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F F"]]:
+    """Return least-squares coefficients and their covariance."""
+    inverse, rank = _pseudo_inverse(regressors.T @ regressors)
+    coefficients = inverse @ (regressors.T @ row)
+    left = row - regressors @ coefficients
+    return coefficients, inverse * float(left @ left) / max(len(row) - rank, 1)
+
+
+def _pseudo_inverse(matrix: Float[np.ndarray, "F F"]) -> tuple[Float[np.ndarray, "F F"], int]:
+    """Invert a symmetric matrix on the directions that it knows, and count them."""
+    values, vectors = np.linalg.eigh(matrix)
+    known = values > _NONE * max(values[-1], 0.0)
+    return (vectors[:, known] / values[known]) @ vectors[:, known].T, int(known.sum())
+
+
+def suspicions(tests: Sequence[CrossCorrelation]) -> list[str]:
+    """Say what rejected tests look like: timing, which concerns all motors, or one motor.
+
+    Parameters
+    ----------
+    tests : sequence of CrossCorrelation
+        Of all channels and motors.
+
+    Returns
+    -------
+    list of str
+        A sentence or none; a test finds a cause that it is told to look for.
+    """
+    if all(test.passed for test in tests):
+        return []
+    motors = list(dict.fromkeys(test.motor for test in tests))
+    answers = np.array([_pooled([t for t in tests if t.motor == name]) for name in motors])
+    common = float(answers.sum() / np.sqrt(len(answers)))
+    alike = float(np.mean(np.sign(answers) == np.sign(common)))
+    if abs(common) > BAND and alike >= _ALIKE:
+        when, what = ("more", "large") if common > 0 else ("less", "small")
+        return [
+            f"{round(alike * len(motors))} of {len(motors)} motors do {when} than modelled in the "
+            f"first samples after a command (z = {common:.1f}): is the model's delay or lag too "
+            f"{what}?"
+        ]
+    least = {name: min(t.p_value for t in tests if t.motor == name) for name in motors}
+    first, *others = sorted(motors, key=least.__getitem__)
+    if others and least[first] < _ALONE * min(least[name] for name in others):
+        return [f"it is {first} above all: does it push as much, and where, as modelled?"]
+    return []
+
+
+def _pooled(tests: Sequence[CrossCorrelation]) -> float:
+    """Pool the answers of the channels to one motor, by how much it moves them."""
+    weight = np.array([test.share for test in tests])
+    return float(weight @ [test.early for test in tests] / np.sqrt(weight @ weight))

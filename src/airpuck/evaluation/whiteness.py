@@ -1,0 +1,138 @@
+"""Are innovations white? Autocorrelation, and the test of Ljung and Box (1978)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+#: Level of the residual tests.
+LEVEL = 0.01
+#: 99.5 % quantile of the normal distribution: half of a 99 % band, in standard deviations.
+BAND = 2.5758293035489004
+
+
+@dataclass(frozen=True, eq=False)
+class Whiteness:
+    """Autocorrelation of one channel.
+
+    Attributes
+    ----------
+    channel : str
+        Which.
+    autocorrelation : array, shape (M,)
+        r(1) … r(M).
+    band : float
+        99 % of white noise's lie within ±band, each by itself.
+    statistic : float
+        Q = N(N + 2) Σ r(k)²/(N − k) of Ljung and Box.
+    degrees : int
+        Of the χ² that Q follows for white innovations: M less the ratios of noises that were
+        fitted to these data.
+    p_value : float
+        Probability of so large a Q.
+    """
+
+    channel: str
+    autocorrelation: Float[np.ndarray, " M"]
+    band: float
+    statistic: float
+    degrees: int
+    p_value: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether whiteness is not rejected at the 1 % level."""
+        return self.p_value >= LEVEL
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        q = f"Q = {self.statistic:.1f}, {self.degrees} degrees of freedom, {p_text(self.p_value)}"
+        if self.passed:
+            return f"{self.channel} innovations are white ({q})"
+        lag = int(np.abs(self.autocorrelation).argmax())
+        return (
+            f"{self.channel} innovations are not white: r({lag + 1}) = "
+            f"{self.autocorrelation[lag]:.2g}, band ±{self.band:.2g} ({q})"
+        )
+
+
+def ljung_box(
+    channel: str,
+    values: Float[np.ndarray, " N"],
+    used: Bool[np.ndarray, " N"],
+    lags: int,
+    fitted: int,
+) -> Whiteness:
+    """Test one channel by Ljung and Box.
+
+    Parameters
+    ----------
+    channel : str
+        Its name.
+    values : array, shape (N,)
+        Innovations, zero where they are not used.
+    used : array of bool, shape (N,)
+        Which are; pairs that are not both used, or belong to different stretches, do not count.
+    lags : int
+        M.
+    fitted : int
+        Parameters of the noise that were fitted to make the innovations white.
+
+    Returns
+    -------
+    Whiteness
+        The test.
+    """
+    from scipy.stats import chi2
+
+    row = with_pauses(values[:, None], used, lags)[:, 0]
+    count = int(used.sum())
+    correlation = np.array([row[k:] @ row[: len(row) - k] for k in range(lags + 1)])
+    r = correlation[1:] / correlation[0]
+    statistic = count * (count + 2) * float(np.sum(r**2 / (count - np.arange(1, lags + 1))))
+    degrees = lags - fitted
+    p_value = float(chi2.sf(statistic, degrees))
+    return Whiteness(channel, r, BAND / np.sqrt(count), statistic, degrees, p_value)
+
+
+def with_pauses(
+    values: Float[np.ndarray, "N C"], used: Bool[np.ndarray, " N"], lags: int
+) -> Float[np.ndarray, "L C"]:
+    """Put zeros between stretches, so that no product of two samples reaches across.
+
+    Parameters
+    ----------
+    values : array, shape (N, C)
+        Samples.
+    used : array of bool, shape (N,)
+        Which count; the others become zeros.
+    lags : int
+        Largest lag: so many zeros.
+
+    Returns
+    -------
+    array, shape (L, C)
+        The samples that count, and zeros.
+    """
+    values = np.where(used[:, None], values, 0.0)
+    begins = np.flatnonzero(used & ~np.concatenate([[True], used[:-1]]))
+    return np.insert(values, np.repeat(begins, lags), 0.0, axis=0)
+
+
+def p_text(p_value: float) -> str:
+    """Write a p-value.
+
+    Parameters
+    ----------
+    p_value : float
+        From 0 to 1.
+
+    Returns
+    -------
+    str
+        ``p = 0.32``, or ``p < 1e-300`` where it is too small for a number.
+    """
+    return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"

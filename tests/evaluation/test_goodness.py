@@ -1,0 +1,44 @@
+"""Fit percentages and information criteria."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.innovations import innovations
+from airpuck.evaluation.goodness import fit_percent, fitted_parameters, goodness
+
+from ..noisy import POSE_NOISE, TRUTH, noisy
+
+
+def test_fit_percent_by_hand():
+    measured = np.array([[0.0], [1.0], [2.0], [3.0]])
+    predicted = measured + np.array([[0.5], [-0.5], [0.5], [-0.5]])
+    # ‖error‖ = 1, ‖y − mean‖ = √5.
+    np.testing.assert_allclose(fit_percent(predicted, measured), [100 * (1 - 1 / np.sqrt(5))])
+    np.testing.assert_allclose(fit_percent(np.full((4, 1), 1.5), measured), [0], atol=1e-12)
+
+
+def test_the_likelihood_is_that_of_normal_innovations():
+    flight = noisy(duration=2.0)
+    found = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 1.0), (0.0, 0.0, 0.0)))
+    e, s = found.values[found.used], found.deviation[found.used]
+    assert found.log_likelihood == pytest.approx(stats.norm.logpdf(e, 0, s).sum())
+    fit = goodness(TRUTH, flight, known=found)
+    d = fitted_parameters(TRUTH)
+    assert fit.parameters == d == 23
+    assert fit.aic == pytest.approx(2 * d - 2 * found.log_likelihood)
+    assert fit.bic == pytest.approx(d * np.log(len(e)) - 2 * found.log_likelihood)
+
+
+def test_the_truth_fits_better_than_a_wrong_model():
+    flight = noisy(duration=6.0, seed=4)
+    wrong = replace(TRUTH.parameters, inertia=1.1 * TRUTH.parameters.inertia)
+    true, off = (goodness(m, flight) for m in (TRUTH, replace(TRUTH, parameters=wrong)))
+    for kind in ("k_step", "free_run", "whole"):
+        assert getattr(true, kind)[2] > max(getattr(off, kind)[2], 90)
+    assert true.aic < off.aic - 50
+    assert true.bic < off.bic - 50
+    assert set(true.to_json()["fit_percent"]) == {"k_step", "free_run", "whole"}

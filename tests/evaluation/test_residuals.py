@@ -1,0 +1,114 @@
+"""Residual tests: rates under the truth, power against errors, and the arithmetic."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from airpuck.errors import InputError
+from airpuck.evaluation.cross_correlation import cross_correlations
+from airpuck.evaluation.multiple_testing import holm
+from airpuck.evaluation.residuals import BODY_CHANNELS, resid
+from airpuck.evaluation.whiteness import ljung_box
+
+from ..noisy import TRUTH, noisy
+
+
+def test_ljung_box_by_hand():
+    values = np.array([1.0, -2.0, 3.0, 0.5, -1.0, 2.0])
+    r1 = (-2 - 6 + 1.5 - 0.5 - 2) / 19.25
+    r2 = (3 - 1 - 3 + 1) / 19.25
+    test = ljung_box("x", values, np.ones(6, dtype=bool), 2, 1)
+    np.testing.assert_allclose(test.autocorrelation, [r1, r2])
+    statistic = 6 * 8 * (r1**2 / 5 + r2**2 / 4)
+    assert test.statistic == pytest.approx(statistic)
+    assert test.degrees == 1
+    assert test.p_value == pytest.approx(stats.chi2.sf(statistic, 1))
+
+
+def test_no_product_reaches_across_a_pause():
+    values = np.array([1.0, 2.0, 7.0, 3.0, 4.0])
+    used = np.array([True, True, False, True, True])
+    test = ljung_box("x", values, used, 3, 0)
+    np.testing.assert_allclose(test.autocorrelation, [(2 + 12) / 30, 0, 0], atol=1e-15)
+
+
+def test_rates_of_false_alarms_are_nominal():
+    # White innovations and a held input: 600 tests of each kind at the 1 % level.
+    rng, alarms, beyond, lags = np.random.default_rng(1), np.zeros(2), 0.0, 10
+    for _ in range(300):
+        values = rng.normal(size=800)
+        command = np.repeat(rng.uniform(size=(20, 2)), 40, axis=0)
+        used = np.ones(800, dtype=bool)
+        alarms[0] += ljung_box("x", values, used, lags, 0).p_value < 0.01
+        tests = cross_correlations("x", values, used, command, "ab", np.ones(2), lags)
+        alarms[1] += min(test.p_value for test in tests) < 0.01
+        beyond += np.mean([np.abs(t.correlation) > t.band for t in tests])
+    assert (alarms <= 10).all()  # P(more than 10) = 0.0003
+    assert 0.004 < beyond / 300 < 0.02
+
+
+def test_bands_know_that_both_signals_are_smooth():
+    rng, lags, beyond = np.random.default_rng(2), 30, []
+    for _ in range(200):
+        values = np.convolve(rng.normal(size=1004), np.ones(5), "valid")
+        command = np.repeat(rng.uniform(size=(25, 1)), 40, axis=0)
+        used = np.ones(1000, dtype=bool)
+        (test,) = cross_correlations("x", values, used, command, "a", np.ones(1), lags)
+        beyond.append(np.mean(np.abs(test.correlation) > test.band))
+    # With the band of white noise, ±2.58/√N, a quarter would lie outside.
+    assert np.mean(beyond) < 0.03
+
+
+def test_the_true_model_passes():
+    p_values = []
+    for seed in range(4):
+        tests = resid(TRUTH, noisy(seed=seed))
+        p_values += [test.p_value for test in tests.whiteness]
+        for channel in BODY_CHANNELS:
+            p_values.append(min(t.p_value for t in tests.correlations if t.channel == channel))
+    assert np.sum(np.array(p_values) < 0.01) <= 1  # of 24; P(more than 1) = 0.02
+
+
+def test_a_motor_that_is_modelled_too_strong_is_named():
+    parameters = TRUTH.parameters
+    thrust = np.array(parameters.thrust)
+    thrust[4] *= 1.2
+    tests = resid(
+        replace(TRUTH, parameters=replace(parameters, thrust=thrust)), noisy(duration=8.0, seed=1)
+    )
+    assert not tests.passed
+    motor = TRUTH.vehicle.propeller_names[4]
+    assert min(tests.correlations, key=lambda test: test.p_value).motor == motor
+    assert f"it is {motor} above all: does it push as much, and where, as modelled?" in (
+        tests.verdicts
+    )
+    assert any(line.startswith(f"{motor} still explains") for line in tests.verdicts)
+
+
+@pytest.mark.parametrize(("change", "word"), [(0.01, "large"), (-0.01, "small")])
+def test_a_wrong_lag_is_a_matter_of_timing(change, word):
+    parameters = TRUTH.parameters
+    wrong = replace(parameters, motor_time_constant=parameters.motor_time_constant + change)
+    tests = resid(replace(TRUTH, parameters=wrong), noisy(duration=10.0, seed=2))
+    assert not tests.passed
+    assert any(f"delay or lag too {word}" in line for line in tests.verdicts)
+    assert not tests.to_json()["passed"]
+
+
+def test_holm_by_hand():
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+    np.testing.assert_allclose(holm(np.array([0.9, 0.8])), [1, 1])
+
+
+def test_a_motor_that_never_moved_is_not_tested():
+    values, used = np.random.default_rng(0).normal(size=500), np.ones(500, dtype=bool)
+    command = np.column_stack([np.full(500, 0.1), np.tile([0.1, 0.9], 250)])
+    tests = cross_correlations("x", values, used, command, "ab", np.ones(2), 5)
+    assert [test.motor for test in tests] == ["b"]
+
+
+def test_more_lags_than_the_data_bear_are_refused():
+    with pytest.raises(InputError, match="lags"):
+        resid(TRUTH, noisy(seed=0), lags=200)
