@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from airpuck.errors import InputError
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
-    from airpuck.flight.preflight import preflight
     from airpuck.evaluation.residuals import ResidualTests, resid
+    from airpuck.flight.preflight import preflight
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import Fit, identifiability, identify
