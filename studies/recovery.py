@@ -13,13 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from airpuck import identify, preprocess
+from airpuck.campaigns.recovery import recovery_errors
 from airpuck.model_file import Model, published_model
 from airpuck.twin.experiments import excite
 from airpuck.twin.plant import Plant
 from airpuck.twin.twin import build_plant
 
-#: Speeds over which thrust curves are compared.
-SPEEDS = np.linspace(0.03, 1, 200)
 #: What must not be exceeded; thrust: of the worst motor, delay: in samples.
 BOUNDS = {"thrust %": 2.0, "tau %": 5.0, "I %": 2.0, "alpha mrad": 5.0, "r mm": 0.3, "delay": 1.0}
 
@@ -29,25 +28,17 @@ def truth() -> Model:
     return replace(published_model("M3"), frame="body", indexing="start")
 
 
-def thrust_error(model: Model, truth: Model) -> np.ndarray:
-    """Return the error of each thrust curve, root mean square relative to that of the curve."""
-    degree = truth.parameters.thrust.shape[1]
-    powers = SPEEDS[:, None] ** np.arange(1, degree + 1)
-    true, found = (powers @ m.parameters.thrust.T for m in (truth, model))
-    return np.sqrt(np.mean((found - true) ** 2, axis=0) / np.mean(true**2, axis=0))
-
-
 def recovered(model: Model, plant: Plant, seed: int, duration: float = 90.0) -> dict[str, float]:
     """Fly, identify, and compare with the truth."""
     trajectory = preprocess(excite(model, duration, seed, plant=plant))
     found = identify(trajectory, "M3").model
-    p, q = found.parameters, model.parameters
+    errors = recovery_errors(found, model)
     return {
-        "thrust %": 100 * float(thrust_error(found, model).max()),
-        "tau %": 100 * float(p.motor_time_constant / q.motor_time_constant - 1),
-        "I %": 100 * float(p.inertia / q.inertia - 1),
-        "alpha mrad": 1e3 * float(p.angle_offset - q.angle_offset),
-        "r mm": 1e3 * float(np.linalg.norm(p.center_of_mass - q.center_of_mass)),
+        "thrust %": 100 * errors["thrust"],
+        "tau %": 100 * errors["motor_time_constant"],
+        "I %": 100 * errors["inertia"],
+        "alpha mrad": 1e3 * errors["angle_offset_rad"],
+        "r mm": 1e3 * errors["center_of_mass_m"],
         "delay": (trajectory.delay - truth().transport_delay) * 240,
     }
 

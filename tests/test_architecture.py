@@ -27,6 +27,7 @@ ORDER = (
     ("flight",),
     ("twin",),
     ("live",),
+    ("campaigns",),
     ("report",),
     ("demo", "cli"),
 )
@@ -70,6 +71,8 @@ def test_imports_go_downwards(path):
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),
         ("mcap", {"recording"}),
+        ("dask", {"campaigns"}),
+        ("distributed", {"campaigns"}),
     ],
 )
 def test_heavy_packages_stay_in_their_rooms(package, rooms):

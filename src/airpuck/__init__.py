@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from airpuck.campaigns.campaign import campaign
     from airpuck.control.reference import SetPoint, SetPoints, TimedPath
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import Tuning, read_tuning
@@ -72,6 +73,7 @@ _HOME = {
     "TwinSettings": "airpuck.twin.settings",
     "Vehicle": "airpuck.vehicle",
     "animate": "airpuck.report.animation",
+    "campaign": "airpuck.campaigns.campaign",
     "check_layout": "airpuck.identification.layout_check",
     "compare": "airpuck.evaluation.evaluate",
     "default_vehicle": "airpuck.vehicle",
@@ -123,6 +125,7 @@ __all__ = [
     "TwinSettings",
     "Vehicle",
     "animate",
+    "campaign",
     "check_layout",
     "compare",
     "default_vehicle",

@@ -58,17 +58,30 @@ def read_toml(
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not valid TOML: {error}", file=path) from error
     if base is not None:
-        content = _laid_over(base.model_dump(mode="json"), content)
+        content = laid_over(base.model_dump(mode="json"), content)
     return checked(content, schema, file=path)
 
 
-def _laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace what the content names, table by table; arrays are replaced whole."""
+def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace what the content names, table by table; arrays are replaced whole.
+
+    Parameters
+    ----------
+    base : mapping
+        What holds where the content says nothing.
+    content : mapping
+        What is named.
+
+    Returns
+    -------
+    dict
+        Both together.
+    """
     merged = dict(base)
     for key, value in content.items():
         below = base.get(key)
         if isinstance(below, Mapping) and isinstance(value, Mapping):
-            value = _laid_over(below, value)
+            value = laid_over(below, value)
         merged[key] = value
     return merged
 

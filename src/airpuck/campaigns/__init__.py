@@ -1,0 +1,1 @@
+"""Many independent flights and fits, on all cores or on a cluster."""

@@ -1,0 +1,124 @@
+"""Is the truth found again? An excitation flight on the twin, identified and compared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, ClassVar
+
+import numpy as np
+import pydantic
+from jaxtyping import Float
+
+from airpuck.campaigns.item import Item, Row, Spread, TwinTable, varied
+from airpuck.identification.fit import identify
+from airpuck.model.thrust import thrust
+from airpuck.model_file import Model, read_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.twin.experiments import excite
+from airpuck.twin.settings import default_twin_settings
+
+#: Speeds over which thrust curves are compared.
+SPEEDS = np.linspace(0.03, 1, 200)
+
+
+class Recovery(Item):
+    """One excitation flight, identified.
+
+    Attributes
+    ----------
+    truth : str
+        The twin's truth; its centre of mass is fixed to the body.
+    truth_spread : float
+        By how much the truth differs from that, at random (`varied`).
+    model : str
+        What is identified.
+    duration_s, amplitude, hold_s : float
+        Of the excitation.
+    stride : int
+        Samples from one window to the next.
+    robust : bool
+        Whether windows that are predicted badly count less.
+    twin : TwinSettings
+        Table, sensors, radio, faults.
+    """
+
+    SOURCES: ClassVar = ("truth",)
+
+    truth: str = "paper:M3"
+    truth_spread: Spread = 0.0
+    model: str = "M3"
+    duration_s: Annotated[float, pydantic.Field(gt=0)] = 90.0
+    amplitude: Annotated[float, pydantic.Field(gt=0, le=1)] = 1.0
+    hold_s: Annotated[float, pydantic.Field(gt=0)] = 0.2
+    stride: Annotated[int, pydantic.Field(ge=1)] = 7
+    robust: bool = False
+    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+
+    def run(self) -> list[Row]:
+        """Fly, identify, compare; see `Item.run`."""
+        truth = varied(read_model(self.truth), self.truth_spread, self.seed)
+        truth = replace(truth, frame="body", indexing="start")
+        recording = excite(
+            truth,
+            self.duration_s,
+            self.seed,
+            amplitude=self.amplitude,
+            hold=self.hold_s,
+            settings=self.twin,
+        )
+        trajectory = preprocess(recording, truth.vehicle)
+        fit = identify(
+            trajectory, self.model, vehicle=truth.vehicle, stride=self.stride, robust=self.robust
+        )
+        delay = self.twin.with_delay(truth.transport_delay).radio.delay_s or 0.0
+        return [
+            {
+                **recovery_errors(fit.model, truth),
+                "delay_s": float(trajectory.delay - delay),
+                "loss": fit.loss,
+                "iterations": float(fit.iterations),
+                "converged": float(fit.converged),
+            }
+        ]
+
+
+def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:
+    """Compare thrust curves.
+
+    Parameters
+    ----------
+    model, truth : Model
+        Of one craft.
+
+    Returns
+    -------
+    array, shape (n,)
+        Root mean square error over `SPEEDS`, relative to that of the true curve.
+    """
+    speeds = np.tile(SPEEDS, (len(truth.parameters.thrust), 1))
+    found, true = (thrust(m.dynamics.thrust, speeds) for m in (model, truth))
+    return np.sqrt(np.mean((found - true) ** 2, axis=1) / np.mean(true**2, axis=1))
+
+
+def recovery_errors(model: Model, truth: Model) -> Row:
+    """Compare an identified model with the truth.
+
+    Parameters
+    ----------
+    model, truth : Model
+        Of one craft.
+
+    Returns
+    -------
+    dict
+        Relative errors of the worst thrust curve, the motor lag and the inertia; errors of the
+        angle offset [rad] and of the centre of mass [m].
+    """
+    found, true = model.parameters, truth.parameters
+    return {
+        "thrust": float(thrust_error(model, truth).max()),
+        "motor_time_constant": float(found.motor_time_constant / true.motor_time_constant - 1),
+        "inertia": float(found.inertia / true.inertia - 1),
+        "angle_offset_rad": float(found.angle_offset - true.angle_offset),
+        "center_of_mass_m": float(np.linalg.norm(found.center_of_mass - true.center_of_mass)),
+    }

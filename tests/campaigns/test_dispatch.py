@@ -1,0 +1,91 @@
+"""Workers die; their items do not."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from airpuck import InputError
+from airpuck.campaigns import dispatch as module
+from airpuck.campaigns.dispatch import DEADLY, dispatch
+from airpuck.campaigns.item import Entry, Item
+
+
+class Mortal(Item):
+    """Marks that it was run; some kill their worker, the first time or every time."""
+
+    folder: str
+    kills: Literal["never", "once", "always"] = "never"
+    raises: bool = False
+
+    def run(self):
+        marks = Path(self.folder)
+        before = len(list(marks.glob(f"{self.seed}-*")))
+        (marks / f"{self.seed}-{before}").touch()
+        time.sleep(0.05)
+        if self.kills == "always" or (self.kills == "once" and before == 0):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.raises:
+            raise InputError("is not to be had", field="figure")
+        return [{"pid": float(os.getpid())}]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Run 12 items on two workers; kill one from outside, too, after the first result."""
+    folder = tmp_path_factory.mktemp("marks")
+    fates = {3: "once", 7: "always"}
+    items = [
+        Mortal(seed=s, folder=str(folder), kills=fates.get(s, "never"), raises=s == 10)
+        for s in range(12)
+    ]
+    results, order = {}, []
+
+    def done(entry, result):
+        if not results:
+            os.kill(int(result.rows[0]["pid"]), signal.SIGKILL)
+        assert entry.item.seed not in results
+        results[entry.item.seed] = result
+        order.append(entry.item.seed)
+
+    dispatch([Entry(f"item {i.seed}", {}, i) for i in items], done, workers=2)
+    runs = {s: len(list(folder.glob(f"{s}-*"))) for s in range(12)}
+    return results, runs
+
+
+def test_every_item_comes_to_an_end(run):
+    results, _ = run
+    assert set(results) == set(range(12))
+    assert {s for s, result in results.items() if result.failure} == {7, 10}
+    assert all(result.rows for s, result in results.items() if s not in (7, 10))
+
+
+def test_a_killed_worker_loses_its_own_item_only(run):
+    _, runs = run
+    assert runs[3] == 2
+    # Besides, at most the one that ran where the worker was killed from outside.
+    others = {s: n for s, n in runs.items() if s not in (3, 7)}
+    assert sum(n - 1 for n in others.values()) <= 1
+
+
+def test_an_item_that_kills_its_workers_is_given_up(run):
+    results, runs = run
+    assert runs[7] == DEADLY
+    assert "its worker died 3 times" in results[7].failure
+
+
+def test_what_an_item_refuses_is_its_failure(run):
+    results, runs = run
+    assert results[10].failure == "figure: is not to be had"
+    assert runs[10] == 1
+
+
+def test_no_scheduler_is_told_in_one_line(monkeypatch):
+    monkeypatch.setattr(module, "PATIENCE", 0.3)
+    with pytest.raises(InputError, match="no Dask scheduler answers there"):
+        dispatch([], lambda *_: None, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="no Dask scheduler answers there"):
+        dispatch([], lambda *_: None, scheduler="nonsense://")

@@ -1,0 +1,109 @@
+"""A spec lays out items; their keys follow what they compute."""
+
+import shutil
+
+import pytest
+
+from airpuck import InputError
+from airpuck.campaigns.spec import read_spec
+from airpuck.model_file import read_model
+from airpuck.twin.settings import default_twin_settings
+
+TRACKING = """
+kind = "tracking"
+seeds = 2
+[base]
+model = "model.toml"
+truth = "paper:M4"
+[base.twin.radio]
+loss = 0.1
+[grid]
+controller = ["paper", "full"]
+twin.radio.jitter_s = [0.0, 0.01, 0.03]
+"""
+
+
+@pytest.fixture
+def spec(tmp_path):
+    read_model("paper:M3").save(tmp_path / "model.toml")
+
+    def written(text=TRACKING):
+        (tmp_path / "spec.toml").write_text(text)
+        return tmp_path / "spec.toml"
+
+    return written
+
+
+def test_every_combination_with_every_seed(spec):
+    entries = read_spec(spec())
+    assert len(entries) == len({entry.key for entry in entries}) == 2 * 3 * 2
+    told = [(e.item.controller, e.item.twin.radio.jitter_s, e.item.seed) for e in entries]
+    assert told == [(c, j, s) for c in ("paper", "full") for j in (0, 0.01, 0.03) for s in (0, 1)]
+    assert entries[0].setting == {"controller": "paper", "twin.radio.jitter_s": 0.0}
+
+
+def test_tables_are_laid_over_the_packaged_settings(spec):
+    packaged = default_twin_settings()
+    for entry in read_spec(spec()):
+        radio = entry.item.twin.radio
+        assert radio.loss == 0.1
+        assert radio.timeout_s == packaged.radio.timeout_s
+        assert entry.item.twin.motion_capture == packaged.motion_capture
+
+
+def test_files_are_found_beside_the_spec(spec, tmp_path):
+    assert read_spec(spec())[0].item.model == str(tmp_path / "model.toml")
+
+
+def keys(path):
+    return {entry.key for entry in read_spec(path)}
+
+
+def test_a_changed_spec_changes_only_what_differs(spec):
+    before = keys(spec())
+    assert before < keys(spec(TRACKING.replace("seeds = 2", "seeds = [0, 1, 5]")))
+    assert before > keys(spec(TRACKING.replace(", 0.03]", "]")))
+    # Said in another way, the same.
+    assert before == keys(spec(TRACKING.replace("0.0, 0.01", "0, 1e-2")))
+    assert not before & keys(spec(TRACKING.replace("loss = 0.1", "loss = 0.2")))
+
+
+def test_keys_follow_the_content_of_files_not_their_place(spec, tmp_path):
+    before = keys(spec())
+    shutil.copy(tmp_path / "model.toml", tmp_path / "other.toml")
+    assert keys(spec(TRACKING.replace("model.toml", "other.toml"))) == before
+    read_model("paper:M2").save(tmp_path / "model.toml")
+    assert not keys(spec()) & before
+
+
+def test_a_setting_given_twice_is_computed_once(spec):
+    # Where the seed is of no account to the setting, it is part of the item nevertheless.
+    assert len(read_spec(spec('kind = "fleet"\nseeds = [3, 3]'))) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('kind = "racing"', ("kind", "tracking")),
+        ("seeds = 3", ("kind", "required")),
+        ('kind = "tracking"\nseeds = 0', ("seeds",)),
+        ('kind = "tracking"\nseeds = -1', ("seeds",)),
+        ('kind = "tracking"\nbase.speed = 1', ("speed", "not a known key")),
+        ('kind = "tracking"\nbase.seed = 1', ("base.seed", "seeds")),
+        ('kind = "tracking"\nbase.dwell_s = "2"', ("dwell_s", "valid number")),
+        ('kind = "tracking"\nbase.twin.radio.loss = 2', ("twin", "radio.loss")),
+        ('kind = "tracking"\nbase.twin = 2', ("twin", "must be a table")),
+        ('kind = "tracking"\nbase.model = "none.toml"', ("none.toml", "no such file")),
+        ('kind = "tracking"\ngrid.dwell_s = 2.0', ("grid.dwell_s", "list")),
+        ('kind = "tracking"\ngrid.dwell_s = [2.0, 2.0]', ("grid.dwell_s", "twice")),
+        ('kind = "tracking"\nseeds = 2000000', ("2000000 items",)),
+        ('kind = "fit"', ("recordings", "missing")),
+        ('kind = "fit"\nbase = {recordings = ["."], resamplings = 1}', ("at least 2",)),
+        ('kind = "fit"\nbase = {recordings = ["."], resamplings = 9, robust = true}', ("robust",)),
+    ],
+)
+def test_what_is_wrong_is_named(spec, text, words):
+    with pytest.raises(InputError) as refused:
+        read_spec(spec(text))
+    for word in ("spec.toml", *words) if "none.toml" not in text else words:
+        assert word in str(refused.value)
