@@ -260,6 +260,20 @@ def test_signals_go_on_where_the_craft_can_stop(position, velocity):
     np.testing.assert_allclose(np.minimum(step.command[0::2], step.command[1::2]), IDLE)
 
 
+def test_a_wider_margin_pauses_the_signals_earlier():
+    for y, pauses in ((0.26, False), (0.29, True)):
+        excitation = pilot(seed=1, margin=0.2)
+        moving(excitation, (0.0, y), (0.0, 0.0))
+        assert (excitation.pauses > 0) == pauses  # 0.55 m - radius - margin is 0.28 m
+
+
+@pytest.mark.parametrize("margin", [-0.01, 0.5, np.nan])
+def test_a_margin_that_leaves_no_room_is_refused(margin):
+    with pytest.raises(InputError) as caught:
+        pilot(margin=margin)
+    assert caught.value.field == "margin"
+
+
 def test_how_far_a_craft_needs_to_stop_by_hand():
     # In its weakest direction the paper's craft pushes with two and with one half propeller …
     full = sum(VEHICLE.nominal.thrust_N)
@@ -325,6 +339,25 @@ def test_a_jump_of_the_clock_costs_no_time_and_signals_go_on():
 def test_an_amplitude_out_of_range_is_refused(amplitude):
     with pytest.raises(InputError) as caught:
         pilot(amplitude=amplitude)
+    assert caught.value.field == "amplitude"
+
+
+def test_each_pair_can_have_an_amplitude_of_its_own():
+    commands = at_rest(pilot(amplitude=(0.9, 0.0, 0.4), seed=5), 200)
+    # One number of the generator for each signal, also for the one that is silent.
+    signals = np.repeat(
+        np.random.default_rng(5).uniform(-1, 1, (10, 3)) * (0.9, 0, 0.4), 20, axis=0
+    )
+    np.testing.assert_allclose(commands[:, 0::2], np.clip(signals, IDLE, 1), atol=1e-6)
+    np.testing.assert_allclose(commands[:, 1::2], np.clip(-signals, IDLE, 1), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "amplitudes", [(), (1, 1), (0, 0, 0), (1, 1.01, 1), (1, -0.1, 1), (1, np.nan, 1)]
+)
+def test_amplitudes_that_do_not_fit_are_refused(amplitudes):
+    with pytest.raises(InputError, match="3: of each pair") as caught:
+        pilot(amplitude=amplitudes)
     assert caught.value.field == "amplitude"
 
 

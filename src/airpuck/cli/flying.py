@@ -89,21 +89,33 @@ def excite(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")
     ],
-    duration: Annotated[float, typer.Option(metavar="S", help=r"Length \[s].")] = 90.0,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help=r"Length \[s], by default 90.")
+    ] = None,
     seed: Seed = 0,
     vehicle: VehicleFile = None,
     model: Annotated[
         str | None,
         typer.Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
     ] = None,
-    amplitude: Annotated[float, typer.Option(help="Largest random signal.")] = 1.0,
-    hold: Annotated[float, typer.Option(metavar="S", help=r"Time between its changes \[s].")] = 0.2,
+    amplitude: Annotated[
+        float | None, typer.Option(help="Largest random signal, by default 1.")
+    ] = None,
+    hold: Annotated[
+        float | None,
+        typer.Option(metavar="S", help=r"Time between its changes \[s], by default 0.2."),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="These and the margin, as airpuck design proposes."),
+    ] = None,
     twin: TwinFile = None,
     tuning: TuningFile = None,
     csv: Annotated[bool, typer.Option("--csv", help="Record CSV files instead of a bag.")] = False,
     json_file: Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
+    from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
     from airpuck.errors import InputError
     from airpuck.model_file import nominal_model, read_model
     from airpuck.recording import write_bag, write_csv
@@ -118,12 +130,14 @@ def excite(
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
     check_destinations(output=output, json=json_file)
+    planned = ExcitationPlan() if plan is None else read_excitation_plan(plan)
     excited = fly_excitation(
         truth,
-        duration,
+        planned.duration_s if duration is None else duration,
         seed,
-        amplitude=amplitude,
-        hold=hold,
+        amplitude=planned.amplitude if amplitude is None else amplitude,
+        hold=planned.hold_s if hold is None else hold,
+        margin=planned.margin_m,
         settings=None if twin is None else read_twin_settings(twin),
         tuning=read_controls(tuning),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +17,9 @@ from airpuck.estimate.axis_filter import Estimate
 from airpuck.model_file import Model
 from airpuck.table import Table
 
-#: Distance to the rails at which the craft must be able to stop [m].
-_MARGIN = 0.05
+#: Largest signal: of all, or of each.
+Amplitude = float | Sequence[float]
+
 #: Least acceleration in any direction with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
 #: Greatest cosine between the effects of two propellers that oppose each other: 154 degrees.
@@ -47,20 +49,23 @@ class Excitation:
         What it steers to; by default the centre of the table.
     tuning : Tuning, optional
         Of the controller; by default the packaged one.
-    amplitude : float, default 1
-        Largest signal.
+    amplitude : float or sequence of float, default 1
+        Largest signal, of all or of each: those of the pairs, then those of the propellers without
+        a partner, each in the vehicle's order. One of several may be 0.
     hold : float, default 0.2
         Time between changes of the signals [s].
     seed : int, default 0
         Seed of the signals.
     table : Table, optional
         Where the rails are; by default the paper's table.
+    margin : float, default 0.05
+        Distance to the rails at which the craft must be able to stop [m].
 
     Raises
     ------
     InputError
-        If amplitude or hold are out of range, if the propellers of a pair do not oppose each other,
-        or if all together cannot push in every direction and turn the craft both ways.
+        If amplitude, hold or margin are out of range, if the propellers of a pair do not oppose
+        each other, or if all together cannot push in every direction and turn the craft both ways.
     """
 
     def __init__(
@@ -69,10 +74,11 @@ class Excitation:
         reference: Reference | None = None,
         *,
         tuning: Tuning | None = None,
-        amplitude: float = 1.0,
+        amplitude: Amplitude = 1.0,
         hold: float = 0.2,
         seed: int = 0,
         table: Table | None = None,
+        margin: float = 0.05,
     ) -> None:
         self.controller = controller = TrackingController(
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
@@ -81,19 +87,22 @@ class Excitation:
             reject_disturbance=False,
             compensate_delay=False,
         )
-        if not 0 < amplitude <= 1:
-            raise InputError("must be above 0 and at most 1", field="amplitude")
         if not hold >= controller.tuning.period_s:
             raise InputError(
                 f"must be at least the controller's period, {controller.tuning.period_s:g} s",
                 field="hold",
             )
-        self._amplitude, self._hold = amplitude, hold
+        self._hold = hold
         self._bits = np.random.PCG64(seed)
         self._rng = np.random.Generator(self._bits)
         self._signed, self._mixer = _mixing(model)
+        self._amplitude = _amplitudes(amplitude, self._mixer.shape[1])
         vehicle = model.vehicle
-        self._reach = np.array((table or Table()).reach(vehicle.radius_m)) - _MARGIN
+        self._reach = np.array((table or Table()).reach(vehicle.radius_m)) - margin
+        if not (margin >= 0 and (self._reach > 0).all()):
+            raise InputError(
+                "must not be negative, and leave room between the rails", field="margin"
+            )
         weakest = _weakest_push(model)
         if weakest < _LEAST_PUSH:
             raise InputError(
@@ -170,7 +179,7 @@ class Excitation:
             return
         # As if those that were missed had been drawn, one number of 64 bits each.
         self._bits.advance((due - 1 - self._changes) * len(self._signal))
-        self._signal = self._rng.uniform(-self._amplitude, self._amplitude, len(self._signal))
+        self._signal = self._rng.uniform(-self._amplitude, self._amplitude)
         self._changes = due
 
     def _can_stop(self, estimate: Estimate) -> bool:
@@ -178,6 +187,22 @@ class Excitation:
         position, velocity = estimate.state[:2], estimate.state[3:5]
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
+
+
+def _amplitudes(amplitude: Amplitude, signals: int) -> Float[np.ndarray, " signals"]:
+    """Return the amplitude of each signal."""
+    each = np.asarray(amplitude, dtype=float)
+    if each.ndim == 0:
+        if not 0 < each <= 1:
+            raise InputError("must be above 0 and at most 1", field="amplitude")
+        return np.full(signals, float(each))
+    if each.shape != (signals,) or not ((each >= 0) & (each <= 1)).all() or not each.any():
+        raise InputError(
+            f"must be one number, or {signals}: of each pair, then of each propeller without a "
+            "partner; from 0 to 1, and not all 0",
+            field="amplitude",
+        )
+    return each
 
 
 def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n signals"]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.excitation import Excitation
+from airpuck.control.excitation import Amplitude, Excitation
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -45,8 +45,9 @@ def excite(
     duration: float = 90.0,
     seed: int = 0,
     *,
-    amplitude: float = 1.0,
+    amplitude: Amplitude = 1.0,
     hold: float = 0.2,
+    margin: float = 0.05,
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     plant: Plant | None = None,
@@ -63,10 +64,12 @@ def excite(
         Length [s].
     seed : int, default 0
         Seed of signals, noise and radio.
-    amplitude : float, default 1
-        Largest signal.
+    amplitude : float or sequence of float, default 1
+        Largest signal, of all or of each; see `Excitation`.
     hold : float, default 0.2
         Time between changes of the signals [s].
+    margin : float, default 0.05
+        Distance to the rails at which the craft must be able to stop [m].
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -90,6 +93,7 @@ def excite(
         seed,
         amplitude=amplitude,
         hold=hold,
+        margin=margin,
         settings=settings,
         tuning=tuning,
         plant=plant,
@@ -101,8 +105,9 @@ def fly_excitation(
     duration: float = 90.0,
     seed: int = 0,
     *,
-    amplitude: float = 1.0,
+    amplitude: Amplitude = 1.0,
     hold: float = 0.2,
+    margin: float = 0.05,
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     plant: Plant | None = None,
@@ -118,6 +123,7 @@ def fly_excitation(
         hold=hold,
         seed=seed,
         table=settings.table,
+        margin=margin,
     )
     period = pilot.controller.tuning.period_s
     fly(pilot, twin, duration, period)
