@@ -11,7 +11,6 @@ from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.errors import InputError
 from airpuck.flight.track import Track
 from airpuck.identification.fit import identify
-from airpuck.model.thrust import thrust
 from airpuck.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording import read_recording, write_bag
@@ -78,15 +77,7 @@ def test_amplitude_and_hold_reach_the_signals(plant):
 
 
 def test_identification_recovers_the_truth(fit):
-    found, truth = fit.model.parameters, TRUTH.parameters
-    grid = np.tile(np.linspace(0.03, 1, 98), (6, 1))
-    true = thrust(truth.thrust, grid)
-    apart = np.sqrt(np.mean((thrust(found.thrust, grid) - true) ** 2, axis=1))
-    assert (apart < 0.04 * np.sqrt(np.mean(true**2, axis=1))).all()
-    assert found.motor_time_constant == pytest.approx(truth.motor_time_constant, rel=0.08)
-    assert found.inertia == pytest.approx(truth.inertia, rel=0.03)
-    assert found.angle_offset == pytest.approx(truth.angle_offset, abs=0.01)
-    np.testing.assert_allclose(found.center_of_mass, truth.center_of_mass, atol=0.5e-3)
+    assert_recovered(fit.model.parameters, TRUTH.parameters)
 
 
 def test_identification_does_not_just_return_its_start(fit):

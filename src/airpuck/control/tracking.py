@@ -25,8 +25,11 @@ from airpuck.model_file import Model
 
 #: What callers may give for an array of one dimension.
 Numbers = Sequence[float] | np.ndarray
-#: What a control step ended with. The outcomes of the allocation fly; all others idle the motors.
-Status = Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop"]
+#: What a control step ended with. The outcomes of the allocation fly; all others idle the motors;
+#: ``unsafe`` is said by a guard around the controller.
+Status = (
+    Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
+)
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest")
 
 #: No control without a pose from the last 50 ms: twelve frames of the motion capture.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -65,6 +67,28 @@ class FlightLog:
     reference: Float[np.ndarray, "K 3"]
 
 
+@dataclass(frozen=True, eq=False)
+class Action:
+    """One period of a flight.
+
+    Attributes
+    ----------
+    due : float
+        When it should have begun [s].
+    time : float
+        For when its command was computed [s].
+    step : Step
+        The command, and why.
+    reference : array, shape (6,)
+        What the craft is asked to do: x, y, yaw and their rates.
+    """
+
+    due: float
+    time: float
+    step: Step
+    reference: Float[np.ndarray, " 6"]
+
+
 def fly(
     pilot: Pilot, link: Link, duration: float, period: float = 0.01, *, on_board: bool = False
 ) -> FlightLog:
@@ -91,9 +115,47 @@ def fly(
     FlightLog
         What was sent, and why.
     """
-    start, announced = link.now, np.full(6, np.nan)
     times, commands, status, references = [], [], [], []
-    for k in range(round(duration / period)):
+    start = link.now
+    for action in control(pilot, link, duration, period, on_board=on_board):
+        times.append(action.time)
+        commands.append(action.step.command)
+        status.append(action.step.status)
+        references.append(action.reference[:3])
+    link.wait_until(start + duration)
+    return FlightLog(np.array(times), np.array(commands), tuple(status), np.array(references))
+
+
+def control(
+    pilot: Pilot, link: Link, duration: float, period: float = 0.01, *, on_board: bool = False
+) -> Iterator[Action]:
+    """Act once a period; `fly` without a log.
+
+    The times at which an action is due are fixed at the start: a late one does not delay those
+    after it. Those that have become due meanwhile are left out.
+
+    Parameters
+    ----------
+    pilot : Pilot
+        Computes the commands.
+    link : Link
+        The craft.
+    duration : float
+        How long; may be infinite [s].
+    period : float, default 0.01
+        Time between commands [s].
+    on_board : bool, default False
+        Whether the pilot is told what the sensors on the craft say.
+
+    Yields
+    ------
+    Action
+        After its command was sent.
+    """
+    start, announced = link.now, np.full(6, np.nan)
+    count = math.inf if math.isinf(duration) else round(duration / period)
+    k = 0
+    while k < count:
         due = start + k * period
         for measurement in link.wait_until(due):
             _tell(pilot, measurement, on_board)
@@ -105,12 +167,8 @@ def fly(
         step = pilot.step(now)
         link.send(step.command)
         pilot.sent(now, step.command)
-        times.append(now)
-        commands.append(step.command)
-        status.append(step.status)
-        references.append(asked[:3])
-    link.wait_until(start + duration)
-    return FlightLog(np.array(times), np.array(commands), tuple(status), np.array(references))
+        yield Action(due, now, step, asked)
+        k = max(k + 1, math.floor((link.now - start) / period))
 
 
 def _tell(pilot: Pilot, measurement: Measurement, on_board: bool) -> None:

@@ -283,7 +283,8 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     Returns
     -------
     SetPoints
-        On that axis; of several of one time the last, which is the one in force.
+        On that axis; of several of one time the last, which is the one in force. One that is told
+        again is not another.
 
     Raises
     ------
@@ -294,7 +295,9 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     # In the same arithmetic as the commands: one of the same moment must not seem earlier.
     times = seconds(logged.received_ns) - epoch
     last = np.append(np.diff(times) > 0, True)
-    return SetPoints(times[last].tolist(), [tuple(p) for p in logged.values[last, :3].tolist()])
+    times, poses = times[last], logged.values[last, :3]
+    new = np.append(True, (np.diff(poses, axis=0) != 0).any(axis=1))
+    return SetPoints(times[new].tolist(), [tuple(pose) for pose in poses[new].tolist()])
 
 
 def _triple(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:

@@ -6,26 +6,20 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
 
 from airpuck.errors import InputError
-from airpuck.recording.bag import METADATA
-from airpuck.recording.cdr import Types, definitions_within, encode, flatten
+from airpuck.recording.bag_file import BagFile
+from airpuck.recording.cdr import Types, encode, flatten
 from airpuck.recording.message_types import PATHS, command_type, definitions, stamp_paths
 from airpuck.recording.new_folder import new_folder
 from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topics import Topics
 
 _SECOND = 10**9
-#: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
-_ROSBAG2_VERSION = 8
 #: What a sender set before the recorder subscribed: the table's sensors and commands do not resend.
 _BEST_EFFORT = ("pose", "command", "imu", "mouse")
-#: Half a second to some seconds of a flight: as much as a file that is cut short loses.
-_CHUNK_BYTES = 2**17
 _FRAMES = {"pose": "world", "command": "body", "imu": "body", "mouse": "body"}
 
 
@@ -135,94 +129,18 @@ def _message(name: str, stream: Stream) -> tuple[str, Types, dict[str, np.ndarra
 
 
 def _write(prepared: Sequence[_Topic], folder: Path) -> None:
-    """Write the storage file and its summary."""
-    folder.mkdir()
-    file = f"{folder.name}_0.mcap"
-    hashes = _write_storage(prepared, folder / file)
-    # Quoted text breaks no line, so that the profiles stay as they are.
-    yaml = YAML(typ="safe")
-    yaml.default_flow_style = False
-    yaml.width = 2**20
-    with (folder / METADATA).open("w", encoding="utf-8", newline="\n") as output:
-        yaml.dump({"rosbag2_bagfile_information": _summary(prepared, hashes, file)}, output)
-
-
-def _write_storage(prepared: Sequence[_Topic], path: Path) -> list[str]:
-    """Merge the topics by the recorder's time; return the hash of each one's message type."""
-    from mcap.writer import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    hashes = []
-    events = []
-    # Through mcap rather than rosbags: it writes checksums, and chunks of a chosen size.
-    with path.open("wb") as output:
-        writer = Writer(output, chunk_size=_CHUNK_BYTES)
-        writer.start("ros2", "airpuck")
-        channels = []
-        for index, topic in enumerate(prepared):
-            store = get_typestore(Stores.EMPTY)
-            store.register(definitions_within(topic.types, topic.msgtype))
-            definition, _ = store.generate_msgdef(topic.msgtype, ros_version=2)
-            schema = writer.register_schema(topic.msgtype, "ros2msg", definition.encode())
-            hashes.append(store.hash_rihs01(topic.msgtype))
-            about = {"offered_qos_profiles": _profiles(topic), "topic_type_hash": hashes[-1]}
-            channels.append(writer.register_channel(topic.name, "cdr", schema, about))
-            events += [(time, index, place) for place, time in enumerate(topic.received_ns)]
-        for time, index, place in sorted(events):
-            topic = prepared[index]
-            writer.add_message(
-                channels[index], time, topic.messages[place], topic.stamp_ns[place], place
-            )
-        writer.finish()
-    return hashes
-
-
-def _summary(prepared: Sequence[_Topic], hashes: Sequence[str], file: str) -> dict[str, Any]:
-    """Return what rosbag2 notes beside its storage file."""
-    times = [time for topic in prepared for time in topic.received_ns]
-    start, stop = min(times, default=0), max(times, default=0)
-
-    # A new one for each place: YAML would write the second as a reference to the first.
-    def span() -> dict[str, Any]:
-        return {
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "duration": {"nanoseconds": stop - start},
-            "message_count": len(times),
-        }
-
-    topics = [
-        {
-            "topic_metadata": {
-                "name": topic.name,
-                "type": topic.msgtype,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": _profiles(topic),
-                "type_description_hash": digest,
-            },
-            "message_count": len(topic.messages),
-        }
-        for topic, digest in zip(prepared, hashes, strict=True)
+    """Write the bag, its topics merged by the recorder's time."""
+    bag = BagFile(folder)
+    channels = [
+        bag.add_topic(topic.name, topic.msgtype, topic.types, best_effort=topic.best_effort)
+        for topic in prepared
     ]
-    return {
-        "version": _ROSBAG2_VERSION,
-        "storage_identifier": "mcap",
-        **span(),
-        "topics_with_message_count": topics,
-        # Of rosbag2's own compression; MCAP compresses its chunks by itself.
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file],
-        "files": [{"path": file, **span()}],
-        "custom_data": {"written_by": "airpuck"},
-        "ros_distro": "unknown",
-    }
-
-
-def _profiles(topic: _Topic) -> str:
-    """Return the quality of service as the table's recorder notes it."""
-    never = "\n    sec: 9223372036\n    nsec: 854775807\n"
-    return (
-        f"- history: 3\n  depth: 0\n  reliability: {2 if topic.best_effort else 1}\n"
-        f"  durability: 2\n  deadline:{never}  lifespan:{never}  liveliness: 1\n"
-        f"  liveliness_lease_duration:{never}  avoid_ros_namespace_conventions: false"
-    )
+    events = [
+        (time, index, place)
+        for index, topic in enumerate(prepared)
+        for place, time in enumerate(topic.received_ns)
+    ]
+    for time, index, place in sorted(events):
+        topic = prepared[index]
+        bag.add(channels[index], time, topic.stamp_ns[place], topic.messages[place])
+    bag.close()

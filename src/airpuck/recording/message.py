@@ -47,6 +47,8 @@ class MessageCodec:
         self._fields = flatten(known, msgtype)
         self._store = get_typestore(Stores.EMPTY)
         self._store.register(definitions_within(known, msgtype))
+        # rosbags makes its code at the first use, which must not be in flight.
+        self.decode(self.encode(self.blank()))
 
     def blank(self) -> Any:
         """Make a message of zeros, empty strings and empty sequences.

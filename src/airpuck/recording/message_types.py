@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from types import MappingProxyType
 from typing import Any
 
@@ -107,13 +108,7 @@ def definitions(msgtype: str, text: str = "", *, idl: bool = False) -> Types:
     ValueError
         If the text cannot be parsed.
     """
-    from rosbags.typesys import (
-        Stores,
-        TypesysError,
-        get_types_from_idl,
-        get_types_from_msg,
-        get_typestore,
-    )
+    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
     try:
         if text and idl:
@@ -131,10 +126,18 @@ def definitions(msgtype: str, text: str = "", *, idl: bool = False) -> Types:
             return get_types_from_msg(text, msgtype)
     except (TypesysError, RecursionError) as error:
         raise ValueError(f"the embedded definition of {msgtype} cannot be parsed") from error
+    return _known()
+
+
+@cache
+def _known() -> Types:
+    """Return the definitions of ROS 2 and the authors' own."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     types = dict(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
     for name, definition in _HOLOHOVER.items():
         types.update(get_types_from_msg(definition, name))
-    return types
+    return MappingProxyType(types)
 
 
 def motors_of(fields: Sequence[Field]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ OUTCOMES = {
     "stale pose": "the last one is too old; idle",
     "jumping pose": "the last ones are far from where the craft can be; idle",
     "bad input": "a pose or the time is not finite; idle",
+    "unsafe": "a guard around the controller forbids it; idle",
 }
 
 

@@ -92,9 +92,22 @@ class RadioLink:
         """
         while self._flying and self._flying[0][0] <= now:
             self._received_at, self._received = self._flying.popleft()
-        if now >= self._received_at + self._settings.timeout_s:
-            return self._stopped
-        return self._received
+        return self._received if self.in_contact(now) else self._stopped
+
+    def in_contact(self, now: float) -> bool:
+        """Say whether a packet came within the timeout.
+
+        Parameters
+        ----------
+        now : float
+            Time [s].
+
+        Returns
+        -------
+        bool
+            False: the motors have stopped.
+        """
+        return bool(now < self._received_at + self._settings.timeout_s)
 
     def next_change(self, now: float) -> float:
         """Return when the command in force can change next.

@@ -32,6 +32,8 @@ class Sensor:
         Times without samples [s].
     clock : (float, float), default (0, 0)
         Offset [s] and drift of its clock.
+    logs : bool, default True
+        Whether to keep what was measured, for `stream`.
     """
 
     def __init__(
@@ -45,13 +47,21 @@ class Sensor:
         dropped: float = 0.0,
         gaps: tuple[tuple[float, float], ...] = (),
         clock: tuple[float, float] = (0.0, 0.0),
+        logs: bool = True,
     ) -> None:
         self.kind: Kind = kind
         self._rate, self._noise, self._latency = rate, np.array(noise), latency
         self._rng, self._dropped, self._gaps = rng, dropped, gaps
-        self._clock = clock
+        self._clock, self._logs = clock, logs
         self._count, self._delivered = 0, 0
+        self._last_arrival = -math.inf
         self._logged: list[tuple[float, float, Float[np.ndarray, " k"]]] = []
+
+    @property
+    def next_arrival(self) -> float:
+        """When the next of the measurements on their way arrives; infinite for none [s]."""
+        waits = self._delivered < len(self._logged)
+        return self._logged[self._delivered][1] if waits else math.inf
 
     @property
     def due(self) -> float:
@@ -76,9 +86,7 @@ class Sensor:
             return
         if self.kind == "pose":
             values[2] = (values[2] + math.pi) % (2 * math.pi) - math.pi
-        arrival = time + self._latency[0] + late
-        if self._logged:
-            arrival = max(arrival, self._logged[-1][1])
+        arrival = self._last_arrival = max(time + self._latency[0] + late, self._last_arrival)
         stamp = (1 + self._clock[1]) * time + self._clock[0]
         self._logged.append((stamp, arrival, values))
 
@@ -100,6 +108,9 @@ class Sensor:
             stamp, arrival, values = self._logged[self._delivered]
             found.append((arrival, Measurement(self.kind, stamp, values)))
             self._delivered += 1
+        if not self._logs:
+            del self._logged[: self._delivered]
+            self._delivered = 0
         return found
 
     def stream(self, epoch_ns: int) -> Stream:

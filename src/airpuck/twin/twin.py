@@ -82,6 +82,8 @@ class Twin:
         Where the craft stands at first [m, m, rad].
     plant : Plant, optional
         From `build_plant` of the same model and settings, to compile only once.
+    logs : bool, default True
+        Whether to keep everything for `recording` and `truth`. One that runs for hours should not.
 
     Attributes
     ----------
@@ -102,6 +104,7 @@ class Twin:
         seed: int = 0,
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         plant: Plant | None = None,
+        logs: bool = True,
     ) -> None:
         check_seed(seed)
         self.model = model
@@ -119,7 +122,8 @@ class Twin:
         self._state_time = 0.0
         self._radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
         self._motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
-        self._sensors = _sensors(settings, seed)
+        self._logs = logs
+        self._sensors = _sensors(settings, seed, logs)
         self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
         self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
@@ -137,7 +141,7 @@ class Twin:
             for sensor in self._sensors:
                 if sensor.due <= following:
                     sensor.measure(self._true_value(sensor.kind))
-                    if sensor.kind == "pose":
+                    if sensor.kind == "pose" and self._logs:
                         self._truth.append((following, self.state))
         self.now = time
         arrived = [entry for sensor in self._sensors for entry in sensor.arrived(time)]
@@ -162,12 +166,24 @@ class Twin:
         if command.shape != (n,) or not np.isfinite(command).all():
             raise InputError(f"needs {n} finite numbers, one for each motor", field="command")
         command = np.clip(command, 0.0, 1.0)
-        self._sent.append((self.now, command))
+        if self._logs:
+            self._sent.append((self.now, command))
         self._radio.send(self.now, command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
         """Log what the craft is asked to do; see `airpuck.flight.link.Link`."""
-        self._announced.append((self.now, np.array(reference, dtype=float)))
+        if self._logs:
+            self._announced.append((self.now, np.array(reference, dtype=float)))
+
+    @property
+    def next_event(self) -> float:
+        """When a sensor next measures or is heard; others may sleep until then [s]."""
+        return min(min(sensor.due, sensor.next_arrival) for sensor in self._sensors)
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the craft's electronics get commands, rather than having timed out."""
+        return self._radio.in_contact(self.now)
 
     @property
     def truth(self) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N s"]]:
@@ -203,7 +219,7 @@ class Twin:
             self.state, met = self.plant.advance(self.state, command, duration, left)
             # The last piece ends at the time itself, not a rounding error before it.
             begin = time if duration == time - begin else begin + duration
-            if met:
+            if met and self._logs:
                 self.contacts.append(begin)
         self._state_time = time
 
@@ -255,7 +271,7 @@ def _check_pose(pose: Any, table: Table, radius: float) -> None:
         )
 
 
-def pose_sensor(capture: MotionCapture, seed: int) -> Sensor:
+def pose_sensor(capture: MotionCapture, seed: int, logs: bool = True) -> Sensor:
     """Build the motion capture of a twin.
 
     Parameters
@@ -264,6 +280,8 @@ def pose_sensor(capture: MotionCapture, seed: int) -> Sensor:
         Its settings.
     seed : int
         Of the twin.
+    logs : bool, default True
+        Whether to keep what was measured.
 
     Returns
     -------
@@ -279,13 +297,14 @@ def pose_sensor(capture: MotionCapture, seed: int) -> Sensor:
         dropped=capture.dropped,
         gaps=capture.gaps_s,
         clock=(capture.clock_offset_s, capture.clock_drift),
+        logs=logs,
     )
 
 
-def _sensors(settings: TwinSettings, seed: int) -> list[Sensor]:
+def _sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]:
     """Build the sensors, each with random numbers of its own."""
     board = settings.on_board
-    sensors = [pose_sensor(settings.motion_capture, seed)]
+    sensors = [pose_sensor(settings.motion_capture, seed, logs)]
     if board.rate_hz == 0:
         return sensors
     inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
@@ -299,6 +318,7 @@ def _sensors(settings: TwinSettings, seed: int) -> list[Sensor]:
                 noise=noise,
                 latency=(board.latency_s, 0.0),
                 rng=np.random.default_rng([seed, number]),
+                logs=logs,
             )
         )
     return sensors

@@ -1,0 +1,129 @@
+"""Listening to a graph: every topic whose messages are known, as bytes; nothing is published."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from airpuck.live.graph import Endpoint, Graph, Quality, Subscription
+from airpuck.recording.cdr import Types, flatten
+from airpuck.recording.message_types import command_type, definitions
+
+#: How often to look for new topics [s].
+_LOOK = 0.1
+#: As many messages may wait for the listener.
+_DEPTH = 2000
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message that was heard.
+
+    Attributes
+    ----------
+    topic, msgtype : str
+        ROS names.
+    received_ns, sent_ns : int
+        When it came and when it was sent [ns since the epoch].
+    data : bytes
+        In CDR, with encapsulation.
+    """
+
+    topic: str
+    msgtype: str
+    received_ns: int
+    sent_ns: int
+    data: bytes
+
+
+class Listener:
+    """Subscribes to whatever others publish, as they begin to.
+
+    Parameters
+    ----------
+    graph : Graph
+        Where.
+    motors : tuple of str, optional
+        Names of the propellers, for commands of a craft that has not the authors' six.
+
+    Attributes
+    ----------
+    types : mapping
+        Definitions of all messages that are known.
+    notes : list of str
+        What cannot be listened to, and why; the caller may empty it.
+    """
+
+    def __init__(self, graph: Graph, motors: tuple[str, ...] = ()) -> None:
+        self._graph = graph
+        self.types: Types = command_type(motors)[1] if motors else definitions("")
+        self.notes: list[str] = []
+        self._subscriptions: dict[str, tuple[Endpoint, Subscription]] = {}
+        self._refused: set[tuple[str, str]] = set()
+        self._looked = -_LOOK
+
+    def topic(self, name: str) -> Endpoint:
+        """Return who was the first to publish on a topic that is listened to.
+
+        Parameters
+        ----------
+        name : str
+            ROS name.
+
+        Returns
+        -------
+        Endpoint
+            Its type, and the quality of service it offers.
+        """
+        return self._subscriptions[name][0]
+
+    def listen(self, seconds: float) -> Iterator[Heard]:
+        """Wait for messages, and take them.
+
+        Parameters
+        ----------
+        seconds : float
+            The longest time to wait [s].
+
+        Yields
+        ------
+        Heard
+            What has come, topic by topic.
+        """
+        now = time.monotonic()
+        if now - self._looked >= _LOOK:
+            self._looked = now
+            self._subscribe()
+        self._graph.wait(min(seconds, _LOOK))
+        received = time.time_ns()
+        for name, (endpoint, subscription) in self._subscriptions.items():
+            for sample in subscription.take():
+                yield Heard(name, endpoint.msgtype, received, sample.sent_ns, sample.data)
+
+    def _subscribe(self) -> None:
+        """Subscribe to topics that are new."""
+        for endpoint in self._graph.publishers():
+            name, msgtype = endpoint.topic, endpoint.msgtype
+            known = self._subscriptions.get(name)
+            if known is not None and known[0].msgtype == msgtype:
+                continue
+            if (name, msgtype) in self._refused:
+                continue
+            problem = f"it is {known[0].msgtype} already" if known else self._problem(msgtype)
+            if problem:
+                self._refused.add((name, msgtype))
+                whose = self._graph.describe(endpoint)
+                self.notes.append(f"{name} of {whose}, {msgtype}, is not heard: {problem}")
+                continue
+            quality = Quality(endpoint.reliable, endpoint.transient_local, _DEPTH)
+            subscription = self._graph.subscription(name, msgtype, self.types, quality, wakes=True)
+            self._subscriptions[name] = endpoint, subscription
+
+    def _problem(self, msgtype: str) -> str | None:
+        """Say why a type cannot be listened to."""
+        try:
+            flatten(self.types, msgtype)
+        except ValueError as error:
+            return str(error)
+        return None

@@ -1,0 +1,93 @@
+"""What the live processes share: an orderly end, real-time care, one of a kind."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+from airpuck.errors import InputError
+from airpuck.live.domain import LEASE
+from airpuck.live.graph import Graph
+
+#: Time for discovery to find who is there, before one may say that nobody is [s].
+_LOOK_AROUND = 0.6
+#: Priority above ordinary processes, below the system's own.
+_PRIORITY = 10
+
+
+class Ending:
+    """Says when to end: on Ctrl-C, on SIGTERM, or after a while."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def _ask(self, *_: object) -> None:
+        self.asked = True
+
+
+@contextlib.contextmanager
+def orderly() -> Iterator[Ending]:
+    """Turn SIGINT and SIGTERM into a question that a loop asks.
+
+    Yields
+    ------
+    Ending
+        Its `asked` becomes true on a signal.
+    """
+    ending = Ending()
+    before = {number: signal.signal(number, ending._ask) for number in _SIGNALS}
+    try:
+        yield ending
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def hurry() -> None:
+    """Ask the system to let this process run first; where it may not, it does without."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+
+
+def settle_memory() -> None:
+    """Keep the garbage collector from looking through everything that was made so far."""
+    gc.collect()
+    gc.freeze()
+
+
+def refuse_second(graph: Graph, topic: str, what: str) -> None:
+    """See that nobody else publishes on a topic.
+
+    Parameters
+    ----------
+    graph : Graph
+        Where; this process does not publish on the topic yet.
+    topic : str
+        ROS name.
+    what : str
+        Who publishes there, for the message.
+
+    Raises
+    ------
+    InputError
+        If somebody does. One that was killed is waited for until DDS takes it off the graph.
+    """
+    start = time.monotonic()
+    while time.monotonic() - start < _LOOK_AROUND:
+        time.sleep(0.05)
+        graph.publishers(topic)
+    while others := graph.publishers(topic):
+        if time.monotonic() - start > LEASE + 1.0:
+            raise InputError(
+                f"there is another {what} already: {graph.describe(others[0])}; end it first, or "
+                "take another --domain",
+                field=topic,
+            )
+        time.sleep(0.1)

@@ -1,0 +1,266 @@
+"""When motors must idle, whatever the controller would like; no network in here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import Reference
+from airpuck.control.tracking import Numbers, Step
+from airpuck.flight.loop import Pilot
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a flight must keep to.
+
+    Attributes
+    ----------
+    geofence : (float, float)
+        Greatest distance of the craft's centre from the middle of the table along x and y [m].
+    pose_timeout : float
+        Poses have stopped when none came for this long [s].
+    frozen : int
+        As many equal poses in a row are no measurement: every real one has noise.
+    jump : (float, float)
+        Two poses in a row further apart than this, beyond what `fastest` explains, are a jump
+        [m, rad].
+    fastest : (float, float)
+        Speed and spin that the craft never reaches [m/s, rad/s].
+    settle : float
+        After any fault, poses must be good for this long before motors may run again [s].
+    """
+
+    geofence: tuple[float, float]
+    pose_timeout: float = 0.05
+    frozen: int = 12
+    jump: tuple[float, float] = (0.05, 0.5)
+    fastest: tuple[float, float] = (3.0, 40.0)
+    settle: float = 0.3
+
+
+class Guard:
+    """Watches the poses and says whether the craft may be steered.
+
+    Parameters
+    ----------
+    limits : Limits
+        What must hold.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self._heard = -math.inf
+        self._last: tuple[float, Float[np.ndarray, " 3"]] | None = None
+        self._equal = 1
+        #: Since when everything has been good; None while something is not.
+        self._good_since: float | None = None
+        self._reason = "no pose yet"
+        self._stopped: dict[str, str] = {}
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Judge a pose.
+
+        Parameters
+        ----------
+        time : float
+            When it was measured [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
+        before, self._last = self._last, (time, pose)
+        fault = self._fault_of(time, pose, before)
+        if fault is not None:
+            self.fault(fault)
+            # What comes after a pose that is none is compared with the next one.
+            if not np.isfinite(pose).all():
+                self._last = None
+            return
+        self._heard = time
+        if self._good_since is None:
+            self._good_since = time
+
+    def fault(self, reason: str) -> None:
+        """Note that something is wrong; poses must be good for a while before motors run again.
+
+        Parameters
+        ----------
+        reason : str
+            What, in a few words.
+        """
+        self._good_since = None
+        self._reason = reason
+
+    @property
+    def position(self) -> Float[np.ndarray, " 3"] | None:
+        """The last pose, if there was a good one."""
+        good = self._last is not None and self._good_since is not None
+        return self._last[1] if good and self._last is not None else None
+
+    def stop(self, who: str, reason: str) -> None:
+        """Idle the motors until `release`.
+
+        Parameters
+        ----------
+        who : str
+            A name for this stop.
+        reason : str
+            Why, in a few words.
+        """
+        self._stopped[who] = reason
+
+    def release(self, who: str) -> None:
+        """Take a stop back.
+
+        Parameters
+        ----------
+        who : str
+            Its name; one that is not there does no harm.
+        """
+        if self._stopped.pop(who, None) is not None:
+            self.fault("after a stop")
+
+    def refusal(self, time: float) -> str | None:
+        """Say why motors must idle.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+
+        Returns
+        -------
+        str or None
+            The reason; None: the craft may be steered.
+        """
+        if self._stopped:
+            return next(iter(self._stopped.values()))
+        if self._good_since is None:
+            return self._reason
+        if time - self._heard > self.limits.pose_timeout:
+            self.fault(f"no pose for {1e3 * self.limits.pose_timeout:.0f} ms")
+            return self._reason
+        if time - self._good_since < self.limits.settle:
+            return self._reason
+        return None
+
+    def _fault_of(
+        self,
+        time: float,
+        pose: Float[np.ndarray, " 3"],
+        before: tuple[float, Float[np.ndarray, " 3"]] | None,
+    ) -> str | None:
+        """Say what is wrong with a pose, if anything is."""
+        if not np.isfinite(pose).all():
+            return "pose is not finite"
+        x, y, yaw = pose.tolist()
+        if before is not None:
+            passed = max(time - before[0], 0.0)
+            bx, by, before_yaw = before[1].tolist()
+            moved = math.hypot(x - bx, y - by)
+            turned = abs((yaw - before_yaw + math.pi) % (2 * math.pi) - math.pi)
+            self._equal = self._equal + 1 if moved == 0 and turned == 0 else 1
+            (far, wide), (speed, spin) = self.limits.jump, self.limits.fastest
+            if moved > far + speed * passed or turned > wide + spin * passed:
+                return f"pose jumped by {moved:.2f} m and {turned:.2f} rad"
+            if self._equal >= self.limits.frozen:
+                return f"the pose is frozen: {self.limits.frozen} equal ones in a row"
+        if abs(x) > self.limits.geofence[0] or abs(y) > self.limits.geofence[1]:
+            return "the craft is outside the geofence"
+        return None
+
+
+class GuardedPilot:
+    """A pilot whose commands a guard lets through, or not; itself a `Pilot`.
+
+    Parameters
+    ----------
+    pilot : Pilot
+        Computes commands.
+    guard : Guard
+        Has the last word.
+    lowest : float
+        Command at which motors idle.
+    n_propellers : int
+        Size of a command.
+    tell : callable
+        Is told, in words, why motors idle and when they run again; called with (severe, text).
+    """
+
+    def __init__(
+        self,
+        pilot: Pilot,
+        guard: Guard,
+        lowest: float,
+        n_propellers: int,
+        tell: Callable[[bool, str], None],
+    ) -> None:
+        self.pilot, self.guard = pilot, guard
+        self._lowest, self._tell = lowest, tell
+        self._idle = np.full(n_propellers, lowest)
+        self._told: str | None = ""
+
+    @property
+    def reference(self) -> Reference:
+        """What the pilot tracks."""
+        return self.pilot.reference
+
+    def pose(self, time: float, pose: Numbers) -> None:
+        """Judge a pose and pass it on; see `Pilot.pose`."""
+        self.guard.pose(time, np.asarray(pose, dtype=float))
+        self.pilot.pose(time, np.asarray(pose, dtype=float))
+
+    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
+        """Pass an inertial measurement on; see `Pilot.imu`."""
+        self.pilot.imu(time, np.asarray(acceleration), gyro)
+
+    def mouse(self, time: float, velocity: Numbers) -> None:
+        """Pass a velocity on; see `Pilot.mouse`."""
+        self.pilot.mouse(time, np.asarray(velocity))
+
+    def sent(self, time: float, command: Numbers) -> None:
+        """Pass on what was sent; see `Pilot.sent`."""
+        self.pilot.sent(time, np.asarray(command))
+
+    def step(self, time: float) -> Step:
+        """Compute a command that is safe to send.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+
+        Returns
+        -------
+        Step
+            The pilot's, every command within [lowest, 1]; idle with the status ``unsafe`` where the
+            guard refuses or the pilot fails.
+        """
+        reason = self.guard.refusal(time)
+        if reason is None:
+            try:
+                step = self.pilot.step(time)
+            # Whatever goes wrong in a controller, the motors must idle and the loop go on.
+            except Exception as error:
+                reason = f"the controller failed: {type(error).__name__}: {error}"
+                self.guard.fault(reason)
+            else:
+                if np.isfinite(step.command).all():
+                    self._say(None if step.flies else step.status)
+                    np.clip(step.command, self._lowest, 1.0, out=step.command)
+                    return step
+                reason = "the controller's command is not finite"
+                self.guard.fault(reason)
+        self._say(reason)
+        return Step(self._idle.copy(), "unsafe", np.zeros(3), None)
+
+    def _say(self, reason: str | None) -> None:
+        """Tell a change of the reason why motors idle."""
+        if reason == self._told:
+            return
+        self._told = reason
+        self._tell(reason is not None, f"motors idle: {reason}" if reason else "flying")

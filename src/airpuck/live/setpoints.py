@@ -1,0 +1,147 @@
+"""Set points of a live flight: from a file, or from the graph while it flies."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import SetPoint, SetPoints, Target
+from airpuck.errors import InputError
+from airpuck.files import Section, read_toml
+
+
+class _Entry(Section):
+    at_s: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+class _SetPointsFile(Section):
+    setpoints: tuple[_Entry, ...]
+
+
+def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
+    """Read set points from a TOML file.
+
+    Parameters
+    ----------
+    path : path-like
+        With a table ``[[setpoints]]`` for each: ``at_s`` from the start of the flight, ``x_m``,
+        ``y_m``, ``yaw_rad``.
+
+    Returns
+    -------
+    SetPoints
+        On a clock that begins with the flight.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or times do not increase.
+    """
+    entries = read_toml(path, _SetPointsFile).setpoints
+    try:
+        return SetPoints([e.at_s for e in entries], [(e.x_m, e.y_m, e.yaw_rad) for e in entries])
+    except InputError as error:
+        raise InputError(error.problem, file=path, field="setpoints") from error
+
+
+def check_inside(points: SetPoints, geofence: tuple[float, float]) -> None:
+    """Refuse set points that the craft may not fly to.
+
+    Parameters
+    ----------
+    points : SetPoints
+        To check.
+    geofence : (float, float)
+        Greatest | x | and | y | [m].
+
+    Raises
+    ------
+    InputError
+        If one is outside.
+    """
+    for x, y, _ in points.poses.tolist():
+        if abs(x) > geofence[0] or abs(y) > geofence[1]:
+            raise InputError(
+                f"({x:g}, {y:g}) is outside the geofence, ±{geofence[0]:g} m by ±{geofence[1]:g} m",
+                field="setpoint",
+            )
+
+
+class PlannedSetPoints:
+    """Set points whose times count from when the craft first flies; a `Reference`.
+
+    Parameters
+    ----------
+    points : SetPoints
+        On a clock that begins then.
+    """
+
+    def __init__(self, points: SetPoints) -> None:
+        self._points = points
+        self._start: float | None = None
+
+    def begin(self, start: float) -> None:
+        """Let time count; the first call does.
+
+        Parameters
+        ----------
+        start : float
+            Now [s].
+        """
+        if self._start is None:
+            self._start = start
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the set point in force now; see `Reference.at`."""
+        return self._points.at(-np.inf if self._start is None else now - self._start, ahead)
+
+
+class FollowedSetPoint:
+    """A set point that others may move while the craft flies; a `Reference`.
+
+    It begins where the craft is seen first.
+
+    Parameters
+    ----------
+    geofence : (float, float)
+        Greatest | x | and | y | of a set point [m].
+    """
+
+    def __init__(self, geofence: tuple[float, float]) -> None:
+        self._geofence = geofence
+        self._point: SetPoint | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a set point."""
+        return self._point is not None
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the set point in force now; see `Reference.at`."""
+        return (self._point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
+
+    def move(self, pose: Float[np.ndarray, " k"]) -> str | None:
+        """Move the set point.
+
+        Parameters
+        ----------
+        pose : array, shape (k,)
+            x, y [m], yaw [rad]; more is left aside: a set point is at rest.
+
+        Returns
+        -------
+        str or None
+            Why it stays where it is; None if it moved.
+        """
+        if not np.isfinite(pose[:3]).all():
+            return "a set point that is not finite"
+        x, y, yaw = pose[:3].tolist()
+        if abs(x) > self._geofence[0] or abs(y) > self._geofence[1]:
+            return f"a set point outside the geofence, ({x:.2f}, {y:.2f})"
+        self._point = SetPoint(x, y, yaw)
+        return None

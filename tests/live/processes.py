@@ -1,0 +1,111 @@
+"""Processes of airpuck, really started, and somebody who watches what they say to each other."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+
+from airpuck.live.events import EVENT_TYPE, EVENTS
+from airpuck.live.graph import Graph
+from airpuck.live.listener import Heard, Listener
+from airpuck.recording.message import MessageCodec, StreamCodec
+from airpuck.recording.message_types import HOLOHOVER_MOTORS
+
+POSES, COMMANDS, REFERENCES = "/optitrack/drone/pose", "/drone/control", "/control/state_ref"
+CODECS = {
+    POSES: StreamCodec("pose"),
+    COMMANDS: StreamCodec("command", HOLOHOVER_MOTORS),
+    REFERENCES: StreamCodec("reference"),
+}
+EVENT = MessageCodec(EVENT_TYPE)
+IDLE = 0.03
+_MAIN = "from airpuck.cli import main; main()"
+
+
+class Process:
+    """A command of airpuck's that runs."""
+
+    def __init__(self, *arguments: object, domain: int) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _MAIN, *map(str, arguments), "--domain", str(domain)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "JAX_PLATFORMS": "cpu"},
+        )
+
+    @property
+    def alive(self) -> bool:
+        return self._process.poll() is None
+
+    def signal(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def end(self, timeout: float = 30.0) -> tuple[int, str, str]:
+        """Exit status, and what it printed."""
+        out, err = self._process.communicate(timeout=timeout)
+        return self._process.returncode, out, err
+
+    def kill(self) -> None:
+        """Kill it, also if it is stopped."""
+        if self.alive:
+            self._process.kill()
+        self._process.communicate()
+
+
+class Watch:
+    """Hears everything on a domain."""
+
+    def __init__(self, domain: int) -> None:
+        self.graph = Graph("watch", domain=domain)
+        self._listener = Listener(self.graph)
+        self.heard: dict[str, list[Heard]] = defaultdict(list)
+
+    def run(self, seconds: float) -> None:
+        """Listen for a while."""
+        stop = time.monotonic() + seconds
+        while (left := stop - time.monotonic()) > 0:
+            for message in self._listener.listen(min(left, 0.02)):
+                self.heard[message.topic].append(message)
+
+    def until(self, condition, timeout: float = 30.0):
+        """Listen until something is so; return it."""
+        stop = time.monotonic() + timeout
+        while not (found := condition()):
+            assert time.monotonic() < stop, f"it did not happen; events: {self.events()}"
+            self.run(0.02)
+        return found
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self.run(0.02)
+        self.heard.clear()
+
+    def events(self, name: str = "") -> list[str]:
+        """What processes said, those of one name or all."""
+        told = [EVENT.decode(message.data) for message in self.heard[EVENTS]]
+        return [event.msg for event in told if name in event.name]
+
+    def said(self, text: str) -> bool:
+        """Whether some event has these words."""
+        return any(text in event for event in self.events())
+
+    def values(self, topic: str) -> list:
+        """The numbers of each message on a topic."""
+        return [CODECS[topic].decode(message.data)[1] for message in self.heard[topic]]
+
+    def stamps(self, topic: str) -> list[float]:
+        """The time in each message's header [s]."""
+        return [CODECS[topic].decode(message.data)[0] / 1e9 for message in self.heard[topic]]
+
+    def sent(self, topic: str) -> list[float]:
+        """When each message was sent, by its sender [s]."""
+        return [message.sent_ns / 1e9 for message in self.heard[topic]]
+
+    def close(self) -> None:
+        self.graph.close()

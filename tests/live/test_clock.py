@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from airpuck.live.clock import Clock, StampClock
+
+RNG = np.random.default_rng(1)
+
+
+def arrivals(start, stop, rate=240.0):
+    """Stamps and arrivals of a sender on the same clock, 0.5 to 2.5 ms late."""
+    stamps = np.arange(start, stop, 1 / rate)
+    return stamps, stamps + 5e-4 + 2e-3 * RNG.random(len(stamps))
+
+
+def placed(clock, stamps, arrived):
+    return [clock.time(s, a) for s, a in zip(stamps, arrived, strict=True)]
+
+
+def test_a_sender_on_the_same_clock_is_taken_at_its_word():
+    stamps, arrived = arrivals(0.0, 5.0)
+    assert placed(StampClock(), stamps, arrived) == stamps.tolist()
+
+
+@pytest.mark.parametrize("ahead", [-3600.0, -0.5, 0.5, 1e6])
+def test_another_clock_is_believed_after_half_a_second_and_its_least_latency_is_none(ahead):
+    stamps, arrived = arrivals(0.0, 3.0)
+    times = placed(StampClock(), stamps + ahead, arrived)
+    first = next(k for k, t in enumerate(times) if t is not None)
+    assert stamps[first] == pytest.approx(0.5, abs=0.01)
+    # The true time is the stamp before the clock was set wrong; the least latency is 0.5 ms.
+    errors = np.array(times[first:]) - stamps[first:]
+    assert np.abs(errors - 5e-4).max() < 2e-4
+
+
+def test_a_clock_that_drifts_is_followed():
+    stamps, arrived = arrivals(0.0, 120.0, rate=50.0)
+    wrong = stamps * (1 + 200e-6) + 10.0
+    times = placed(StampClock(), wrong, arrived)
+    late = [(t, s) for t, s in zip(times, stamps, strict=True) if s > 60 and t is not None]
+    assert len(late) > 2900
+    assert max(abs(t - s) for t, s in late) < 3e-3  # 12 ms without
+
+
+def test_single_wrong_stamps_are_left_out_and_do_no_harm():
+    clock = StampClock()
+    stamps, arrived = arrivals(0.0, 2.0)
+    bad = np.arange(len(stamps)) % 10 == 3
+    given = np.where(bad, stamps + RNG.uniform(-1e6, 1e6, len(stamps)), stamps)
+    times = placed(clock, given, arrived)
+    assert [t is None for t in times] == bad.tolist()
+    assert clock.offset == 0.0
+
+
+def test_stamps_that_do_not_agree_are_never_believed():
+    _, arrived = arrivals(0.0, 5.0)
+    given = RNG.uniform(-1e6, 1e6, len(arrived))
+    assert set(placed(StampClock(), given, arrived)) == {None}
+
+
+def test_a_stamp_that_is_no_number_is_left_out():
+    assert StampClock().time(float("nan"), 1.0) is None
+
+
+def test_the_clock_goes_and_stamps_come_back():
+    clock = Clock()
+    stamp = clock.now_ns
+    assert abs(stamp - time.time_ns()) < 1e8
+    assert clock.of(stamp) == pytest.approx(clock.now, abs=0.1)
+    due = clock.now + 0.02
+    clock.sleep_until(due)
+    assert clock.now >= due
+    clock.sleep_until(0.0)  # long past: returns at once

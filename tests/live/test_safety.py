@@ -1,0 +1,188 @@
+"""The guard, without a network: what idles the motors, for how long, and what does not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import Step
+from airpuck.live.safety import Guard, GuardedPilot, Limits
+
+FRAME = 1 / 240
+LIMITS = Limits(geofence=(1.0, 0.5))
+RNG = np.random.default_rng(0)
+
+
+def poses(guard, start, stop, at=(0.1, 0.2, 0.3)):
+    """Good poses, with the noise that every real one has; the time of the last."""
+    times = np.arange(start, stop, FRAME)
+    for time in times:
+        guard.pose(time, np.array(at) + 1e-5 * RNG.standard_normal(3))
+    return float(times[-1])
+
+
+@pytest.fixture
+def guard():
+    made = Guard(LIMITS)
+    poses(made, 0.0, 0.5)
+    return made
+
+
+def test_motors_wait_for_poses_that_have_been_good_for_a_while():
+    guard = Guard(LIMITS)
+    assert guard.refusal(0.0) == "no pose yet"
+    last = poses(guard, 0.0, LIMITS.settle - 0.02)
+    assert guard.refusal(last) == "no pose yet"
+    last = poses(guard, last + FRAME, LIMITS.settle + 0.02)
+    assert guard.refusal(last) is None
+
+
+def test_poses_that_stop(guard):
+    last = 0.5 - FRAME
+    assert guard.refusal(last + 0.045) is None
+    assert guard.refusal(last + 0.055) == "no pose for 50 ms"
+    last = poses(guard, 1.0, 1.2)
+    assert guard.refusal(last) == "no pose for 50 ms"  # back, but not for long enough
+    last = poses(guard, last + FRAME, 1.4)
+    assert guard.refusal(last) is None
+
+
+@pytest.mark.parametrize(
+    ("pose", "reason"),
+    [
+        ((np.nan, 0.2, 0.3), "pose is not finite"),
+        ((0.1, np.inf, 0.3), "pose is not finite"),
+        ((0.3, 0.2, 0.3), "pose jumped by 0.20 m and 0.00 rad"),
+        ((0.1, 0.2, 0.3 + 2.0), "pose jumped by 0.00 m and 2.00 rad"),
+    ],
+)
+def test_one_bad_pose_idles_at_once_and_good_ones_end_it(guard, pose, reason):
+    guard.pose(0.5, np.array(pose))
+    assert guard.refusal(0.5) == reason
+    last = poses(guard, 0.5 + FRAME, 0.5 + LIMITS.settle / 2)
+    assert guard.refusal(last) is not None
+    last = poses(guard, last + FRAME, 0.55 + LIMITS.settle)
+    assert guard.refusal(last) is None
+
+
+def test_a_turn_through_half_a_turn_is_no_jump():
+    guard = Guard(LIMITS)
+    for k, yaw in enumerate((3.0, 3.1, -3.1, -3.0)):
+        guard.pose(k * FRAME, np.array([0.0, 0.0, yaw]))
+        assert guard.position is not None
+        assert guard.refusal(k * FRAME) == "no pose yet"
+
+
+def test_a_frozen_pose(guard):
+    frozen = np.array([0.1, 0.2, 0.3])
+    for k in range(LIMITS.frozen):
+        assert guard.refusal(0.5 + k * FRAME) is None
+        guard.pose(0.5 + k * FRAME, frozen)
+    assert guard.refusal(0.5 + LIMITS.frozen * FRAME) == (
+        "the pose is frozen: 12 equal ones in a row"
+    )
+
+
+def test_the_geofence():
+    guard = Guard(LIMITS)
+    last = poses(guard, 0.0, 0.5, at=(0.99, 0.49, 0))
+    assert guard.refusal(last) is None
+    last = poses(guard, 0.5, 0.6, at=(1.01, 0.49, 0))
+    assert guard.refusal(last) == "the craft is outside the geofence"
+    last = poses(guard, 0.6, 1.2, at=(0.97, 0.49, 0))
+    assert guard.refusal(last) is None
+
+
+def test_a_stop_holds_until_it_is_taken_back(guard):
+    guard.stop("operator", "stopped by the operator")
+    last = poses(guard, 0.5, 2.0)
+    assert guard.refusal(last) == "stopped by the operator"
+    guard.release("operator")
+    assert guard.refusal(last) == "after a stop"
+    last = poses(guard, 2.0, 2.4)
+    assert guard.refusal(last) is None
+    guard.release("operator")  # again: nothing happens
+    assert guard.refusal(last) is None
+
+
+NUMBER = st.floats(-2, 2) | st.just(math.nan)
+
+
+@given(st.lists(st.tuples(st.floats(0, 0.1), st.tuples(NUMBER, NUMBER, NUMBER)), min_size=1))
+def test_whatever_comes_motors_run_only_on_a_fresh_pose_inside_the_fence(entries):
+    guard, now, last = Guard(LIMITS), 0.0, (-math.inf, [math.nan] * 3)
+    for wait, pose in entries:
+        now += wait
+        guard.pose(now, np.array(pose))
+        last = now, pose
+        later = now + 0.02
+        if guard.refusal(later) is None:
+            assert later - last[0] <= LIMITS.pose_timeout
+            assert abs(last[1][0]) <= 1.0
+            assert abs(last[1][1]) <= 0.5
+
+
+class Pilot:
+    """Gives the commands it is told to."""
+
+    reference = SetPoint(0.0, 0.0, 0.0)
+
+    def __init__(self):
+        self.command = np.full(2, 0.5)
+
+    def pose(self, time, pose): ...
+    def imu(self, time, acceleration, gyro): ...
+    def mouse(self, time, velocity): ...
+    def sent(self, time, command): ...
+
+    def step(self, time):
+        if self.command is None:
+            raise ZeroDivisionError("in the solver")
+        return Step(self.command.copy(), "exact", np.zeros(3), None)
+
+
+@pytest.fixture
+def guarded():
+    told = []
+    made = GuardedPilot(Pilot(), Guard(LIMITS), 0.03, 2, lambda bad, text: told.append((bad, text)))
+    made.told = told
+    poses(made, 0.0, 0.5)
+    return made
+
+
+def test_commands_are_kept_between_idle_and_full(guarded):
+    guarded.pilot.command = np.array([-1.0, 7.0])
+    np.testing.assert_array_equal(guarded.step(0.5).command, [0.03, 1.0])
+    assert guarded.told == [(False, "flying")]
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (None, "the controller failed: ZeroDivisionError: in the solver"),
+        (np.array([0.5, np.nan]), "the controller's command is not finite"),
+    ],
+)
+def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, command, reason):
+    guarded.pilot.command = command
+    step = guarded.step(0.5)
+    assert step.status == "unsafe"
+    assert not step.flies
+    np.testing.assert_array_equal(step.command, [0.03, 0.03])
+    guarded.pilot.command = np.full(2, 0.4)
+    assert guarded.step(0.51).status == "unsafe"
+    last = poses(guarded, 0.52, 0.9)
+    assert guarded.step(last).status == "exact"
+    assert guarded.told == [(True, f"motors idle: {reason}"), (False, "flying")]
+
+
+def test_a_change_is_told_once(guarded):
+    guarded.step(0.5)
+    for k in range(5):
+        guarded.step(1.0 + k / 100)
+    assert guarded.told == [(False, "flying"), (True, "motors idle: no pose for 50 ms")]
