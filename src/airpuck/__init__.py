@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from airpuck.control.tuning import Tuning, read_tuning
     from airpuck.errors import InputError
     from airpuck.estimate.encoder import PaperEncoder
+    from airpuck.evaluation.drift import Drift, drift
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
+    from airpuck.evaluation.presentation import Presentation, present
     from airpuck.evaluation.residuals import ResidualTests, resid
     from airpuck.flight.preflight import preflight
     from airpuck.flight.replay import Replay, replay
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
 #: Public name -> the module that defines it.
 _HOME = {
     "Adam": "airpuck.identification.adam",
+    "Drift": "airpuck.evaluation.drift",
     "Evaluation": "airpuck.evaluation.evaluate",
     "Fit": "airpuck.identification.fit",
     "InputError": "airpuck.errors",
@@ -58,6 +61,7 @@ _HOME = {
     "Model": "airpuck.model_file",
     "PaperEncoder": "airpuck.estimate.encoder",
     "Parameters": "airpuck.model.parameters",
+    "Presentation": "airpuck.evaluation.presentation",
     "Recording": "airpuck.recording.stream",
     "Replay": "airpuck.flight.replay",
     "ResidualTests": "airpuck.evaluation.residuals",
@@ -77,6 +81,7 @@ _HOME = {
     "check_layout": "airpuck.identification.layout_check",
     "compare": "airpuck.evaluation.evaluate",
     "default_vehicle": "airpuck.vehicle",
+    "drift": "airpuck.evaluation.drift",
     "evaluate": "airpuck.evaluation.evaluate",
     "excite": "airpuck.twin.experiments",
     "fetch": "airpuck.recording.dataset",
@@ -85,6 +90,7 @@ _HOME = {
     "identify": "airpuck.identification.fit",
     "load_trajectory": "airpuck.preprocessing.load",
     "preflight": "airpuck.flight.preflight",
+    "present": "airpuck.evaluation.presentation",
     "preprocess": "airpuck.preprocessing.pipeline",
     "read_model": "airpuck.model_file",
     "read_recording": "airpuck.recording.read",
@@ -103,6 +109,7 @@ _HOME = {
 
 __all__ = [
     "Adam",
+    "Drift",
     "Evaluation",
     "Fit",
     "InputError",
@@ -110,6 +117,7 @@ __all__ = [
     "Model",
     "PaperEncoder",
     "Parameters",
+    "Presentation",
     "Recording",
     "Replay",
     "ResidualTests",
@@ -129,6 +137,7 @@ __all__ = [
     "check_layout",
     "compare",
     "default_vehicle",
+    "drift",
     "evaluate",
     "excite",
     "fetch",
@@ -138,6 +147,7 @@ __all__ = [
     "load_trajectory",
     "preflight",
     "preprocess",
+    "present",
     "read_model",
     "read_recording",
     "read_trajectory",

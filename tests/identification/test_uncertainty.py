@@ -7,6 +7,7 @@ import pytest
 
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.adam import Adam
 from airpuck.identification.bootstrap import bootstrap
 from airpuck.identification.fit import identifiability, identify
@@ -16,7 +17,6 @@ from airpuck.identification.uncertainty import binding_constraints, cluster_wind
 from airpuck.model.presets import PRESETS
 from airpuck.model.rollout import rollout
 from airpuck.model_file import published_model, read_model
-from airpuck.report.gauge import physical_thrust
 from airpuck.vehicle import default_vehicle
 from airpuck.windows import make_windows
 

@@ -39,8 +39,8 @@ def test_thrust_curves_have_bands_where_they_are_known(known):
     assert full.max() == pytest.approx(middle + reach, rel=1e-6)
 
 
-def test_the_table_has_half_the_interval(known):
+def test_the_table_has_the_standard_error(known):
     lag = next(row for row in main_rows([PLAIN, known]) if row.label == "τ")
     without, with_error = (cell.text for cell in lag.cells)
     assert "±" not in without
-    assert with_error == f"{without} ± {2 * 0.01 * float(without):.2f}"
+    assert with_error == f"{without} ± {0.01 * float(without):.2f}"

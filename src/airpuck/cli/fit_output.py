@@ -5,20 +5,13 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from airpuck.evaluation.main_quantities import MainQuantity
+    from airpuck.evaluation.presentation import Value
     from airpuck.identification.fit import Fit
     from airpuck.model_file import Model
-
-#: Scalar quantities to print: attribute, entry, symbol, unit, factor from SI.
-_SCALARS = (
-    ("motor_time_constant", 0, "τ", "ms", 1e3),
-    ("inertia", 0, "I", "10⁻³ kg m²", 1e3),
-    ("angle_offset", 0, "α", "mrad", 1e3),
-    ("center_of_mass", 0, "r x", "mm", 1e3),
-    ("center_of_mass", 1, "r y", "mm", 1e3),
-)
 
 
 def show_resampling(quiet: bool, total: int) -> Callable[[int], None]:
@@ -65,49 +58,38 @@ def print_fit(fit: Fit) -> None:
 
 def _rows(model: Model) -> list[list[str]]:
     """Return texts of the main quantities, as far as they were learned."""
+    from airpuck.evaluation.main_quantities import main_quantities
+    from airpuck.evaluation.presentation import value_of
+
+    return [
+        [*value_texts(value_of(model, quantity)), _resampled(model, quantity)]
+        for quantity in main_quantities(model, speeds=(0.5, 1.0))
+        if quantity.used(model) and quantity.learned(model)
+    ]
+
+
+def value_texts(value: Value) -> list[str]:
+    """Return the texts of one quantity: value ± standard error, and the interval."""
+    if value.interval is None:
+        return [value.label, value.unit, f"{value.value:.4g}", "none" if value.learned else "fixed"]
+    digits = _digits(value.standard_error)
+    low, high = (f"{end:.{digits}f}" for end in value.interval)
+    shown = f"{value.value:.{digits}f} ± {value.standard_error:.{digits}f}"
+    return [value.label, value.unit, shown, f"{low} … {high}"]
+
+
+def _resampled(model: Model, quantity: MainQuantity) -> str:
+    """Return the text of a bootstrap's interval."""
     import numpy as np
 
-    from airpuck.model.thrust import thrust
-    from airpuck.report.gauge import physical_thrust
-
-    def entry(name: str, k: int, factor: float) -> Callable[[Model], Any]:
-        return lambda m: factor * np.ravel(getattr(m.parameters, name))[k]
-
-    rows = []
-    for name, k, symbol, unit, factor in _SCALARS:
-        position = np.flatnonzero(model.parameters.mask(frozenset({name})))[k]
-        if model.free[position]:
-            rows.append(_row(model, symbol, unit, entry(name, k, factor)))
-            rows[-1].append(_resampled(model, int(position), factor))
-    if not model.free[model.parameters.mask(frozenset({"thrust"}))].any():
-        return rows
-    for motor, name in enumerate(model.vehicle.propeller_names):
-        for speed in (0.5, 1.0):
-
-            def force(m: Model, motor: int = motor, speed: float = speed) -> Any:
-                return thrust(physical_thrust(m)[motor : motor + 1], np.array([speed]))[0]
-
-            rows.append([*_row(model, f"F({speed:g}) {name}", "N", force), ""])
-    return rows
-
-
-def _row(model: Model, symbol: str, unit: str, quantity: Callable[[Model], Any]) -> list[str]:
-    """Return the texts of one quantity: value ± standard error, and the interval."""
-    value, error = float(quantity(model)), float(model.standard_error(quantity))
-    if not (math.isfinite(error) and error > 0) or model.uncertainty is None:
-        return [symbol, unit, f"{value:.4g}", "none"]
-    digits = _digits(error)
-    reach = model.uncertainty.quantile * error
-    interval = f"{value - reach:.{digits}f} … {value + reach:.{digits}f}"
-    return [symbol, unit, f"{value:.{digits}f} ± {error:.{digits}f}", interval]
-
-
-def _resampled(model: Model, position: int, factor: float) -> str:
-    """Return the text of a bootstrap's interval."""
     found = model.uncertainty and model.uncertainty.bootstrap
-    if not found or not math.isfinite(found.lower[position]):
+    if not found or quantity.entry is None:
         return ""
-    low, high = factor * found.lower[position], factor * found.upper[position]
+    own = np.flatnonzero(model.parameters.mask(frozenset({quantity.parameter})))
+    position = own[quantity.entry]
+    if not math.isfinite(found.lower[position]):
+        return ""
+    low, high = (quantity.factor * float(e[position]) for e in (found.lower, found.upper))
     digits = _digits((high - low) / 4)
     return f"{low:.{digits}f} … {high:.{digits}f}"
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from airpuck.control.tuning import Tuning
+    from airpuck.evaluation.evaluate import Protocol
     from airpuck.model_file import Model
     from airpuck.recording.stream import Recording
     from airpuck.trajectory import Trajectory
@@ -83,6 +84,15 @@ def choose(option: str, value: str, choices: tuple[str, ...]) -> None:
 
     if value not in choices:
         raise InputError(f"{value!r} is none of {', '.join(choices)}", field=option)
+
+
+def choose_protocol(protocol: str, encoder: str) -> Protocol:
+    """Return the protocol that is named; refuse names that are none."""
+    from airpuck.evaluation.evaluate import ENCODERS, PROTOCOLS
+
+    choose("--protocol", protocol, tuple(PROTOCOLS))
+    choose("--encoder", encoder, ENCODERS)
+    return PROTOCOLS[protocol]
 
 
 def read_flight(recording: Path, topics: Path | None) -> Recording:

@@ -1,17 +1,97 @@
-"""Commands that judge a model: what it is, what it leaves unexplained."""
+"""Commands that judge models: what one is, what it leaves unexplained, how several compare."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from airpuck.cli.app import app
-from airpuck.cli.inputs import about, cut, load
+from airpuck.cli.inputs import about, choose_protocol, cut, load
 from airpuck.cli.learning import PANEL
-from airpuck.cli.options import Json, ModelName, Quiet, RecordingPath, Span, TopicsFile
-from airpuck.cli.output import check_destinations, is_stdout, warn, write_json
+from airpuck.cli.options import (
+    EncoderName,
+    Json,
+    ModelName,
+    ProtocolName,
+    Quiet,
+    RecordingPath,
+    Span,
+    TopicsFile,
+)
+from airpuck.cli.output import check_destinations, is_stdout, print_table, warn, write_json
+
+#: What a model's name ends with, which no recording's does.
+_MODEL_FILES = (".toml", ".json")
+
+
+@app.command(rich_help_panel=PANEL)
+def present(model: ModelName, json_file: Json = None) -> None:
+    """Present a model: structure, parameters with errors, what follows, how it was learned."""
+    from airpuck.cli.judgement_output import print_presentation
+    from airpuck.evaluation.presentation import present
+    from airpuck.model_file import read_model
+
+    presentation = present(read_model(model))
+    write_json(json_file, presentation.to_json())
+    if not is_stdout(json_file):
+        print_presentation(presentation)
+
+
+@app.command(rich_help_panel=PANEL)
+def compare(
+    models: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="MODEL... RECORDING",
+            help="Models, then the recording; two models alone: what drifted.",
+        ),
+    ],
+    span: Span = None,
+    protocol: ProtocolName = "paper",
+    encoder: EncoderName = "paper",
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare models on one recording; of two learned models, say what drifted."""
+    from airpuck.cli.judgement_output import print_drift, print_goodness
+    from airpuck.errors import InputError
+    from airpuck.evaluation.drift import drift
+    from airpuck.evaluation.evaluate import compare
+    from airpuck.evaluation.goodness import goodness
+    from airpuck.model_file import read_model
+
+    chosen = choose_protocol(protocol, encoder)
+    alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
+    names = models if alone else models[:-1]
+    if not names or (alone and len(names) != 2):
+        raise InputError("give at least one MODEL and a RECORDING, or two MODELs")
+    known = [read_model(name) for name in names]
+    figures: dict[str, Any] = {}
+    moved = None
+    if len(known) == 2 and (alone or all(m.uncertainty is not None for m in known)):
+        moved = drift(*known)
+        figures["drift"] = moved.to_json()
+    evaluations, fits = [], []
+    if not alone:
+        trajectory = cut(load(Path(models[-1]), known[0].vehicle, topics), span)
+        warn(trajectory.warnings, quiet)
+        evaluations = compare(known, trajectory, protocol=chosen, encoder=encoder)
+        fits = [goodness(model, trajectory) for model in known]
+        figures["evaluations"] = [
+            {**evaluation.to_json(), **fit.to_json(), "name": name}
+            for name, evaluation, fit in zip(names, evaluations, fits, strict=True)
+        ]
+    write_json(json_file, figures)
+    if is_stdout(json_file):
+        return
+    if not alone:
+        print_table(names, evaluations)
+        print_goodness(names, fits)
+    if moved is not None:
+        print_drift(names, moved)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -28,6 +108,7 @@ def resid(
     quiet: Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and what commands still explain."""
+    from airpuck.cli.judgement_output import print_goodness
     from airpuck.evaluation.goodness import goodness
     from airpuck.evaluation.residuals import resid
     from airpuck.model_file import read_model
@@ -50,16 +131,6 @@ def resid(
         print(f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level")
         for sentence in tests.verdicts:
             print(f"  {sentence}")
-        for label, values in (
-            (f"{fit.steps} steps ahead", fit.k_step),
-            (f"simulated for {fit.restart:g} s", fit.free_run),
-            ("simulated throughout", fit.whole),
-        ):
-            shown = ", ".join(f"{v:.1f}" for v in values)
-            print(f"fit {label}: {shown} % (x, y, yaw)")
-        print(
-            f"log-likelihood {fit.log_likelihood:.1f}, {fit.parameters} fitted parameters, "
-            f"AIC {fit.aic:.1f}, BIC {fit.bic:.1f}"
-        )
+        print_goodness([model], [fit])
         if page is not None:
             print(page)

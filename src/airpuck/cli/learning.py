@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from airpuck.cli.app import app
-from airpuck.cli.inputs import choose, cut, load, read_craft
+from airpuck.cli.inputs import choose, choose_protocol, cut, load, read_craft
 from airpuck.cli.options import (
     EncoderName,
     Json,
@@ -177,31 +177,17 @@ def evaluate(
     quiet: Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
-    _compare([model], recording, span, (protocol, encoder), topics, json_file, quiet, single=True)
+    from airpuck.evaluation.evaluate import evaluate
+    from airpuck.model_file import read_model
 
-
-@app.command(rich_help_panel=PANEL)
-def compare(
-    models: Annotated[
-        list[str],
-        typer.Argument(metavar="MODEL... RECORDING", help="Models, then the recording."),
-    ],
-    span: Span = None,
-    protocol: ProtocolName = "paper",
-    encoder: EncoderName = "paper",
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
-) -> None:
-    """Compare several models on one recording."""
-    if len(models) < 2:
-        from airpuck.errors import InputError
-
-        raise InputError("give at least one MODEL and a RECORDING")
-    *names, recording = models
-    _compare(
-        names, Path(recording), span, (protocol, encoder), topics, json_file, quiet, single=False
-    )
+    chosen = choose_protocol(protocol, encoder)
+    known = read_model(model)
+    trajectory = cut(load(recording, known.vehicle, topics), span)
+    warn(trajectory.warnings, quiet)
+    evaluation = evaluate(known, trajectory, protocol=chosen, encoder=encoder)
+    write_json(json_file, {**evaluation.to_json(), "name": model})
+    if not is_stdout(json_file):
+        print_table([model], [evaluation])
 
 
 @app.command(rich_help_panel=PANEL)
@@ -230,40 +216,3 @@ def check(
         wrong = [p.name for p in result.propellers if p.verdict != "agrees"]
         about = ", ".join(wrong) if result.conclusive else "nothing can be said"
         raise InputError(f"does not agree with the vehicle {craft.name!r}: {about}", file=recording)
-
-
-def _compare(
-    names: list[str],
-    recording: Path,
-    span: tuple[float, float] | None,
-    how: tuple[str, str],
-    topics: Path | None,
-    json_file: Path | None,
-    quiet: bool,
-    *,
-    single: bool,
-) -> None:
-    """Evaluate models on a recording and print a table."""
-    from airpuck.errors import InputError
-    from airpuck.evaluation.evaluate import ENCODERS, PROTOCOLS, compare
-    from airpuck.model_file import read_model
-
-    protocol, encoder = how
-    choose("--protocol", protocol, tuple(PROTOCOLS))
-    choose("--encoder", encoder, ENCODERS)
-    if PROTOCOLS[protocol].causal and encoder == "paper":
-        raise InputError(
-            "the paper's looks ahead, which the protocol causal forbids; choose actuation",
-            field="--encoder",
-        )
-    models = [read_model(name) for name in names]
-    trajectory = cut(load(recording, models[0].vehicle, topics), span)
-    warn(trajectory.warnings, quiet)
-    evaluations = compare(models, trajectory, protocol=PROTOCOLS[protocol], encoder=encoder)
-    figures = [
-        {**evaluation.to_json(), "name": name}
-        for name, evaluation in zip(names, evaluations, strict=True)
-    ]
-    write_json(json_file, figures[0] if single else {"evaluations": figures})
-    if not is_stdout(json_file):
-        print_table(names, evaluations)

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from airpuck.evaluation.gauge import largest_accelerations
 from airpuck.model_file import Model
-from airpuck.report.gauge import largest_accelerations
 from airpuck.report.style import BLACK, PAGE_WIDTH, new_figure, rung_color, styled, top_legend
 
 

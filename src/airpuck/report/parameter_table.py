@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
+from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
 from airpuck.model.presets import PRESETS
 from airpuck.model_file import Model
-from airpuck.report.gauge import largest_accelerations, physical_thrust, thrust_scale
 
-#: Quantities without a meaning where the configuration matrix is learned directly.
-_UNUSED_WHERE_DIRECT = frozenset({"inertia", "angle_offset", "center_of_mass"})
 #: Quantities in the order of the paper's table:models.
 _COLUMNS = (
     "thrust",
@@ -32,7 +31,7 @@ class Cell:
     Attributes
     ----------
     text : str
-        The formatted value, with half the width of its 95 % interval where there is one; a dash
+        The formatted value, with its standard error where there is one; a dash
         where the model does not use the parameter.
     free : bool
         Whether it was learned.
@@ -85,7 +84,7 @@ def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str
         for column in _COLUMNS:
             if column in preset.free:
                 cells.append(Cell("free", True))
-            elif preset.direct and column in _UNUSED_WHERE_DIRECT:
+            elif preset.direct and column in UNUSED_WHERE_DIRECT:
                 cells.append(Cell("–", False))
             elif column == "configuration_matrix":
                 cells.append(Cell("from the others", False))
@@ -107,44 +106,16 @@ def main_rows(models: Sequence[Model]) -> list[Row]:
     Returns
     -------
     list of Row
-        Inertia, time constant, angle offset, centre of mass, and each propeller's largest thrust at
-        the physical scale (`airpuck.report.gauge`).
+        Those of `airpuck.evaluation.main_quantities`.
     """
-    rows = [
-        _row(models, "I", "10⁻³ kg m²", "inertia", lambda m: 1e3 * m.parameters.inertia, ".4f"),
-        _row(
-            models,
-            "τ",
-            "ms",
-            "motor_time_constant",
-            lambda m: 1e3 * m.parameters.motor_time_constant,
-            ".2f",
-        ),
-        _row(models, "α", "mrad", "angle_offset", lambda m: 1e3 * m.parameters.angle_offset, ".1f"),
-    ]
-    for axis, letter in enumerate("xy"):
+    listed = {q.label: q for model in models for q in main_quantities(model)}
+    rows = []
+    for label, quantity in listed.items():
         rows.append(
-            _row(
-                models,
-                f"r {letter}",
-                "mm",
-                "center_of_mass",
-                lambda m, k=axis: 1e3 * m.parameters.center_of_mass[k],
-                ".2f",
-            )
+            _row(models, label, quantity.unit, quantity.parameter, quantity.value, quantity.form)
         )
-    for motor, name in enumerate(models[0].vehicle.propeller_names):
-        rows.append(
-            _row(
-                models,
-                f"F(1) {name}",
-                "N",
-                "thrust",
-                lambda m, i=motor: physical_thrust(m)[i].sum(),
-                ".4f",
-            )
-        )
-    return rows
+    # Thrusts last, whatever parameters only some of the models have.
+    return sorted(rows, key=lambda row: row.label.startswith("F("))
 
 
 def coefficient_rows(models: Sequence[Model]) -> list[Row]:
@@ -214,14 +185,15 @@ def _row(
     cells = []
     for model in models:
         direct = model.parameters.configuration_matrix is not None
-        if direct and quantity in _UNUSED_WHERE_DIRECT:
+        missing = getattr(model.parameters, quantity) is None
+        if missing or (direct and quantity in UNUSED_WHERE_DIRECT):
             cells.append(Cell("–", False))
             continue
         mask = model.parameters.mask(frozenset({quantity}))
         text = format(float(value(model)), form)
         if model.uncertainty is not None:
-            reach = model.uncertainty.quantile * float(model.standard_error(value))
-            if np.isfinite(reach) and reach > 0:
-                text += f" ± {reach:{form}}"
+            error = float(model.standard_error(value))
+            if np.isfinite(error) and error > 0:
+                text += f" ± {error:{form}}"
         cells.append(Cell(text, bool(model.free[mask].any())))
     return Row(label, unit, tuple(cells))

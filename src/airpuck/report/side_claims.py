@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.fit import identify
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.model.thrust import thrust_slope
 from airpuck.model_file import Model
 from airpuck.report.full_trajectory import FullTrajectory, predict_whole_trajectory
-from airpuck.report.gauge import physical_thrust
 from airpuck.report.study import Study
 from airpuck.report.trial import Trial, judge
 from airpuck.trajectory import Trajectory
@@ -187,7 +187,7 @@ def compare_largest_thrusts(
 
     The paper: "the max thrust predicted by M4 is considerably larger than that of M3, suggesting
     that the configuration matrix Π is compensating". Nothing observable fixes the scale of M4's
-    thrusts; `airpuck.report.gauge` says how it is fixed here.
+    thrusts; `airpuck.evaluation.gauge` says how it is fixed here.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _FACTORS, _FORMATS = (1e3, 1e3, 1.0), (".2f", ".2f", ".4f")
 _CHANNELS = ("x mm", "y mm", "γ rad")
 #: What stands behind a value.
 INTERVALS = (
-    " ±: half the 95 % interval, from blocks of two seconds taken as independent; a learned value "
+    " ±: standard error, from blocks of two seconds taken as independent; a learned value "
     "without one is held by a constraint, or known only as part of a product. What is wrong in all "
     "of the data alike is not in it."
 )

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from airpuck.evaluation.gauge import physical_thrust
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model
-from airpuck.report.gauge import physical_thrust
 from airpuck.report.style import (
     BLACK,
     GREY,
@@ -49,7 +49,7 @@ def thrust_figure(
     the share of the training samples in each twentieth of the command's range, with the range
     that was commanded at all; a curve outside it is extrapolated. Bands are 95 % intervals at each
     speed, where a model knows its uncertainty. Curves of a model with a directly
-    learned configuration matrix are brought to newtons (`airpuck.report.gauge`).
+    learned configuration matrix are brought to newtons (`airpuck.evaluation.gauge`).
 
     Parameters
     ----------

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.evaluation.evaluate import CHANNELS, evaluate
+from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.fit import Fit
 from airpuck.model.thrust import lowest_slope
-from airpuck.report.gauge import physical_thrust
 from airpuck.trajectory import Trajectory
 
 

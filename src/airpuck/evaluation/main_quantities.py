@@ -1,0 +1,152 @@
+"""What a person asks of a model first, named once for tables, terminal and comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from airpuck.evaluation.gauge import physical_thrust
+from airpuck.model.parameters import Quantity
+from airpuck.model.thrust import thrust
+from airpuck.model_file import Model
+
+#: Symbol, unit and factor from SI where people use others than files do.
+_SHOWN = {
+    "motor_time_constant": ("τ", "ms", 1e3, ".2f"),
+    "inertia": ("I", "10⁻³ kg m²", 1e3, ".4f"),
+    "angle_offset": ("α", "mrad", 1e3, ".1f"),
+    "center_of_mass": ("r", "mm", 1e3, ".2f"),
+}
+#: Shown by what they do: thrusts at a speed, not coefficients; products, not the matrix.
+_BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
+#: Without a meaning where the configuration matrix is learned directly.
+UNUSED_WHERE_DIRECT = frozenset({"inertia", "angle_offset", "center_of_mass"})
+#: Quantities that are positive by nature, so that a change in percent says something.
+_POSITIVE = frozenset({"motor_time_constant", "inertia", "thrust"})
+
+
+@dataclass(frozen=True)
+class MainQuantity:
+    """A number that follows from a model's parameters.
+
+    Attributes
+    ----------
+    label, words : str
+        For a table, and for a sentence.
+    unit : str
+        For people.
+    parameter : str
+        The quantity of `Parameters` that it belongs to.
+    entry : int or None
+        Which entry of that it is; None where it is made from several.
+    form : str
+        Format that suits it.
+    value : callable
+        ``model -> number`` in `unit`.
+    factor : float
+        From SI to `unit`.
+    """
+
+    label: str
+    words: str
+    unit: str
+    parameter: str
+    entry: int | None
+    form: str
+    value: Callable[[Model], Any]
+    factor: float = 1.0
+
+    @property
+    def positive(self) -> bool:
+        """Whether it is positive by nature."""
+        return self.parameter in _POSITIVE
+
+    def used(self, model: Model) -> bool:
+        """Whether a model has it.
+
+        Parameters
+        ----------
+        model : Model
+            A model.
+
+        Returns
+        -------
+        bool
+            False where its configuration matrix takes its place.
+        """
+        if getattr(model.parameters, self.parameter, None) is None:
+            return False
+        direct = model.parameters.configuration_matrix is not None
+        return not (direct and self.parameter in UNUSED_WHERE_DIRECT)
+
+    def learned(self, model: Model) -> bool:
+        """Whether a model learned it.
+
+        Parameters
+        ----------
+        model : Model
+            A model that has it.
+
+        Returns
+        -------
+        bool
+            True if its entry, or any entry that it is made from, was free.
+        """
+        free = model.free[model.parameters.mask(frozenset({self.parameter}))]
+        return bool(free.any() if self.entry is None else free[self.entry])
+
+
+def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[MainQuantity]:
+    """List what a person asks of a model first.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    speeds : tuple of float, optional
+        Motor speeds φ at which thrusts are told; by default full speed.
+
+    Returns
+    -------
+    list of MainQuantity
+        Every parameter but thrust coefficients and configuration matrix; then each propeller's
+        thrust at the physical scale (`airpuck.evaluation.gauge`).
+    """
+    listed = []
+    for quantity in model.parameters.quantities:
+        if quantity.name not in _BY_EFFECT:
+            listed += _entries(model, quantity)
+    for motor, name in enumerate(model.vehicle.propeller_names):
+        for speed in speeds:
+
+            def force(m: Model, motor: int = motor, speed: float = speed) -> Any:
+                return thrust(physical_thrust(m)[motor : motor + 1], np.array([speed]))[0]
+
+            at = "full speed" if speed == 1 else f"φ = {speed:g}"
+            listed.append(
+                MainQuantity(
+                    f"F({speed:g}) {name}", f"thrust of {name} at {at}", "N", "thrust", None,
+                    ".4f", force,
+                )
+            )  # fmt: skip
+    return listed
+
+
+def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
+    """Return the entries of one quantity."""
+    plain = (quantity.symbol, quantity.unit, 1.0, ".4g")
+    symbol, unit, factor, form = _SHOWN.get(quantity.name, plain)
+    degree = np.shape(model.parameters.thrust)[1]
+    listed = []
+    for k, entry in enumerate(quantity.entries(model.vehicle.propeller_names, degree)):
+
+        def value(m: Model, k: int = k) -> Any:
+            return factor * np.ravel(getattr(m.parameters, quantity.name))[k]
+
+        words = f"{quantity.name.replace('_', ' ')} {entry}".strip()
+        label = f"{symbol} {entry}".strip()
+        listed.append(MainQuantity(label, words, unit, quantity.name, k, form, value, factor))
+    return listed

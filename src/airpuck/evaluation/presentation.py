@@ -1,0 +1,281 @@
+"""A model as system identification presents it: structure, parameters, conditions of the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
+from airpuck.model.presets import PRESETS
+from airpuck.model.thrust import thrust
+from airpuck.model_file import Model
+
+#: Ways to accelerate: row of Π, sign.
+_WAYS = (
+    ("forward", 0, 1, "m/s²"),
+    ("backward", 0, -1, "m/s²"),
+    ("left", 1, 1, "m/s²"),
+    ("right", 1, -1, "m/s²"),
+    ("counter-clockwise", 2, 1, "rad/s²"),
+    ("clockwise", 2, -1, "rad/s²"),
+)
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number with its error.
+
+    Attributes
+    ----------
+    label, unit : str
+        What it is.
+    value, standard_error : float
+        In `unit`; the error is nan where there is none.
+    quantile : float
+        Half the 95 % interval is so many standard errors.
+    learned : bool
+        Whether it was learned, or follows from what was.
+    """
+
+    label: str
+    unit: str
+    value: float
+    standard_error: float
+    quantile: float
+    learned: bool
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a standard error."""
+        return bool(np.isfinite(self.standard_error) and self.standard_error > 0)
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Ends of the 95 % interval; None where there is no standard error."""
+        if not self.known:
+            return None
+        reach = self.quantile * self.standard_error
+        return self.value - reach, self.value + reach
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``label, unit, value, standard_error, interval_95, learned``.
+        """
+        return {
+            "label": self.label,
+            "unit": self.unit,
+            "value": self.value,
+            "standard_error": self.standard_error if self.known else None,
+            "interval_95": self.interval,
+            "learned": self.learned,
+        }
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """A model in words and numbers.
+
+    Attributes
+    ----------
+    name : str
+        The rung.
+    structure : tuple of str
+        Its equations, and which terms are free.
+    parameters, derived : tuple of Value
+        Main quantities; what follows from them.
+    conditions : tuple of (str, str)
+        How and from what it was learned.
+    notes : tuple of str
+        What the data did not determine, and other warnings.
+    """
+
+    name: str
+    structure: tuple[str, ...]
+    parameters: tuple[Value, ...]
+    derived: tuple[Value, ...]
+    conditions: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures.
+
+        Returns
+        -------
+        dict
+            ``model, structure, parameters, derived, conditions, notes``.
+        """
+        return {
+            "model": self.name,
+            "structure": list(self.structure),
+            "parameters": [value.to_json() for value in self.parameters],
+            "derived": [value.to_json() for value in self.derived],
+            "conditions": dict(self.conditions),
+            "notes": list(self.notes),
+        }
+
+
+def present(model: Model) -> Presentation:
+    """Present a model.
+
+    Parameters
+    ----------
+    model : Model
+        Any model.
+
+    Returns
+    -------
+    Presentation
+        Structure, parameters ± standard errors with 95 % intervals, derived quantities, conditions
+        of the fit, notes.
+    """
+    quantities = [q for q in main_quantities(model, speeds=(0.5, 1.0)) if q.used(model)]
+    return Presentation(
+        name=model.name,
+        structure=tuple(_structure(model)),
+        parameters=tuple(value_of(model, quantity) for quantity in quantities),
+        derived=tuple(_derived(model)),
+        conditions=tuple(_conditions(model)),
+        notes=tuple(_notes(model)),
+    )
+
+
+def value_of(model: Model, quantity: MainQuantity) -> Value:
+    """Evaluate a quantity and its error.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    quantity : MainQuantity
+        One that it has.
+
+    Returns
+    -------
+    Value
+        With a standard error if it was learned here.
+    """
+    learned = quantity.learned(model)
+    return _value(model, quantity.label, quantity.unit, quantity.value, learned)
+
+
+def _value(
+    model: Model, label: str, unit: str, quantity: Callable[[Model], Any], learned: bool
+) -> Value:
+    """Evaluate anything made from the parameters."""
+    known = model.uncertainty
+    error = float(model.standard_error(quantity)) if learned else np.nan
+    return Value(
+        label, unit, float(quantity(model)), error, known.quantile if known else np.nan, learned
+    )
+
+
+def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
+    """Compute how hard a craft at rest can be pushed each way, all motors together.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    array, shape (6,)
+        Forward, backward, left, right [m/s²], counter-clockwise, clockwise [rad/s²]: motors that
+        help at the highest command, the others at the lowest.
+    """
+    vehicle, matrix = model.vehicle, np.asarray(model.dynamics.configuration)
+    coefficients = np.asarray(model.parameters.thrust)
+    ends = [
+        thrust(coefficients, np.full(len(coefficients), command))
+        for command in (vehicle.command_min, vehicle.command_max)
+    ]
+    pushes = [
+        np.maximum(*(sign * matrix[row] * force for force in ends)).sum()
+        for _, row, sign, _ in _WAYS
+    ]
+    return np.array(pushes)
+
+
+def _derived(model: Model) -> list[Value]:
+    """Return what follows from the parameters."""
+    values = []
+    for k, (way, _, _, unit) in enumerate(_WAYS):
+        learned = bool(model.free.any())
+
+        def push(m: Model, k: int = k) -> Any:
+            return largest_acceleration(m)[k]
+
+        values.append(_value(model, f"largest acceleration {way}", unit, push, learned))
+    lag = model.parameters.mask(frozenset({"motor_time_constant"}))
+    if float(model.parameters.motor_time_constant) > 0:
+        values.append(
+            _value(
+                model,
+                "bandwidth of the motors 1/(2πτ)",
+                "Hz",
+                lambda m: 1 / (2 * np.pi * m.parameters.motor_time_constant),
+                bool(model.free[lag].any()),
+            )
+        )
+    return values
+
+
+def _structure(model: Model) -> list[str]:
+    """Describe the equations."""
+    preset, parameters = PRESETS.get(model.name), model.parameters
+    lines = [] if preset is None else [f"{model.name}: {preset.summary}"]
+    degree = np.shape(parameters.thrust)[1]
+    lines.append(f"thrust F(φ) = Σ cₖ φᵏ, k = 1 … {degree}, of each propeller")
+    lag = float(parameters.motor_time_constant) > 0
+    lines.append("motors τ φ' = u − φ" if lag else "motors follow at once, φ = u")
+    direct = parameters.configuration_matrix is not None
+    lines.append(
+        "forces to accelerations by a matrix Π that was learned directly"
+        if direct
+        else "forces to accelerations by Newton's law from mass, I, α and r"
+    )
+    lines.append(f"offset of the centre of mass constant in the frame of the {model.frame}")
+    for quantity in parameters.quantities:
+        free = model.free[parameters.mask(frozenset({quantity.name}))]
+        state = "free" if free.all() else "partly free" if free.any() else "fixed"
+        lines.append(f"{state}: {quantity.meaning} ({quantity.symbol})")
+    return lines
+
+
+def _conditions(model: Model) -> list[tuple[str, str]]:
+    """Say how and from what a model was learned."""
+    told = [("source", model.source)] if model.source else []
+    told.append(("transport delay", f"{1e3 * model.transport_delay:.2f} ms"))
+    told += [(key.replace("_", " "), _text(value)) for key, value in model.fit.items()]
+    told += [(f"data {name}", digest) for name, digest in model.data.items()]
+    if model.uncertainty is not None:
+        told.append(("blocks of time behind the errors", str(model.uncertainty.clusters)))
+    return told
+
+
+def _text(value: Any) -> str:
+    """Write a value of the fit's table."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+def _notes(model: Model) -> list[str]:
+    """Say what to know before using a model."""
+    known = model.uncertainty
+    if known is None:
+        return ["no standard errors: the model was not identified here, or by an older version"]
+    notes = list(known.notes)
+    if len(known.undetermined):
+        notes.append(f"{len(known.undetermined)} directions of the parameters are not determined")
+    if model.fit.get("converged") is False:
+        notes.append("the fit had not converged")
+    return notes

@@ -1,0 +1,59 @@
+"""How a model is presented."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.presentation import largest_acceleration, present
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.model_file import published_model
+
+MODEL = published_model("M3")
+
+
+@pytest.fixture
+def known():
+    vector = MODEL.parameters.to_vector()
+    errors = np.where(MODEL.free, 0.01 * np.abs(vector), np.nan)
+    covariance = np.diag(np.nan_to_num(errors) ** 2)
+    nothing = np.zeros((0, len(vector)))
+    return replace(MODEL, uncertainty=Uncertainty(vector, covariance, errors, nothing, 30, 2.0))
+
+
+def test_the_bandwidth_and_its_error_follow_from_the_lag(known):
+    tau = MODEL.parameters.motor_time_constant
+    found = {value.label: value for value in present(known).derived}
+    bandwidth = found["bandwidth of the motors 1/(2πτ)"]
+    assert bandwidth.value == pytest.approx(1 / (2 * np.pi * tau))
+    assert bandwidth.standard_error == pytest.approx(0.01 * bandwidth.value, rel=1e-4)
+    assert bandwidth.interval is not None
+    low, high = bandwidth.interval
+    assert high - low == pytest.approx(4 * bandwidth.standard_error)
+
+
+def test_the_largest_acceleration_is_that_of_the_best_commands():
+    # Motors do not share anything: of all corners of the commands, the best.
+    matrix, vehicle = MODEL.dynamics.configuration, MODEL.vehicle
+    thrusts = np.array(
+        [
+            np.polyval(np.append(MODEL.parameters.thrust[i][::-1], 0.0), command)
+            for command in (vehicle.command_min, vehicle.command_max)
+            for i in range(6)
+        ]
+    ).reshape(2, 6)
+    corners = np.array([[int(bit) for bit in f"{k:06b}"] for k in range(64)])
+    forces = np.where(corners == 1, thrusts[1], thrusts[0])
+    reached = forces @ matrix.T
+    best = [sign * (sign * reached[:, row]).max() for row in range(3) for sign in (1, -1)]
+    np.testing.assert_allclose(largest_acceleration(MODEL), np.abs(best))
+
+
+def test_structure_says_what_is_free_and_fixed():
+    shown = present(published_model("M0"))
+    lines = "\n".join(shown.structure)
+    assert "motors follow at once" in lines
+    assert "free: coefficients" in lines
+    assert "fixed: moment of inertia" in lines
+    assert "no standard errors" in shown.notes[0]
+    assert all(value.interval is None for value in shown.parameters)

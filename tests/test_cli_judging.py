@@ -1,0 +1,64 @@
+"""present, resid and compare on the command line."""
+
+import json
+
+import pytest
+
+from airpuck.recording import write_bag
+
+from .synthetic import record
+from .test_cli import airpuck, refused
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """A bag, and two models, each of one half of it."""
+    folder = tmp_path_factory.mktemp("judging")
+    write_bag(record(duration=16.0, noise=1e-4), folder / "bag")
+    for name, span in (("early", (0, 0.5)), ("late", (0.5, 1))):
+        out = folder / f"{name}.toml"
+        process = airpuck("identify", folder / "bag", "--span", *span, "-o", out, "--model", "M2")
+        assert process.returncode == 0, process.stderr
+    return folder
+
+
+def test_present_prints_and_writes(flown):
+    process = airpuck("present", flown / "early.toml")
+    assert process.returncode == 0, process.stderr
+    for words in ("free: first-order lag", "±", "bandwidth", "loss", "data "):
+        assert words in process.stdout
+    figures = json.loads(airpuck("present", flown / "early.toml", "--json", "-").stdout)
+    lag = next(value for value in figures["parameters"] if value["label"] == "τ")
+    assert lag["learned"]
+    assert lag["interval_95"][0] < lag["value"] < lag["interval_95"][1]
+
+
+def test_resid_prints_and_writes(flown, tmp_path):
+    out = ("-o", tmp_path / "page", "--json", tmp_path / "r.json")
+    process = airpuck("resid", flown / "early.toml", flown / "bag", "--lags", 10, *out)
+    assert process.returncode == 0, process.stderr
+    assert "innovations are" in process.stdout
+    assert "AIC" in process.stdout
+    figures = json.loads((tmp_path / "r.json").read_text())
+    assert len(figures["whiteness"]) == 3
+    assert len(figures["cross_correlation"]) == 18
+    assert "Residual tests" in (tmp_path / "page" / "index.html").read_text()
+    assert (tmp_path / "page" / "figures" / "residuals.png").stat().st_size > 10_000
+
+
+def test_compare_of_two_models_tells_drift(flown):
+    models = flown / "early.toml", flown / "late.toml"
+    process = airpuck("compare", *models)
+    assert process.returncode == 0, process.stderr
+    assert "moved" in process.stdout or "fell" in process.stdout or "rose" in process.stdout
+    assert "same files" in process.stdout
+    figures = json.loads(airpuck("compare", *models, flown / "bag", "--json", "-").stdout)
+    assert {"label", "z", "p_value", "moved"} <= set(figures["drift"]["changes"][0])
+    assert {"rmse", "fit_percent", "aic", "bic"} <= set(figures["evaluations"][1])
+
+
+def test_what_cannot_be_compared_is_refused(flown):
+    assert refused(airpuck("compare", flown / "early.toml"), "RECORDING")
+    assert refused(airpuck("compare", "paper:M3", "paper:M4"), "know the error")
+    wrong = airpuck("compare", "paper:M3", flown / "bag", "--protocol", "causal")
+    assert refused(wrong, "looks ahead", "actuation")
