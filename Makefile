@@ -17,7 +17,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev demo test lint format studies clean
+.PHONY: help install dev demo test lint format studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -39,6 +39,9 @@ test: dev  ## all tests but the long studies
 
 studies: dev  ## the long studies
 	$(BIN)/python -m pytest -m study -n $(WORKERS)
+
+bench: dev  ## measure speed on the real recordings (minutes); see benchmarks/
+	$(BIN)/python -m benchmarks
 
 lint: dev  ## ruff and pyright
 	$(BIN)/ruff check .

@@ -1,0 +1,277 @@
+"""The whole table of speed.
+
+    AIRPUCK_DATA=... python -m benchmarks                   # some minutes; leave the machine alone
+    AIRPUCK_DATA=... python -m benchmarks --only identify   # rows whose name begins so
+    AIRPUCK_DATA=... python -m benchmarks --long --authors ~/holohover-sysid
+
+Prints the table and stores it as out/benchmarks.json and out/benchmarks.md. Processes are timed
+from their start to their end, the interpreter's included, with an empty compilation cache unless
+said; medians. JAX_PLATFORMS=cpu or cuda says where it computes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from airpuck import InputError
+from airpuck.recording import dataset_folder
+
+from . import authors
+from .process import AIRPUCK, Run, run, workload
+from .workloads import STUDY, TRAINING
+
+HERE = Path(__file__).parent
+COLD = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+PACKAGES = ("airpuck", "jax", "jaxlib", "numpy", "scipy", "piqp", "daqp", "torch")
+
+Row = dict[str, object]
+
+
+class Table:
+    """Rows as they are measured.
+
+    Parameters
+    ----------
+    runs : int
+        Of each row.
+    only : sequence of str
+        Beginnings of the names of rows to measure; none: all.
+    """
+
+    def __init__(self, runs: int, only: Sequence[str]) -> None:
+        self.runs, self.only = runs, tuple(only)
+        self.rows: list[Row] = []
+
+    def add(
+        self,
+        name: str,
+        unit: str,
+        measure: Callable[[], float | Sequence[float] | str],
+        *,
+        target: str = "",
+        runs: int | None = None,
+    ) -> None:
+        """Measure a row: a number a run, several of one run, or a reason why there is none."""
+        if self.only and not name.startswith(self.only):
+            return
+        values: list[float] = []
+        for _ in range(self.runs if runs is None else runs):
+            found = measure()
+            if isinstance(found, str):
+                self.rows.append({"name": name, "skipped": found})
+                print(f"{name}: {found}", flush=True)
+                return
+            values += [found] if isinstance(found, float) else list(found)
+        self.rows.append(
+            {
+                "name": name,
+                "unit": unit,
+                "median": statistics.median(values),
+                "min": min(values),
+                "max": max(values),
+                "runs": len(values),
+                "target": target,
+            }
+        )
+        print(_line(self.rows[-1]), flush=True)
+
+
+def _line(row: Row) -> str:
+    """Write a row of the Markdown table."""
+    if "skipped" in row:
+        return f"| {row['name']} | | | | | {row['skipped']} |"
+    cells = (f"{row[key]:.4g}" for key in ("median", "min", "max"))
+    return f"| {row['name']} | {' | '.join(cells)} | {row['unit']} | {row['target']} |"
+
+
+def whole_processes(table: Table, folder: Path) -> None:
+    """Commands, from start to end."""
+    data = dataset_folder() / TRAINING
+    bag, model = folder / "bag", folder / "m.toml"
+    identify = (*AIRPUCK, "identify", data, "-o", model, "-q")
+    warm = {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
+
+    def timed(*command: object, **environment: str) -> Callable[[], float]:
+        return lambda: run(command, **environment).wall_s
+
+    def compiled_before() -> float:
+        if not (folder / "compiled").exists():
+            run(identify, **warm)
+        return run(identify, **warm).wall_s
+
+    def preprocess() -> float:
+        if not bag.exists():
+            workload("bag", "--output", bag)
+        return run((*AIRPUCK, "preprocess", bag, "-o", folder / "t.npz", "-q")).wall_s
+
+    python = (sys.executable, "-c")
+    table.add("import airpuck", "s", timed(*python, "import airpuck"), target="≤ 0.3")
+    table.add("airpuck --help", "s", timed(*AIRPUCK, "--help"), target="≤ 0.5")
+    table.add("identify M3", "s", timed(*identify, **COLD), target="≤ 5, aim 2.5")
+    table.add("identify M3, compiled before", "s", compiled_before, target="aim 2")
+    table.add(
+        "M0 to M4, fitted and judged", "s", timed(*python, STUDY, **COLD), target="≤ 12, aim 6"
+    )
+    table.add("60 s bag to trajectory", "s", preprocess, target="≤ 1.5")
+
+
+def inside(table: Table, folder: Path) -> None:
+    """Measure inside a process."""
+    steps: list[Run] = []
+
+    def step() -> float:
+        steps.append(workload("step"))
+        return float(steps[-1].figures["wall_s"])
+
+    def again() -> float:
+        return float(workload("identify_again").figures["wall_s"])
+
+    def fits() -> float:
+        return float(workload("bootstrap").figures["fits_per_s"])
+
+    table.add("identify M3, second time in a process", "s", again, target="≤ 0.4, aim 0.1")
+    table.add("step over all windows", "s", step, target="≤ 1, aim 0.3")
+    if steps:
+        table.add("step over all windows, peak memory", "MiB", lambda: steps[-1].peak_mib, runs=1)
+    table.add("fits to resampled data", "1/s", fits, runs=1)
+
+
+def scripts(table: Table, folder: Path) -> None:
+    """Run the scripts beside this one, and read what they print."""
+
+    def printed(pattern: str, script: str, *arguments: str) -> Callable[[], Sequence[float] | str]:
+        def measure() -> Sequence[float] | str:
+            output = run((sys.executable, HERE / script, *arguments)).output
+            found = re.findall(pattern, output, re.MULTILINE)
+            return [float(value) for value in found] or f"{script} prints no such line"
+
+        return measure
+
+    number = r"([\d.e+]+)"
+    for precision in ("double", "single"):
+        for column, radio in ((rf"{number} +\S+", "own radio"), (rf"\S+ +{number}", "same radio")):
+            table.add(
+                f"twin, 10 000 craft, {precision}, {radio}",
+                "steps/s",
+                printed(
+                    rf"^ *10000 +{precision} +{column}", "twin_throughput.py", "--craft", "10000"
+                ),
+                target="≥ 1e7, aim 2e7",
+                runs=1,
+            )
+    for share, target in (("p50", "≤ 100, aim 50"), ("p99", "≤ 200, aim 150")):
+        pattern = rf"^total.*{share} +{number}"
+        table.add(
+            f"control step, {share}", "µs", printed(pattern, "control_step.py"), target=target
+        )
+
+
+def peers(table: Table, folder: Path, checkout: Path | None) -> None:
+    """Measure what else one could do."""
+
+    def peer() -> float:
+        return float(workload("peer").figures["wall_s"])
+
+    table.add("NumPy and scipy.optimize.least_squares, M3", "s", peer)
+    if checkout is not None:
+        table.add("an epoch of the authors' code", "s", lambda: authors.epochs(checkout), runs=1)
+
+
+def long(table: Table, folder: Path) -> None:
+    """Measure what takes minutes."""
+    peaks: dict[int, float] = {}
+
+    def hour(seconds: int) -> float:
+        bag = folder / f"bag{seconds}"
+        workload("bag", "--seconds", seconds, "--output", bag)
+        done = run((*AIRPUCK, "preprocess", bag, "-o", folder / "t.npz", "-q"))
+        peaks[seconds] = done.peak_mib
+        return done.wall_s
+
+    def adam() -> float | str:
+        found = workload("adam").figures
+        if found["reached"]:
+            return float(found["wall_s"])
+        reached = f"{found['loss']:.4e}, not {found['goal']:.4e}"
+        return f"{found['epochs']} epochs, {found['wall_s']:.0f} s: {reached}"
+
+    for seconds in (600, 3600):
+        name = f"{seconds // 60} min bag to trajectory"
+        table.add(name, "s", lambda seconds=seconds: hour(seconds), runs=1)
+        if seconds in peaks:
+            table.add(f"{name}, peak memory", "MiB", lambda seconds=seconds: peaks[seconds], runs=1)
+    table.add("Adam, until 0.1 % above the same loss", "s", adam, runs=1)
+
+
+def machine() -> dict[str, object]:
+    """Say where, when and with what."""
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    cpu = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else []
+    devices = run((sys.executable, "-c", "import jax; print(jax.devices()[0].device_kind)")).output
+    return {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "processor": names[0] if names else platform.processor(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "load_before": os.getloadavg()[0],
+        "jax_device": devices.strip(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "versions": versions,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--only", action="append", default=[], metavar="NAME")
+    parser.add_argument("--long", action="store_true", help="also bags of up to an hour, and Adam")
+    parser.add_argument("--authors", type=Path, metavar="PATH", help="checkout of holohover-sysid")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out"), metavar="DIR")
+    options = parser.parse_args()
+    about, table = machine(), Table(options.runs, options.only)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        whole_processes(table, folder)
+        inside(table, folder)
+        scripts(table, folder)
+        peers(table, folder, options.authors)
+        if options.long:
+            long(table, folder)
+    options.output.mkdir(parents=True, exist_ok=True)
+    stored = {**about, "rows": table.rows}
+    (options.output / "benchmarks.json").write_text(json.dumps(stored, indent=2) + "\n")
+    told = [f"* {key}: {value}" for key, value in about.items()]
+    head = ["| | median | min | max | unit | target |", "|---|---|---|---|---|---|"]
+    text = "\n".join([*told, "", *head, *map(_line, table.rows)]) + "\n"
+    (options.output / "benchmarks.md").write_text(text)
+    print("\n" + text)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except InputError as error:
+        sys.exit(f"benchmarks: {error}")
