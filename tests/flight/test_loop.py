@@ -8,7 +8,7 @@ import pytest
 from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import FLYING, Step, TrackingController
 from airpuck.flight.link import Measurement
-from airpuck.flight.loop import fly
+from airpuck.flight.loop import control, fly
 from airpuck.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
@@ -231,3 +231,26 @@ def test_a_failing_pilot_is_not_hidden():
 
     with pytest.raises(RuntimeError, match="broken"):
         fly(Broken(), FakeLink(), 0.1)
+
+
+def test_what_comes_early_is_told_early_and_nothing_twice():
+    stamps = [0.001, 0.007, 0.009, 0.0195]
+    link, pilot = FakeLink([(stamp, pose(stamp)) for stamp in stamps]), FakePilot()
+    actions = list(control(pilot, link, 0.03, early=0.002))
+    np.testing.assert_allclose(link.waits, [0, 0.008, 0.01, 0.018, 0.02])
+    assert [action.due for action in actions] == pytest.approx([0, 0.01, 0.02])
+    assert [time for time, _ in pilot.told("pose")] == stamps
+
+
+def test_periods_that_a_flight_slept_through_are_left_out():
+    class SleptLink(FakeLink):
+        def wait_until(self, time):
+            return super().wait_until(max(time, self.now))
+
+    link, pilot = SleptLink(), FakePilot()
+    due = []
+    for action in control(pilot, link, 0.1):
+        due.append(action.due)
+        if len(due) == 3:
+            link.now += 0.043  # stopped by somebody
+    assert due == pytest.approx([0, 0.01, 0.02, 0.06, 0.07, 0.08, 0.09])

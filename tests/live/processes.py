@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -24,20 +25,34 @@ CODECS = {
 EVENT = MessageCodec(EVENT_TYPE)
 IDLE = 0.03
 _MAIN = "from airpuck.cli import main; main()"
+#: Makes the terminal on standard input that of the session.
+_TAKE_TERMINAL = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
 
 
 class Process:
     """A command of airpuck's that runs."""
 
-    def __init__(self, *arguments: object, domain: int) -> None:
+    def __init__(self, *arguments: object, domain: int, terminal: bool = False) -> None:
+        #: The operator's end of the terminal that it runs on.
+        self.keys, inside = pty.openpty() if terminal else (None, subprocess.DEVNULL)
+        code = _TAKE_TERMINAL * terminal + _MAIN
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _MAIN, *map(str, arguments), "--domain", str(domain)],
-            stdin=subprocess.DEVNULL,
+            [sys.executable, "-c", code, *map(str, arguments), "--domain", str(domain)],
+            stdin=inside,
+            start_new_session=terminal,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, "JAX_PLATFORMS": "cpu"},
         )
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def press(self, key: str) -> None:
+        assert self.keys is not None
+        os.write(self.keys, key.encode())
 
     @property
     def alive(self) -> bool:

@@ -16,7 +16,7 @@ import pytest
 
 from airpuck import identify, preprocess, read_recording
 from airpuck.flight.track import Track
-from airpuck.live.graph import SENSOR, Graph
+from airpuck.live.graph import SENSOR, STATE, Graph
 from airpuck.model_file import published_model
 from airpuck.recording.message import MessageCodec, StreamCodec
 from airpuck.recording.message_types import definitions
@@ -41,13 +41,15 @@ class Table:
         self.twin = Process("twin", domain=domain)
         self.pilot: Process | None = None
 
-    def fly(self, *arguments: object) -> Process:
+    def fly(self, *arguments: object, terminal: bool = False) -> Process:
         """A flight that holds the middle of the table, or as told; flying when this returns."""
-        if self.pilot is None or not self.pilot.alive or arguments:
+        if self.pilot is None or not self.pilot.alive or arguments or terminal:
             self.land()
             self.watch.until(lambda: self.watch.heard[POSES])
             self.watch.forget()
-            self.pilot = Process("fly", "--model", "paper:M3", *arguments, domain=self.domain)
+            self.pilot = Process(
+                "fly", "--model", "paper:M3", *arguments, domain=self.domain, terminal=terminal
+            )
             self.watch.until(lambda: "flying" in self.watch.events("fly"))
         return self.pilot
 
@@ -135,13 +137,24 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     assert (apart < (5e-3, 5e-3, 0.05)).all()
 
 
+def test_a_key_stops_the_motors_and_another_lets_them_run(table):
+    pilot, watch = table.fly(terminal=True), table.watch
+    watch.forget()
+    pilot.press(" ")
+    watch.until(lambda: watch.said("motors idle: stopped by the operator"))
+    watch.run(0.6)
+    assert table.idles()
+    pilot.press("g")
+    watch.until(lambda: "flying" in watch.events("fly"))
+
+
 def test_a_second_controller_refuses_and_says_whose_the_first_is(table):
     first = table.fly()
     second = Process("fly", "--model", "paper:M3", domain=table.domain)
     status, _, err = second.end()
     assert status == 2
     assert len(err.strip().splitlines()) == 1
-    assert f"another controller already: airpuck fly (process {first._process.pid} on" in err
+    assert f"another controller already: airpuck fly (process {first.pid} on" in err
     table.watch.run(0.1)
     assert table.flies()
 
@@ -166,6 +179,29 @@ def test_poses_that_stop_idle_the_motors_until_they_are_back(table):
     assert idle[times >= first_idle].all()
     watch.until(lambda: "flying" in watch.events("fly"))
     watch.until(table.flies)
+
+
+def test_a_controller_that_stood_still_goes_on(table):
+    pilot, watch = table.fly(), table.watch
+    watch.forget()
+    pilot.signal(signal.SIGSTOP)
+    try:
+        watch.until(lambda: watch.said("no command for 200 ms, motors stopped"))
+    finally:
+        pilot.signal(signal.SIGCONT)
+    watch.until(lambda: watch.said("commands arrive, motors run"))
+    watch.until(table.flies)
+
+
+def test_motors_idle_while_somebody_else_sends_commands(table):
+    table.fly()
+    watch, command = table.watch, CODECS[COMMANDS]
+    watch.forget()
+    rival = Graph("joystick", domain=table.domain)
+    rival.publisher(COMMANDS, command.msgtype, command.types, SENSOR)
+    watch.until(lambda: watch.said("motors idle: another controller is on the graph: joystick"))
+    rival.close()
+    watch.until(lambda: "flying" in watch.events("fly"))
 
 
 def test_garbage_is_survived_and_told(table):
@@ -225,11 +261,21 @@ def test_a_killed_controller_stops_the_motors_and_another_may_follow(table):
         assert np.abs(apart).max() < 2e-3
     table.pilot = None
     table.fly("--topic")  # not refused, once the dead one is off the graph
-    reference = StreamCodec("reference")
-    says = watch.graph.publisher(REFERENCES, reference.msgtype, reference.types, SENSOR)
-    watch.run(0.3)
-    says.send(reference.encode(0, (9.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
-    assert table.pilot.alive
+
+
+def test_a_set_point_from_the_graph_is_flown_to_unless_it_is_outside(table):
+    table.fly("--topic")
+    watch, reference = table.watch, CODECS[REFERENCES]
+    hand = Graph("hand", domain=table.domain)
+    moves = hand.publisher(REFERENCES, reference.msgtype, reference.types, STATE)
+    far, near = ((x, 0.1, 0.5, 0.0, 0.0, 0.0) for x in (9.0, -0.2))
+    watch.until(lambda: moves.send(reference.encode(0, far)) or watch.said("outside the geofence"))
+    for _ in range(40):
+        moves.send(reference.encode(0, near))
+        watch.run(0.1)
+    hand.close()
+    here = np.median(np.array(watch.values(POSES))[-50:], axis=0)
+    assert (np.abs(here - near[:3]) < (0.03, 0.03, 0.2)).all()
 
 
 def test_a_killed_twin_idles_the_motors_and_a_bad_radio_does_not_stop_the_next(table, tmp_path):

@@ -64,6 +64,7 @@ def twin(
     from airpuck.twin.settings import read_twin_settings
 
     check_destinations(json=json_file)
+    _check_network(domain, interface)
     report = serve_twin(
         read_model(model),
         None if settings is None else read_twin_settings(settings),
@@ -164,6 +165,8 @@ def fly(
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     check_destinations(json=json_file)
+    _check_network(domain, interface)
+    length = _length(duration)
     craft = None if model is None else read_belief(model)
     if craft is None:
         craft = nominal_model(read_craft(vehicle) or default_vehicle())
@@ -187,7 +190,7 @@ def fly(
         topics=_names(topics),
         domain=domain,
         interface=interface,
-        duration=_length(duration),
+        duration=length,
         quiet=quiet,
     )
     figures = report.to_json()
@@ -240,6 +243,14 @@ def _one_thread() -> None:
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def _check_network(domain: int | None, interface: str | None) -> None:
+    """Refuse a domain or an interface that is not there, before anything is compiled."""
+    from airpuck.live.domain import domain_config, domain_id
+
+    domain_id(domain)
+    domain_config(interface)
 
 
 def _names(topics: Path | None) -> Topics | None:

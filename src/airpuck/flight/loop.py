@@ -127,7 +127,13 @@ def fly(
 
 
 def control(
-    pilot: Pilot, link: Link, duration: float, period: float = 0.01, *, on_board: bool = False
+    pilot: Pilot,
+    link: Link,
+    duration: float,
+    period: float = 0.01,
+    *,
+    on_board: bool = False,
+    early: float = 0.0,
 ) -> Iterator[Action]:
     """Act once a period; `fly` without a log.
 
@@ -146,6 +152,9 @@ def control(
         Time between commands [s].
     on_board : bool, default False
         Whether the pilot is told what the sensors on the craft say.
+    early : float, default 0
+        How long before a command is due the pilot is told what has come by then, so that little is
+        left to do when it is [s].
 
     Yields
     ------
@@ -157,8 +166,10 @@ def control(
     k = 0
     while k < count:
         due = start + k * period
-        for measurement in link.wait_until(due):
-            _tell(pilot, measurement, on_board)
+        ahead = early > 0 and due - early > link.now
+        for moment in (due - early, due) if ahead else (due,):
+            for measurement in link.wait_until(moment):
+                _tell(pilot, measurement, on_board)
         now = link.now
         asked = pilot.reference.at(now, 0.0).state
         if not np.array_equal(asked, announced):

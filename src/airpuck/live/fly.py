@@ -29,6 +29,8 @@ _LAST_COMMANDS = 5
 _HEARTBEAT = 1.0
 #: Steps before the flight, and how many of them are left out, for the pilot to forget the others.
 _WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
+#: Poses that came until then are taken in before a command is due [s].
+_EARLY = 0.002
 _GO, _QUIT = "g", "q"
 
 
@@ -201,7 +203,12 @@ class _Flight:
         start = self._clock.now
         try:
             for action in control(
-                guarded, self._link, duration, self._period, on_board=self._on_board
+                guarded,
+                self._link,
+                duration,
+                self._period,
+                on_board=self._on_board,
+                early=_EARLY,
             ):
                 self._after(action)
                 if ending.asked or self._quit:
@@ -221,7 +228,7 @@ class _Flight:
 
     def _after(self, action: Action) -> None:
         """Do what can wait until the command is sent."""
-        done = self._clock.now
+        done = self._link.sent
         for timing in (self._timing, self._recent):
             timing.add(action.due, done, self._link.newest)
         status = action.step.status

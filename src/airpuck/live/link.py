@@ -41,6 +41,8 @@ class GraphLink:
     ----------
     newest : float or None
         When the newest pose was measured [s].
+    sent : float
+        When the last command had been handed over [s].
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class GraphLink:
             )
         self._announced: tuple[float, bytes] | None = None
         self.newest: float | None = None
+        self.sent = 0.0
 
     @property
     def now(self) -> float:
@@ -100,6 +103,7 @@ class GraphLink:
     def send(self, command: Float[np.ndarray, " n"]) -> None:
         """Publish a command; see `airpuck.flight.link.Link`."""
         self._commands.send(self._command.encode(self._clock.now_ns, command))
+        self.sent = self._clock.now
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
         """Publish what the craft is asked to do; see `airpuck.flight.link.Link`."""

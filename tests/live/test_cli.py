@@ -1,0 +1,40 @@
+"""What the live commands refuse, before they join any graph."""
+
+from __future__ import annotations
+
+import pytest
+
+from airpuck.cli import app as application
+from airpuck.errors import InputError
+
+MODEL = ("--model", "paper:M3")
+
+
+def run(*arguments: str) -> None:
+    application.app([*arguments], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("fly",), "--model: needs a model; without one only --excite can fly"),
+        ((*MODEL, "--setpoint", "1", "0.3"), "--setpoint: give three numbers"),
+        ((*MODEL, "--setpoint", "1", "0.3", "north"), "--setpoint: give three numbers"),
+        ((*MODEL, "--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
+        ((*MODEL, "--setpoint", "0", "0", "0", "--topic"), "fly: give one of --setpoint"),
+        ((*MODEL, "--dwell", "0"), "--dwell: must be a number of seconds above 0"),
+        ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be two distances above 0"),
+        ((*MODEL, "--duration", "-3"), "--duration: must be a number of seconds above 0"),
+        ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model has its vehicle in it"),
+        ((*MODEL, "--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
+        ((*MODEL, "--domain", "500"), "--domain: must be a whole number from 0 to 232"),
+    ],
+)
+def test_fly_refuses_in_one_line(arguments, problem):
+    with pytest.raises(InputError, match=problem):
+        run("fly", *(arguments if arguments != ("fly",) else ()))
+
+
+def test_a_recorder_does_not_write_over_anything(tmp_path):
+    with pytest.raises(InputError, match="exists already"):
+        run("record", "-o", str(tmp_path))
