@@ -206,6 +206,62 @@ def fly(
 
 
 @app.command(rich_help_panel=PANEL)
+def preflight(
+    model: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="What the craft is believed to be."),
+    ] = None,
+    vehicle: VehicleFile = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
+    ] = None,
+    level: Annotated[float, typer.Option(help="Command of the motor whose turn it is.")] = 0.25,
+    rounds: Annotated[int, typer.Option(help="How often each motor has its turn.")] = 2,
+    domain: Domain = None,
+    interface: Interface = None,
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
+    _one_thread()
+    from airpuck.cli.inputs import read_flight
+    from airpuck.errors import InputError
+    from airpuck.flight.preflight import judge_recording
+    from airpuck.flight.pulses import PulsePlan
+    from airpuck.model_file import nominal_model
+    from airpuck.vehicle import default_vehicle
+
+    if model is not None and vehicle is not None:
+        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+    check_destinations(json=json_file)
+    craft = None if model is None else read_belief(model)
+    if craft is None:
+        craft = nominal_model(read_craft(vehicle) or default_vehicle())
+    if recording is not None:
+        found = judge_recording(craft, read_flight(recording, topics))
+    else:
+        from airpuck.live.preflight import preflight_live
+
+        found = preflight_live(
+            craft,
+            PulsePlan(level=level, rounds=rounds),
+            topics=_names(topics),
+            domain=domain,
+            interface=interface,
+            quiet=quiet,
+        )
+    write_json(json_file, found.to_json())
+    if not is_stdout(json_file):
+        for check in found.checks:
+            print(f"{check.verdict:6s}{check.name:17s}{check.words}")
+    if not found.ready:
+        wrong = [check.name for check in found.checks if check.verdict == "wrong"]
+        raise InputError(f"not ready to fly: mend {', '.join(wrong)}, then check again")
+
+
+@app.command(rich_help_panel=PANEL)
 def record(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")

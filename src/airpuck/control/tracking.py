@@ -30,7 +30,7 @@ Numbers = Sequence[float] | np.ndarray
 Status = (
     Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
 )
-FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest")
+FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", "open loop")
 
 #: No control without a pose from the last 50 ms: twelve frames of the motion capture.
 _STALE = 0.05
@@ -53,8 +53,8 @@ class Step:
         Motor commands to send, always finite and within the vehicle's limits; an array of the
         caller's own, to change at will.
     status : str
-        ``exact``, ``scaled``, ``nearest``: the craft flies; anything else: the motors idle, and
-        this is why.
+        ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: to a plan; anything
+        else: the motors idle, and this is why.
     request : array, shape (3,)
         Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
     estimate : Estimate or None

@@ -102,6 +102,24 @@ def preflight(
     """
     pilot = PulseTest(model.vehicle, plan, table)
     fly(pilot, link, pilot.duration)
+    return judge_test(pilot, model)
+
+
+def judge_test(pilot: PulseTest, model: Model) -> Preflight:
+    """Judge a test that was flown.
+
+    Parameters
+    ----------
+    pilot : PulseTest
+        With the poses that came and the commands that were sent.
+    model : Model
+        What the craft is believed to be.
+
+    Returns
+    -------
+    Preflight
+        What is wrong, in words.
+    """
     if not pilot.poses:
         check = Check("poses", "wrong", "none came: is the motion capture sending, on this topic?")
         unknown = np.full(model.vehicle.n_propellers, np.nan)

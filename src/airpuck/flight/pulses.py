@@ -18,6 +18,8 @@ from airpuck.vehicle import Vehicle
 _STALE = 0.05
 #: Distance to the rails at which the test ends [m].
 _MARGIN = 0.05
+#: After a pause this long between two steps the test begins anew [s].
+_PAUSE = 0.2
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class PulseTest:
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
         self._order = [*paired, *single] * self.plan.rounds
         self._reach = np.array((table or Table()).reach(vehicle.radius_m))
-        self._begun: float | None = None
+        self._begun = self._stepped = -math.inf
         self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
         self.sent_commands: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self.stopped = ""
@@ -123,19 +125,26 @@ class PulseTest:
         idle = np.full(self.vehicle.n_propellers, self.vehicle.command_min)
         if not self.poses:
             return Step(idle, "no pose", np.zeros(3), None)
+        if time - self._stepped > _PAUSE:
+            self._begin(time)
+        self._stepped = time
         stamp, pose = self.poses[-1]
         if not self.stopped:
             self.stopped = self._reason_to_stop(time - stamp, pose)
-        if self._begun is None:
-            self._begun = time
+        if self.stopped:
+            return Step(idle, "stale pose", np.zeros(3), None)
         # A nanosecond keeps rounding from moving a pulse by a period.
         elapsed = time - self._begun - self.plan.rest + 1e-9
         turn, phase = divmod(elapsed, self.plan.length + self.plan.rest)
-        if self.stopped:
-            return Step(idle, "stale pose", np.zeros(3), None)
         if 0 <= turn < len(self._order) and phase < self.plan.length - 2e-9:
             idle[self._order[int(turn)]] = self.plan.level
         return Step(idle, "open loop", np.zeros(3), None)
+
+    def _begin(self, time: float) -> None:
+        """Begin the test, at first or again, and forget what came long before."""
+        self._begun, self.stopped = time, ""
+        recent = [(stamp, pose) for stamp, pose in self.poses if stamp > time - _STALE]
+        self.poses, self.sent_commands = recent or self.poses[-1:], []
 
     def _reason_to_stop(self, age: float, pose: Float[np.ndarray, " 3"]) -> str:
         """Say why the motors must not be driven; empty if they may."""

@@ -90,6 +90,7 @@ def fly_live(
     duration: float = float("inf"),
     on_board: bool = False,
     quiet: bool = False,
+    name: str = NAME,
 ) -> FlightReport:
     """Fly a craft on the graph, until SIGINT or SIGTERM.
 
@@ -117,6 +118,8 @@ def fly_live(
         Whether the pilot is told what the sensors on the craft say.
     quiet : bool, default False
         Whether to print nothing.
+    name : str, default "airpuck fly"
+        What others on the graph are told that this is.
 
     Returns
     -------
@@ -131,11 +134,11 @@ def fly_live(
     topics = topics or Topics()
     _warm_up(pilot, period)
     hurry()
-    graph = Graph(NAME, domain=domain, interface=interface)
+    graph = Graph(name, domain=domain, interface=interface)
     try:
         with orderly() as ending, keyboard() as keys:
             refuse_second(graph, topics.command, "controller")
-            events = EventLog(graph, NAME, quiet=quiet)
+            events = EventLog(graph, name, quiet=quiet)
             flight = _Flight(
                 graph, topics, vehicle, limits, period, reference, keys, events, on_board
             )

@@ -1,0 +1,70 @@
+"""The check before flight, of a craft on the graph."""
+
+from __future__ import annotations
+
+from airpuck.flight.preflight import Preflight, judge_test
+from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.live.fly import fly_live
+from airpuck.live.safety import Limits
+from airpuck.model_file import Model
+from airpuck.recording.topics import Topics
+from airpuck.table import Table
+
+#: For the graph to be found, and for the guard to believe the poses [s].
+_PATIENCE = 3.0
+
+
+def preflight_live(
+    model: Model,
+    plan: PulsePlan | None = None,
+    table: Table | None = None,
+    *,
+    topics: Topics | None = None,
+    domain: int | None = None,
+    interface: str | None = None,
+    quiet: bool = False,
+) -> Preflight:
+    """Give each motor of a craft on the graph short pulses, and judge what it does.
+
+    Parameters
+    ----------
+    model : Model
+        What the craft is believed to be.
+    plan : PulsePlan, optional
+        Strength and length of the pulses.
+    table : Table, optional
+        Where the rails are.
+    topics : Topics, optional
+        Names; by default those of the authors' table.
+    domain : int, optional
+        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
+    interface : str, optional
+        Network interface; by default loopback.
+    quiet : bool, default False
+        Whether to print nothing.
+
+    Returns
+    -------
+    Preflight
+        What is wrong, in words.
+
+    Raises
+    ------
+    InputError
+        If another process publishes commands already, or something given cannot be used.
+    """
+    pilot = PulseTest(model.vehicle, plan, table)
+    # The frame may be wrong, and the units: what ends the test near a rail is the pilot.
+    anywhere = Limits(geofence=(float("inf"), float("inf")))
+    fly_live(
+        pilot,
+        model.vehicle,
+        anywhere,
+        topics=topics,
+        domain=domain,
+        interface=interface,
+        duration=pilot.duration + _PATIENCE,
+        quiet=quiet,
+        name="airpuck preflight",
+    )
+    return judge_test(pilot, model)

@@ -1,0 +1,21 @@
+"""The check before flight, of a twin in another process."""
+
+from .processes import Process
+
+
+def test_a_twin_is_ready(domain):
+    twin = Process("twin", "--quiet", domain=domain)
+    try:
+        status, out, err = Process("preflight", "--model", "paper:M3", domain=domain).end(90)
+    finally:
+        twin.kill()
+    assert status == 0, out + err
+    assert "as expected" in out
+    assert out.count("order and sign agree") == 6
+
+
+def test_without_poses_it_says_so(domain):
+    status, out, err = Process("preflight", "-q", domain=domain).end(90)
+    assert status == 2
+    assert "none came" in out
+    assert err.startswith("airpuck: not ready to fly: mend poses")
