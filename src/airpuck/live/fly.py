@@ -91,6 +91,7 @@ def fly_live(
     on_board: bool = False,
     quiet: bool = False,
     name: str = NAME,
+    warm_up: bool = True,
 ) -> FlightReport:
     """Fly a craft on the graph, until SIGINT or SIGTERM.
 
@@ -120,6 +121,8 @@ def fly_live(
         Whether to print nothing.
     name : str, default "airpuck fly"
         What others on the graph are told that this is.
+    warm_up : bool, default True
+        Whether the pilot flies some steps on the spot first, so that it is compiled and loaded.
 
     Returns
     -------
@@ -132,7 +135,8 @@ def fly_live(
         If another process publishes commands already, or something given cannot be used.
     """
     topics = topics or Topics()
-    _warm_up(pilot, period)
+    if warm_up:
+        _warm_up(pilot, period)
     hurry()
     graph = Graph(name, domain=domain, interface=interface)
     try:

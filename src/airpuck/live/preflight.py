@@ -66,5 +66,6 @@ def preflight_live(
         duration=pilot.duration + _PATIENCE,
         quiet=quiet,
         name="airpuck preflight",
+        warm_up=False,
     )
     return judge_test(pilot, model)
