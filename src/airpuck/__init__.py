@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
     from airpuck.evaluation.presentation import Presentation, present
     from airpuck.evaluation.residuals import ResidualTests, resid
+    from airpuck.faults.find import find_faults
     from airpuck.flight.preflight import preflight
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
@@ -85,6 +86,7 @@ _HOME = {
     "evaluate": "airpuck.evaluation.evaluate",
     "excite": "airpuck.twin.experiments",
     "fetch": "airpuck.recording.dataset",
+    "find_faults": "airpuck.faults.find",
     "fly_fleet": "airpuck.twin.fleet",
     "identifiability": "airpuck.identification.fit",
     "identify": "airpuck.identification.fit",
@@ -141,6 +143,7 @@ __all__ = [
     "evaluate",
     "excite",
     "fetch",
+    "find_faults",
     "fly_fleet",
     "identifiability",
     "identify",

@@ -6,12 +6,12 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from airpuck.errors import InputError
 from airpuck.files import replacing
@@ -36,11 +36,14 @@ class Span:
         First and last time concerned [s].
     cause : str
         Why, in a few words: ``gap``, ``frozen pose``, ….
+    confidence : float, default 1
+        How sure that is, between 0 and 1; what was measured is certain.
     """
 
     start: float
     stop: float
     cause: str
+    confidence: float = 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,15 +127,7 @@ class Trajectory:
     @cached_property
     def segments(self) -> tuple[tuple[int, int], ...]:
         """Index ranges [first, last) of consecutive usable samples."""
-        padded = np.concatenate([[False], self.usable, [False]]).astype(np.int8)
-        edges = np.diff(padded)
-        return tuple(
-            zip(
-                np.flatnonzero(edges == 1).tolist(),
-                np.flatnonzero(edges == -1).tolist(),
-                strict=True,
-            )
-        )
+        return tuple(runs(self.usable))
 
     def window_starts(self, length: int, stride: int = 1) -> Int[np.ndarray, " windows"]:
         """Return where windows of `length` samples can begin.
@@ -190,6 +185,22 @@ class Trajectory:
             state=self.state[first:last],
             acceleration=self.acceleration[first:last],
         )
+
+    def leave_out(self, spans: Sequence[Span]) -> Trajectory:
+        """Exclude spans beside those that are excluded already.
+
+        Parameters
+        ----------
+        spans : sequence of Span
+            For example from `airpuck.find_faults`, on the same time axis.
+
+        Returns
+        -------
+        Trajectory
+            The same samples; no window touches a span.
+        """
+        excluded = sorted({*self.excluded, *spans}, key=lambda span: (span.start, span.stop))
+        return replace(self, excluded=tuple(excluded))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the trajectory as a NumPy archive.
@@ -333,6 +344,25 @@ def hold(
     """
     index = np.searchsorted(event_time, time, side="right") - 1
     return values[np.clip(index, 0, None)]
+
+
+def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """Find the runs of True.
+
+    Parameters
+    ----------
+    marked : array of bool, shape (N,)
+        Samples.
+
+    Returns
+    -------
+    list of (int, int)
+        Index ranges [first, last) of every run.
+    """
+    edges = np.diff(np.concatenate([[0], marked.astype(np.int8), [0]]))
+    return list(
+        zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+    )
 
 
 def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:

@@ -26,6 +26,7 @@ from airpuck.preprocessing.quality import (
     drop_disorder,
     find_frozen,
     find_gaps,
+    find_jumps,
 )
 from airpuck.recording.stream import Recording
 from airpuck.trajectory import Span, Trajectory, hold
@@ -96,7 +97,7 @@ def preprocess(
     )
     time, values = poses.time[first:last], poses.values[first:last]
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
-    spans = [*find_gaps(time), *find_frozen(time, values)]
+    spans = [*find_gaps(time), *find_frozen(time, values), *find_jumps(time, values)]
     spans += find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS)
     rates, accelerations, short = _differentiate_between_gaps(time, values, find_gaps(time))
     state = np.concatenate([values, rates], axis=1)
@@ -215,7 +216,7 @@ def _with_delay(trajectory: Trajectory, delay: float | None, nominal: Dynamics) 
         command_time=trajectory.command_time - start,
         delay=float(delay),
         excluded=tuple(
-            Span(span.start - start, span.stop - start, span.cause)
+            replace(span, start=span.start - start, stop=span.stop - start)
             for span in (_acting(span, delay) for span in trajectory.excluded)
             if span.stop >= start
         ),

@@ -5,16 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.recording.stream import Stream
-from airpuck.trajectory import Span
+from airpuck.trajectory import Span, runs
 
 #: A pause longer than this many sample periods is a gap.
 GAP_PERIODS = 1.5
 #: A pose that repeats exactly for this many samples is frozen: a real measurement has noise.
 FROZEN_SAMPLES = 5
+#: A pose that leaps further from one sample to the next than the samples around it do: by so many
+#: times their usual difference, and at least by so much [m, m, rad]. A blow changes the speed, and
+#: goes on; its first sample leaps no further than the later ones.
+JUMP_RATIO = 10.0
+JUMP_LEAST = (1e-3, 1e-3, 0.02)
+_JUMP_NEIGHBOURS = 11
+#: Samples on both sides of a jump that smoothing spoils.
+_SMOOTHED = 7
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
 
@@ -201,14 +209,43 @@ def find_frozen(
     same = np.all(values[1:] == values[:-1], axis=1)
     return tuple(
         Span(float(time[first]), float(time[last]), "frozen pose")
-        for first, last in _runs(same)
+        for first, last in runs(same)
         if last - first + 1 >= FROZEN_SAMPLES
     )
 
 
-def _runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
-    """Return [first, last) of every run of True."""
-    edges = np.diff(np.concatenate([[0], marked.astype(np.int8), [0]]))
-    return list(
-        zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+def find_jumps(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
+) -> tuple[Span, ...]:
+    """Find poses that leap, once or there and back.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Strictly increasing times [s].
+    values : array, shape (N, 3)
+        x, y [m], continuous yaw [rad].
+
+    Returns
+    -------
+    tuple of Span
+        Around each leap, as far as smoothing carries it.
+    """
+    from scipy.ndimage import median_filter
+
+    if len(time) < _JUMP_NEIGHBOURS:
+        return ()
+    pause = np.diff(time)
+    rate = np.diff(values, axis=0) / pause[:, None]
+    leap = np.abs(rate - median_filter(rate, (_JUMP_NEIGHBOURS, 1), mode="nearest"))
+    leap *= np.median(pause)
+    limit = np.maximum(JUMP_RATIO * np.median(leap, axis=0) / 0.6745, JUMP_LEAST)
+    # What moves on over a pause in the stream is no leap.
+    jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * np.median(pause))
+    spoilt = np.zeros(len(time), dtype=bool)
+    for before in np.flatnonzero(jumps).tolist():
+        spoilt[max(before + 1 - _SMOOTHED, 0) : before + 1 + _SMOOTHED] = True
+    return tuple(
+        Span(float(time[first]), float(time[last - 1]), "jumping pose")
+        for first, last in runs(spoilt)
     )

@@ -1,0 +1,114 @@
+"""The hidden Markov chain of the craft's faults: its states, and how one follows another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.faults.hypotheses import Fault
+
+RADIO_OUT, UNEXPLAINED = "radio out", "unexplained motion"
+
+#: Share of the steps at which a fault of one kind begins: each about once an hour. Two motors at
+#: once are a thirtieth as frequent, so that they are not preferred where one explains as much.
+_BEGINS, _PAIR = 1e-5, 1 / 30
+#: Share of the faults that end within a step, once they may.
+_ENDS = 0.1
+#: Share of the held commands that end within a step in a stop, by a timeout on board.
+_TIMES_OUT = 0.02
+#: Steps after which a held command is no jitter any more.
+_HELD_AT_LEAST = 4
+#: Share of what nothing explains that ends within a step.
+_PASSES = 0.3
+#: How probable it is that a recording begins before the motors are armed.
+_UNARMED = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """States: normal, each fault at each of its ages, and last what nothing explains.
+
+    Attributes
+    ----------
+    transition : array, shape (S, S)
+        Probability to go from a row's state to a column's within a step.
+    initial : array, shape (S,)
+        Probabilities at the start.
+    causes : dict of str to array of bool, shape (S,)
+        The states in which each cause is at work. Two may be at once.
+    """
+
+    transition: Float[np.ndarray, "S S"]
+    initial: Float[np.ndarray, " S"]
+    causes: dict[str, Bool[np.ndarray, " S"]]
+
+
+def stalled(name: str) -> str:
+    """Name the cause of a motor that stands.
+
+    Parameters
+    ----------
+    name : str
+        Of its propeller.
+
+    Returns
+    -------
+    str
+        As it is written in a `Span`.
+    """
+    return f"{name} stalled"
+
+
+def fault_chain(faults: Sequence[Fault], names: Sequence[str]) -> Chain:
+    """Build the chain.
+
+    A fault goes on for all of its ages before it can end, and motors that stand then go on
+    standing; a held command may also end earlier, or in a stop.
+
+    Parameters
+    ----------
+    faults : sequence of Fault
+        Hypotheses about the motors; all of them standing is among these.
+    names : sequence of str
+        Of the propellers.
+
+    Returns
+    -------
+    Chain
+        The chain.
+    """
+    first = np.cumsum([1, *(fault.ages for fault in faults)])
+    size = int(first[-1]) + 1
+    transition, initial = np.zeros((size, size)), np.zeros(size)
+    causes = {cause: np.zeros(size, dtype=bool) for cause in (RADIO_OUT, *map(stalled, names))}
+    pairs = sum(len(fault.motors) == 2 for fault in faults)
+    for fault, begin in zip(faults, first[:-1], strict=True):
+        last = begin + fault.ages - 1
+        ages = np.arange(begin, last)
+        transition[ages, ages + 1] = 1.0
+        transition[0, begin] = _BEGINS
+        if not fault.motors:
+            stop = first[[len(f.motors) for f in faults].index(len(names))]
+            ending = ages[_HELD_AT_LEAST - 1 :]
+            transition[ending, ending + 1] = 1 - _ENDS - _TIMES_OUT
+            transition[ending, 0], transition[ending, stop] = _ENDS, _TIMES_OUT
+            transition[last, [0, stop]] = 0.5
+        else:
+            transition[last, [last, 0]] = 1 - _ENDS, _ENDS
+        if len(fault.motors) == len(names):
+            initial[last] = _UNARMED
+        elif len(fault.motors) == 2:
+            transition[0, begin] *= _PAIR * len(names) / pairs
+        everything = len(fault.motors) in (0, len(names))
+        for cause in (
+            [RADIO_OUT] if everything else [stalled(names[motor]) for motor in fault.motors]
+        ):
+            causes[cause][begin : last + 1] = True
+    transition[0, -1] = _BEGINS
+    transition[-1, [-1, 0]] = 1 - _PASSES, _PASSES
+    transition[0, 0], initial[0] = 1 - transition[0].sum(), 1 - initial.sum()
+    causes[UNEXPLAINED] = np.arange(size) == size - 1
+    return Chain(transition, initial, causes)

@@ -1,0 +1,158 @@
+"""`find_faults`: when motors did not do what they were told, or something pushed the craft."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain
+from airpuck.faults.hypotheses import Predicted, predict_faults, usable_steps
+from airpuck.faults.markov import state_probabilities
+from airpuck.model_file import Model
+from airpuck.trajectory import Span, Trajectory, check_propellers, runs
+
+NOT_ARMED, CONTACT = "not armed", "contact"
+
+#: Degrees of freedom of the Student distribution of what the model does not explain.
+_TAIL = 4.0
+#: Power of the likelihood: residuals of neighbouring steps are not independent.
+_TEMPERING = 0.5
+#: Residuals below this share of the usual acceleration say nothing, however good the model.
+_NEGLIGIBLE = 0.02
+#: Scale of what nothing explains, in units of the usual residual.
+_WIDE = 30.0
+#: A cause shows where it moves the acceleration by this many usual residuals.
+_SHOWS = 1.0
+#: What nothing explains and is over within this time was a blow [s].
+_BLOW = 0.11
+#: The fewest steps that tell how large residuals usually are.
+_FEWEST = 20
+
+
+def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
+    """Find when motors did not do what they were told, or something pushed the craft.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A recording.
+    model : Model
+        Of a healthy craft; a first fit to the same recording will do, best a robust one.
+
+    Returns
+    -------
+    tuple of Span
+        In the order of their starts, with causes ``not armed``, ``radio out``, ``NAME stalled``
+        (NAME a propeller's), ``contact`` (a blow) and ``unexplained motion``. Their confidence is
+        the mean posterior probability of the cause. A fault is told as far as it shows: a motor
+        that is told to idle may stand unnoticed.
+
+    Raises
+    ------
+    InputError
+        If the trajectory is of another craft.
+
+    Notes
+    -----
+    A hidden Markov model (`fault_chain`): under each hypothesis motors have their own speeds, which
+    give a mean acceleration over each step of 25 ms. Residuals are Student's, as wide as is usual in
+    this recording, with a share that grows with the change of the modelled acceleration, since
+    packets come late. Past and future both count (`state_probabilities`).
+    """
+    check_propellers(model.vehicle, trajectory)
+    if len(trajectory) < 2:
+        return ()
+    predicted = predict_faults(trajectory, model.dynamics)
+    usable = usable_steps(trajectory, predicted.knots)
+    if usable.sum() < _FEWEST:
+        return ()
+    width = _usual_residual(predicted, usable)
+    chain = fault_chain(predicted.faults, trajectory.propellers)
+    likelihood = np.where(usable[:, None], _log_likelihood(predicted, width), 0.0)
+    posterior = state_probabilities(likelihood, chain.transition, chain.initial)
+    weighted = posterior * _effects(predicted, width)
+    probability = {c: posterior[:, states].sum(axis=1) for c, states in chain.causes.items()}
+    time = trajectory.time[predicted.knots]
+    spans = []
+    for cause, first, last in _runs_of_causes(probability, posterior[:, 0] < 0.5):
+        effect = weighted[first:last, chain.causes[cause]].sum(axis=1)
+        shows = np.flatnonzero(effect >= _SHOWS * probability[cause][first:last])
+        if len(shows) == 0:
+            continue
+        begin, end = first + shows[0], first + shows[-1] + 1
+        confidence = float(probability[cause][begin:end].mean())
+        start, stop = float(time[begin]), float(time[end])
+        spans.append(Span(start, stop, _in_words(cause, first, stop - start), confidence))
+    return tuple(sorted(spans, key=lambda span: span.start))
+
+
+def _in_words(cause: str, first: int, duration: float) -> str:
+    """Tell motors that were not armed from a radio that was out, and a blow from a push."""
+    if cause == RADIO_OUT and first == 0:
+        return NOT_ARMED
+    return CONTACT if cause == UNEXPLAINED and duration <= _BLOW else cause
+
+
+def _usual_residual(
+    predicted: Predicted, usable: Bool[np.ndarray, " K"]
+) -> Float[np.ndarray, "K 3"]:
+    """Return how large residuals usually are at each step, from medians, which faults hardly move.
+
+    Where the modelled acceleration hardly changes, a constant; where it changes, a share of that
+    change beside it.
+    """
+    residual = np.abs(predicted.measured - predicted.normal)[usable] / 0.6745
+    change = np.abs(predicted.change)[usable]
+    constant, share = np.empty(3), np.empty(3)
+    for c in range(3):
+        calm = change[:, c] <= np.median(change[:, c])
+        brisk = change[:, c] > np.quantile(change[:, c], 0.75)
+        constant[c] = np.median(residual[calm, c])
+        more = (residual[brisk, c] ** 2 - constant[c] ** 2) / change[brisk, c] ** 2
+        share[c] = np.sqrt(max(np.median(more), 0.0)) if brisk.any() else 0.0
+    least = _NEGLIGIBLE * np.sqrt(np.mean(predicted.normal[usable] ** 2, axis=0))
+    constant = np.maximum(np.maximum(constant, least), np.finfo(float).tiny)
+    return np.sqrt(constant**2 + (share * predicted.change) ** 2)
+
+
+def _log_likelihood(
+    predicted: Predicted, width: Float[np.ndarray, "K 3"]
+) -> Float[np.ndarray, "K S"]:
+    """Return the log-likelihood of each state of the chain, up to what all have in common."""
+
+    def student(modelled: Float[np.ndarray, "... K 3"], scale: float = 1.0) -> np.ndarray:
+        square = (((predicted.measured - modelled) / (scale * width)) ** 2).sum(axis=-1)
+        tail = (_TAIL + 3) / 2 * np.log1p(square / _TAIL)
+        return -_TEMPERING * (tail + 3 * np.log(scale))
+
+    states = [student(predicted.normal)[None], *map(student, predicted.faulty)]
+    states.append(student(predicted.normal, _WIDE)[None])
+    return np.concatenate(states).T
+
+
+def _effects(predicted: Predicted, width: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K S"]:
+    """Return by how many usual residuals each state of the chain moves the acceleration."""
+    sizes = [np.zeros((1, len(width)))]
+    for modelled in predicted.faulty:
+        sizes.append(np.sqrt((((modelled - predicted.normal) / width) ** 2).sum(axis=-1)))
+    # What nothing explains has no modelled acceleration: it shows wherever it is.
+    sizes.append(np.full((1, len(width)), np.finfo(float).max))
+    return np.concatenate(sizes).T
+
+
+def _runs_of_causes(
+    probability: dict[str, Float[np.ndarray, " K"]], faulty: Bool[np.ndarray, " K"]
+) -> list[tuple[str, int, int]]:
+    """Return causes with their first step and the one after their last.
+
+    Each cause has the steps where it is more probable than not; steps that are faulty, but where
+    none is, go to the most probable one.
+    """
+    probable = {cause: p >= 0.5 for cause, p in probability.items()}
+    likeliest = np.argmax(list(probability.values()), axis=0)
+    undecided = faulty & ~np.logical_or.reduce(list(probable.values()))
+    return [
+        (cause, first, last)
+        for number, (cause, own) in enumerate(probable.items())
+        for first, last in runs(own | (undecided & (likeliest == number)))
+    ]

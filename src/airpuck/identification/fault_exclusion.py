@@ -1,0 +1,103 @@
+"""Keep faults out of a fit: find them with a first model, and leave out the windows they touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from airpuck.faults.find import find_faults
+from airpuck.model_file import Model
+from airpuck.trajectory import Span, Trajectory
+
+#: Where faults would take more of the windows, it is the model that does not fit the recording.
+MOST = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Exclusion:
+    """What a fit is not learned from.
+
+    Attributes
+    ----------
+    trajectories : tuple of Trajectory
+        The recordings without their faults.
+    faults : tuple of tuple of Span
+        The faults found in each recording.
+    share : float
+        Share of the windows that they took.
+    warnings : tuple of str
+        Recordings whose faults were too many to be true, and were not left out.
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    faults: tuple[tuple[Span, ...], ...]
+    share: float
+    warnings: tuple[str, ...] = ()
+
+    def to_toml(self) -> dict[str, Any]:
+        """Return what a model file says of it.
+
+        Returns
+        -------
+        dict
+            ``share_of_windows``, and ``spans`` with ``recording, start_s, stop_s, cause,
+            confidence``.
+        """
+        return {
+            "share_of_windows": self.share,
+            "spans": [
+                {
+                    "recording": Path(trajectory.source).name,
+                    "start_s": span.start,
+                    "stop_s": span.stop,
+                    "cause": span.cause,
+                    "confidence": span.confidence,
+                }
+                for trajectory, faults in zip(self.trajectories, self.faults, strict=True)
+                for span in faults
+            ],
+        }
+
+
+def exclude_faults(
+    trajectories: Sequence[Trajectory], model: Model, length: int, stride: int
+) -> Exclusion:
+    """Find the faults of recordings, and leave them out.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        Recordings of one craft.
+    model : Model
+        A first fit to them.
+    length : int
+        Samples in a window.
+    stride : int
+        Samples from one window to the next.
+
+    Returns
+    -------
+    Exclusion
+        The recordings without their faults.
+    """
+    kept, found, warnings = [], [], []
+    before = after = 0
+    for trajectory in trajectories:
+        faults = find_faults(trajectory, model)
+        healthy = trajectory.leave_out(faults)
+        windows = len(trajectory.window_starts(length, stride))
+        left = len(healthy.window_starts(length, stride))
+        if left < (1 - MOST) * windows:
+            name = Path(trajectory.source).name or "a recording"
+            warnings.append(
+                f"{100 * (1 - left / windows):.0f} % of the windows of {name} look faulty; none of "
+                "these is left out, since it is the model that does not fit: check the vehicle "
+                "file with `airpuck check`"
+            )
+            healthy, faults, left = trajectory, (), windows
+        kept.append(healthy)
+        found.append(faults)
+        before, after = before + windows, after + left
+    return Exclusion(tuple(kept), tuple(found), 1 - after / before, tuple(warnings))
