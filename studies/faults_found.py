@@ -1,4 +1,4 @@
-"""Are faults found that the twin was given? Excitation flights with random faults, and healthy ones.
+"""Are faults found that the twin was given? Flights with random faults, and healthy ones.
 
     python studies/faults_found.py --flights 40
 

@@ -21,6 +21,7 @@ ORDER = (
     ("trajectory", "windows", "recording"),
     ("preprocessing",),
     ("estimate",),
+    ("faults",),
     ("identification",),
     ("evaluation",),
     ("control",),

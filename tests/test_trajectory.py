@@ -138,3 +138,14 @@ def test_one_window_over_the_whole_flight(flight):
     windows = make_windows(flight, 20, None)
     assert len(windows) == 1
     assert windows.prediction_length == len(flight) - 20
+
+
+def test_spans_keep_their_confidence_in_a_file(flight, tmp_path):
+    doubtful = Span(0.5, 0.7, "radio out", 0.83)
+    marked = flight.leave_out([doubtful, Span(0.1, 0.2, "gap")])
+    marked.save(tmp_path / "t.npz")
+    found = read_trajectory(tmp_path / "t.npz")
+    assert found.excluded == (Span(0.1, 0.2, "gap", 1.0), doubtful)
+    # What is excluded already is not excluded twice.
+    assert marked.leave_out([doubtful]).excluded == marked.excluded
+    assert not marked.usable[(flight.time >= 0.5) & (flight.time <= 0.7)].any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airpuck.errors import InputError
-from airpuck.preprocessing.quality import check_poses
+from airpuck.preprocessing.quality import check_poses, find_jumps
 from airpuck.recording.stream import COLUMNS, Stream
 
 RATE = 240.0
@@ -64,3 +64,46 @@ def test_within_one_turn_fast_noise_is_not_called_degrees():
 
 def test_one_pose_has_no_speed():
     check(np.array([20.0]))
+
+
+def moving(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """10 s of a craft that goes around fast, with the noise of cameras, and its times."""
+    time = np.arange(2400) / RATE
+    path = np.column_stack([0.5 * np.sin(2 * time), 0.3 * np.cos(3 * time), 10 * np.sin(time)])
+    noise = np.random.default_rng(seed).normal(size=path.shape) * [5e-5, 5e-5, 7e-4]
+    return time, path + noise
+
+
+def test_poses_that_leap_are_marked_around_the_leap():
+    time, poses = moving()
+    poses[1200:1300, 0] += 0.01  # there and back
+    poses[2000:, 2] += 0.1  # for good
+    spans = find_jumps(time, poses)
+    assert [span.cause for span in spans] == ["jumping pose"] * 3
+    for span, leap in zip(spans, (1200, 1300, 2000), strict=True):
+        # Smoothing looks seven samples to both sides.
+        assert time[leap - 8] < span.start <= time[leap - 7] < time[leap + 6] <= span.stop
+        assert span.stop < time[leap + 8]
+
+
+def test_one_pose_that_is_off_is_marked_once():
+    time, poses = moving()
+    poses[700, 1] -= 0.02
+    (span,) = find_jumps(time, poses)
+    assert span.start < time[700] < span.stop
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_motion_noise_and_blows_are_no_jumps(seed):
+    time, poses = moving(seed)
+    # A rail turns 1.2 m/s around within one frame, and the spin by 20 rad/s.
+    after = np.clip(time - 5.001, 0, None)
+    poses[:, 0] -= 2.4 * after
+    poses[:, 2] += 20 * after
+    assert find_jumps(time, poses) == ()
+
+
+def test_what_moves_on_over_a_gap_has_not_jumped():
+    time, poses = moving()
+    seen = np.delete(np.arange(len(time)), np.arange(1000, 1100))
+    assert find_jumps(time[seen], poses[seen]) == ()

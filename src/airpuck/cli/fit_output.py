@@ -33,6 +33,12 @@ def print_fit(fit: Fit) -> None:
         f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
         f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
     )
+    if fit.exclusion is not None and fit.exclusion.share > 0:
+        faults = sum(map(len, fit.exclusion.faults))
+        print(
+            f"left out {faults} faults, {100 * fit.exclusion.share:.1f} % of the windows; "
+            "`airpuck faults` shows them, --faults keep keeps them"
+        )
     known, found = fit.uncertainty, fit.identifiability
     if known is None or found is None:
         return

@@ -103,6 +103,10 @@ def identify(
         bool,
         typer.Option("--robust", help="Let windows that are predicted badly count less."),
     ] = False,
+    faults: Annotated[
+        str,
+        typer.Option(help="exclude: where motors or radio failed, nothing is learned; or keep."),
+    ] = "exclude",
     bootstrap: Annotated[
         int | None,
         typer.Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
@@ -121,6 +125,7 @@ def identify(
 
     rung = preset(model)
     choose("--method", method, ("lm", "adam"))
+    choose("--faults", faults, ("exclude", "keep"))
     choose("--com-frame", com_frame, ("body", "world"))
     if epochs is not None and method != "adam":
         raise InputError("is of adam only; add --method adam", field="--epochs")
@@ -148,6 +153,7 @@ def identify(
             degree=degree,
             frame="body" if com_frame == "body" else "world",
             robust=robust,
+            faults="exclude" if faults == "exclude" else "keep",
             bootstrap=bootstrap or 0,
             seed=seed,
             progress=progress,

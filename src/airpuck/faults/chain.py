@@ -21,8 +21,8 @@ _ENDS = 0.1
 _TIMES_OUT = 0.02
 #: Steps after which a held command is no jitter any more.
 _HELD_AT_LEAST = 4
-#: Share of what nothing explains that ends within a step.
-_PASSES = 0.3
+#: Share of the steps at which something unexplained begins, and of those at which it ends.
+_COMES, _PASSES = 1e-3, 0.3
 #: How probable it is that a recording begins before the motors are armed.
 _UNARMED = 0.02
 
@@ -107,7 +107,7 @@ def fault_chain(faults: Sequence[Fault], names: Sequence[str]) -> Chain:
             [RADIO_OUT] if everything else [stalled(names[motor]) for motor in fault.motors]
         ):
             causes[cause][begin : last + 1] = True
-    transition[0, -1] = _BEGINS
+    transition[0, -1] = _COMES
     transition[-1, [-1, 0]] = 1 - _PASSES, _PASSES
     transition[0, 0], initial[0] = 1 - transition[0].sum(), 1 - initial.sum()
     causes[UNEXPLAINED] = np.arange(size) == size - 1

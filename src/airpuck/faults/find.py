@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import gammaln
 
 from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain
-from airpuck.faults.hypotheses import Predicted, predict_faults, usable_steps
+from airpuck.faults.hypotheses import STEP, Predicted, predict_faults, usable_steps
 from airpuck.faults.markov import state_probabilities
 from airpuck.model_file import Model
 from airpuck.trajectory import Span, Trajectory, check_propellers, runs
@@ -14,13 +15,13 @@ from airpuck.trajectory import Span, Trajectory, check_propellers, runs
 NOT_ARMED, CONTACT = "not armed", "contact"
 
 #: Degrees of freedom of the Student distribution of what the model does not explain.
-_TAIL = 4.0
+_TAIL = 8.0
 #: Power of the likelihood: residuals of neighbouring steps are not independent.
 _TEMPERING = 0.5
 #: Residuals below this share of the usual acceleration say nothing, however good the model.
 _NEGLIGIBLE = 0.02
-#: Scale of what nothing explains, in units of the usual residual.
-_WIDE = 30.0
+#: What nothing explains may be any acceleration up to this many usual residuals.
+_WIDE = 100.0
 #: A cause shows where it moves the acceleration by this many usual residuals.
 _SHOWS = 1.0
 #: What nothing explains and is over within this time was a blow [s].
@@ -55,12 +56,12 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
     Notes
     -----
     A hidden Markov model (`fault_chain`): under each hypothesis motors have their own speeds, which
-    give a mean acceleration over each step of 25 ms. Residuals are Student's, as wide as is usual in
-    this recording, with a share that grows with the change of the modelled acceleration, since
+    give a mean acceleration over each step of 25 ms. Residuals are Student's, as wide as is usual
+    in this recording, with a share that grows with the change of the modelled acceleration, since
     packets come late. Past and future both count (`state_probabilities`).
     """
     check_propellers(model.vehicle, trajectory)
-    if len(trajectory) < 2:
+    if trajectory.duration < _FEWEST * STEP:
         return ()
     predicted = predict_faults(trajectory, model.dynamics)
     usable = usable_steps(trajectory, predicted.knots)
@@ -118,16 +119,16 @@ def _usual_residual(
 def _log_likelihood(
     predicted: Predicted, width: Float[np.ndarray, "K 3"]
 ) -> Float[np.ndarray, "K S"]:
-    """Return the log-likelihood of each state of the chain, up to what all have in common."""
+    """Return the log-likelihood of each state of the chain, in units of the usual residual."""
+    peak = gammaln((_TAIL + 3) / 2) - gammaln(_TAIL / 2) - 1.5 * np.log(_TAIL * np.pi)
 
-    def student(modelled: Float[np.ndarray, "... K 3"], scale: float = 1.0) -> np.ndarray:
-        square = (((predicted.measured - modelled) / (scale * width)) ** 2).sum(axis=-1)
-        tail = (_TAIL + 3) / 2 * np.log1p(square / _TAIL)
-        return -_TEMPERING * (tail + 3 * np.log(scale))
+    def student(modelled: Float[np.ndarray, "ages K 3"]) -> Float[np.ndarray, "ages K"]:
+        square = (((predicted.measured - modelled) / width) ** 2).sum(axis=-1)
+        return peak - (_TAIL + 3) / 2 * np.log1p(square / _TAIL)
 
-    states = [student(predicted.normal)[None], *map(student, predicted.faulty)]
-    states.append(student(predicted.normal, _WIDE)[None])
-    return np.concatenate(states).T
+    states = [student(predicted.normal[None]), *map(student, predicted.faulty)]
+    states.append(np.full((1, len(width)), -3 * np.log(2 * _WIDE)))
+    return _TEMPERING * np.concatenate(states).T
 
 
 def _effects(predicted: Predicted, width: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K S"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ from airpuck.trajectory import Span, Trajectory
 
 #: Where faults would take more of the windows, it is the model that does not fit the recording.
 MOST = 0.5
+#: Time constants of the motors until their speeds are what an encoder thinks they are.
+_SETTLING = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +38,8 @@ class Exclusion:
     share: float
     warnings: tuple[str, ...] = ()
 
-    def to_toml(self) -> dict[str, Any]:
-        """Return what a model file says of it.
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json`` and the model file.
 
         Returns
         -------
@@ -64,7 +66,7 @@ class Exclusion:
 def exclude_faults(
     trajectories: Sequence[Trajectory], model: Model, length: int, stride: int
 ) -> Exclusion:
-    """Find the faults of recordings, and leave them out.
+    """Find the faults of recordings, and leave them out until the motors have caught up.
 
     Parameters
     ----------
@@ -82,11 +84,12 @@ def exclude_faults(
     Exclusion
         The recordings without their faults.
     """
+    settling = _SETTLING * float(model.dynamics.motor_time_constant)
     kept, found, warnings = [], [], []
     before = after = 0
     for trajectory in trajectories:
         faults = find_faults(trajectory, model)
-        healthy = trajectory.leave_out(faults)
+        healthy = trajectory.leave_out([replace(f, stop=f.stop + settling) for f in faults])
         windows = len(trajectory.window_starts(length, stride))
         left = len(healthy.window_starts(length, stride))
         if left < (1 - MOST) * windows:

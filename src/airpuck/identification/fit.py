@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -15,9 +15,10 @@ from airpuck import __version__
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.bootstrap import bootstrap as resample
+from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.method import Iteration, Method
+from airpuck.identification.method import Iteration, Method, minimize_on
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.robust import reweighted
 from airpuck.identification.uncertainty import cluster_windows, sandwich
@@ -57,6 +58,8 @@ class Fit:
         What to look at before trusting the model.
     identifiability : Identifiability or None
         What the data say about the parameters; `identify` always finds it.
+    exclusion : Exclusion or None
+        The faults that were found and kept out of the fit; None where none were searched.
     """
 
     model: Model
@@ -68,6 +71,7 @@ class Fit:
     wall_s: float
     warnings: tuple[str, ...]
     identifiability: Identifiability | None = None
+    exclusion: Exclusion | None = None
 
     @property
     def uncertainty(self) -> Uncertainty | None:
@@ -86,7 +90,7 @@ class Fit:
         -------
         dict
             ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
-            uncertainty, identifiability, history``.
+            uncertainty, identifiability, faults, history``.
         """
         return {
             "model": self.model.name,
@@ -99,6 +103,7 @@ class Fit:
             "parameters": _parameters_json(self.model),
             "uncertainty": _uncertainty_json(self.uncertainty),
             "identifiability": self.identifiability and self.identifiability.to_json(),
+            "faults": self.exclusion and self.exclusion.to_json(),
             "history": [asdict(iteration) for iteration in self.history],
         }
 
@@ -152,6 +157,7 @@ def identify(
     degree: int | None = None,
     frame: CenterOfMassFrame = "body",
     robust: bool = False,
+    faults: Literal["exclude", "keep"] = "exclude",
     bootstrap: int = 0,
     seed: int = 0,
     progress: Callable[[Iteration], None] = lambda _: None,
@@ -190,6 +196,10 @@ def identify(
     robust : bool, default False
         Whether windows that the model predicts badly count less (`reweighted`): faults that nobody
         has marked then hardly move the estimate.
+    faults : {"exclude", "keep"}, default "exclude"
+        Whether windows in which motors or radio failed are left out: a first fit finds them
+        (`airpuck.find_faults`), a second one goes on without them. Not searched for where one
+        window spans the whole trajectory.
     bootstrap : int, default 0
         Fits to resampled data, for intervals beside those of the standard errors; some hundreds.
         Of `LevenbergMarquardt` only.
@@ -221,10 +231,21 @@ def identify(
     rung = preset(model) if isinstance(model, str) else model
     encoder = encoder or PaperEncoder(length=_PAST)
     loss = _loss(trajectories, vehicle, encoder, weights, prediction_length, stride, frame)
-    windows = loss.windows
     start = initial or rung.initial(vehicle, degree)
     free = rung.mask(start)
-    outcome = method.minimize(loss, start, free, progress)
+    outcome, exclusion = None, None
+    if faults == "exclude" and prediction_length is not None:
+        first = method if isinstance(method, LevenbergMarquardt) else LevenbergMarquardt()
+        outcome = first.minimize(loss, start, free, progress)
+        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
+        exclusion = exclude_faults(trajectories, rough, encoder.length + prediction_length, stride)
+        if exclusion.share > 0:
+            trajectories = exclusion.trajectories
+            loss = _loss(trajectories, vehicle, encoder, weights, prediction_length, stride, frame)
+            outcome = minimize_on(first, loss, outcome, free, progress)
+    if outcome is None or not isinstance(method, LevenbergMarquardt):
+        outcome = method.minimize(loss, start, free, progress)
+    windows = loss.windows
     if robust:
         loss, outcome = reweighted(method, loss, outcome, free, progress)
     clusters = cluster_windows(windows)
@@ -260,6 +281,7 @@ def identify(
             "stride": stride,
             "weights": list(weights),
             "robust": robust,
+            **({"left_out": exclusion.to_json()} if exclusion else {}),
             "airpuck": __version__,
         },
         data=_hashes(trajectories),
@@ -277,10 +299,12 @@ def identify(
         wall_s=wall,
         warnings=(
             *_idle_motors(trajectories),
+            *(exclusion.warnings if exclusion else ()),
             *_warnings(identified, outcome.converged, outcome.message),
             *(note for note in uncertainty.notes if "rough" in note or "no standard" in note),
         ),
         identifiability=known,
+        exclusion=exclusion,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -87,3 +87,40 @@ class Method(Protocol):
             The best parameters and the way there.
         """
         ...
+
+
+def minimize_on(
+    method: Method,
+    loss: PredictionLoss,
+    outcome: Outcome,
+    free: Bool[np.ndarray, " P"],
+    progress: Callable[[Iteration], None] = lambda _: None,
+) -> Outcome:
+    """Go on from an optimum with another loss; iterations are counted on.
+
+    Parameters
+    ----------
+    method : Method
+        The optimiser.
+    loss : PredictionLoss
+        What to minimise now.
+    outcome : Outcome
+        Where to start.
+    free : array of bool, shape (P,)
+        Entries that may change.
+    progress : callable, optional
+        Called after every iteration.
+
+    Returns
+    -------
+    Outcome
+        The optimum of `loss`; its history begins with that of `outcome`.
+    """
+    begun = outcome.history[-1].number
+
+    def counted_on(iteration: Iteration) -> None:
+        progress(replace(iteration, number=begun + iteration.number))
+
+    after = method.minimize(loss, outcome.parameters, free, counted_on)
+    steps = (replace(step, number=begun + step.number) for step in after.history if step.number)
+    return replace(after, history=(*outcome.history, *steps))

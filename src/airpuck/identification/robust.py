@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.estimate.prediction import prediction_errors
-from airpuck.identification.method import Iteration, Method, Outcome
+from airpuck.identification.method import Iteration, Method, Outcome, minimize_on
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
 
@@ -56,7 +56,6 @@ def reweighted(
     """
     if loss.multiplicity is not None:
         raise ValueError("windows that already count differently cannot be weighted")
-    history = list(outcome.history)
     weight, settled = np.ones(len(loss.windows)), False
     weighted = loss
     for _ in range(_MOST_PASSES):
@@ -65,19 +64,11 @@ def reweighted(
         if settled:
             break
         weighted = replace(loss, multiplicity=weight)
-        begun = history[-1].number
-
-        def counted_on(iteration: Iteration, begun: int = begun) -> None:
-            progress(replace(iteration, number=begun + iteration.number))
-
-        outcome = method.minimize(weighted, outcome.parameters, free, counted_on)
-        history += [
-            replace(step, number=begun + step.number) for step in outcome.history if step.number
-        ]
+        outcome = minimize_on(method, weighted, outcome, free, progress)
     return weighted, Outcome(
         parameters=outcome.parameters,
         loss=loss.quadratic(outcome.parameters).loss,
-        history=tuple(history),
+        history=outcome.history,
         converged=settled and outcome.converged,
         message=outcome.message if settled else "the weights of the windows have not settled",
     )

@@ -214,9 +214,7 @@ def find_frozen(
     )
 
 
-def find_jumps(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
-) -> tuple[Span, ...]:
+def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) -> tuple[Span, ...]:
     """Find poses that leap, once or there and back.
 
     Parameters

@@ -11,6 +11,7 @@ from airpuck.errors import InputError
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.identification.fit import Fit
 from airpuck.model_file import Model
+from airpuck.report.fault_report import fault_section
 from airpuck.report.page import Section, Table, write_page
 from airpuck.report.study import Study
 from airpuck.report.study_sections import (
@@ -85,6 +86,7 @@ def fit_report(
         thrust_section(study),
         optimiser_section(study),
         parameter_section(study),
+        *_fault_sections(fits[-1], training),
         *more,
         sources_section(training),
     ]
@@ -94,6 +96,13 @@ def fit_report(
         + (f", transport delay {1e3 * training.delay:.1f} ms." if training.delay_known else ".")
     )
     return write_page(out, title or f"Identification of {vehicle.name}", lead, sections)
+
+
+def _fault_sections(fit: Fit, training: Trajectory) -> list[Section]:
+    """Show what was left out, where faults were searched for."""
+    if fit.exclusion is None:
+        return []
+    return [fault_section(training, fit.exclusion.faults[0], fit.model)]
 
 
 def sources_section(*trajectories: Trajectory) -> Section:

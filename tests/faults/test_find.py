@@ -1,0 +1,126 @@
+"""Faults that were put in are found, with their causes; and nothing else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.faults.find import find_faults
+from airpuck.model_file import published_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.recording.torch_archive import read_authors_experiment
+from airpuck.trajectory import Span
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
+
+from ..conftest import VALIDATION
+from ..report.conftest import four_propellers, model_of
+from ..synthetic import fly
+
+MODEL = replace(published_model("M3"), indexing="start", frame="body")
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """Without faults, with the noise of smoothed derivatives."""
+    flight = fly(MODEL, duration=10.0, seed=3)
+    noise = np.random.default_rng(0).normal(size=flight.state.shape)
+    return replace(flight, state=flight.state + noise * [4e-5, 4e-5, 6e-4, 2e-3, 2e-3, 2e-2])
+
+
+def with_log(flight, first, last, command):
+    """The same motion, of a craft that was told something else."""
+    logged = flight.command.copy()
+    inside = (flight.command_time >= first) & (flight.command_time < last)
+    logged[inside] = np.where(np.isnan(command), logged[inside], command)
+    return replace(flight, command=logged)
+
+
+def test_a_healthy_flight_has_none(flight):
+    assert find_faults(flight, MODEL) == ()
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_model_that_is_somewhat_off_finds_none_either(flight, factor):
+    parameters = MODEL.parameters
+    other = replace(parameters, thrust=factor * np.asarray(parameters.thrust))
+    assert find_faults(flight, replace(MODEL, parameters=other)) == ()
+
+
+@pytest.mark.parametrize("motor", range(6))
+def test_a_motor_that_stands_is_named(flight, motor):
+    # Nothing is injected into the motion: this motor idles, while the log says that it does not.
+    name = flight.propellers[motor]
+    idle = np.flatnonzero(flight.command[:, motor] < 0.05)
+    ends = np.flatnonzero(np.diff(idle, prepend=-9, append=10**9) > 1)
+    lengths = np.diff(ends)
+    longest = int(np.argmax(lengths))
+    first, length = idle[ends[longest]], lengths[longest]
+    begin, end = flight.command_time[first], flight.command_time[first + length - 1]
+    end = min(end, begin + 0.3)
+    assert end - begin >= 0.15
+    command = np.full(6, np.nan)
+    command[motor] = 0.9
+    (fault,) = find_faults(with_log(flight, begin, end, command), MODEL)
+    assert fault.cause == f"{name} stalled"
+    assert fault.start == pytest.approx(begin, abs=0.06)
+    assert fault.stop == pytest.approx(end, abs=0.09)
+    assert fault.confidence > 0.8
+
+
+def test_a_blow_is_no_fault_of_motors():
+    """A craft that drifts into a rail, told to push along it."""
+    settings = default_twin_settings()
+    twin = Twin(MODEL, settings, seed=0, pose=(0.8, 0.0, 0.0))
+    rng = np.random.default_rng(1)
+    thrust = np.where(MODEL.dynamics.configuration[0] > 0, 0.5, 0.03)
+    for k in range(300):
+        if k % 10 == 0:
+            command = np.clip(thrust + rng.uniform(-0.2, 0.2, 6), 0.03, 1)
+        twin.wait_until(0.01 * k)
+        twin.send(command)
+    trajectory = preprocess(twin.recording(), delay=settings.radio.delay_s or 0.0208)
+    met = [t for t in twin.contacts if t < 2.9]
+    assert met
+    found = find_faults(trajectory, MODEL)
+    assert {span.cause for span in found} == {"contact"}
+    begin = -trajectory.command_time[0]
+    for time in met[:1]:
+        assert any(s.start - 0.05 <= time - begin <= s.stop + 0.05 for s in found)
+
+
+def test_what_is_excluded_already_is_not_searched(flight):
+    faulty = with_log(flight, 4.0, 4.5, np.array([0.9, 0.03, 0.9, 0.03, 0.9, 0.03]))
+    assert find_faults(faulty, MODEL)
+    known = faulty.leave_out([Span(3.9, 4.7, "known")])
+    assert find_faults(known, MODEL) == ()
+
+
+def test_too_short_a_recording_says_nothing(flight):
+    assert find_faults(flight.slice(0, 0.02), MODEL) == ()
+
+
+def test_a_model_of_another_craft_is_refused(flight):
+    with pytest.raises(InputError, match="4 "):
+        find_faults(flight, model_of(four_propellers(), "M3"))
+
+
+@pytest.mark.data
+def test_the_known_faults_of_the_real_flight_are_found(experiments):
+    """Those that its data show at a glance, found with the published parameters."""
+    trajectory = read_authors_experiment(experiments / VALIDATION / "data.pt")
+    found = find_faults(trajectory, published_model("M3"))
+    known = [
+        ("not armed", 0.0, 2.2),
+        ("", 28.25, 28.8),
+        ("radio out", 58.1, 58.7),
+        ("", 88.3, 88.6),
+        ("motor_b_1 stalled", 30.1, 30.25),
+        ("motor_a_1 stalled", 60.2, 60.6),
+    ]
+    for cause, start, stop in known:
+        spans = [s for s in found if s.start <= stop and s.stop >= start and cause in s.cause]
+        marked = sum(min(s.stop, stop) - max(s.start, start) for s in spans[:1])
+        assert marked >= 0.6 * (stop - start), (cause, start)
+    assert sum(span.stop - span.start for span in found) < 0.08 * trajectory.duration

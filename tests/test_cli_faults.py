@@ -1,0 +1,65 @@
+"""`airpuck faults`, and faults in `identify`."""
+
+import json
+
+import numpy as np
+import pytest
+
+from airpuck.recording import write_bag
+from airpuck.recording.stream import Recording, Stream
+
+from .synthetic import record
+from .test_cli import airpuck, refused
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A flight whose log says for 0.4 s what the craft never heard, and whose poses leap."""
+    recording = record(duration=14.0, noise=5e-5)
+    command, pose = recording["command"], recording["pose"]
+    said, seen = command.values.copy(), pose.values.copy()
+    said[600:640] = np.array([0.9, 0.03, 0.03, 0.9, 0.9, 0.03])
+    seen[2400, 0] += 0.03
+    streams = {
+        "command": Stream(command.stamp_ns, command.received_ns, said, command.columns),
+        "pose": Stream(pose.stamp_ns, pose.received_ns, seen, pose.columns),
+    }
+    folder = tmp_path_factory.mktemp("bags") / "flight"
+    write_bag(Recording(streams=streams, source="made up"), folder)
+    return folder
+
+
+def test_faults_are_printed_written_and_drawn(bag, tmp_path):
+    process = airpuck("faults", bag, "-o", tmp_path / "r", "--json", tmp_path / "f.json")
+    assert process.returncode == 0, process.stderr
+    assert "jumping pose" in process.stdout
+    assert "without any fault" in process.stdout
+    figures = json.loads((tmp_path / "f.json").read_text())
+    spans = {span["cause"]: span for span in figures["spans"]}
+    assert spans.pop("jumping pose")["confidence"] == 1
+    # 6.0 s of commands, less what precedes the first one that moves, and the delay.
+    assert any(5.7 < span["start_s"] < 6.3 for span in spans.values())
+    assert all(0 < span["confidence"] < 1 for span in spans.values())
+    assert 0.9 < figures["usable"] < 1
+    assert "jumping pose" in (tmp_path / "r" / "index.html").read_text()
+
+
+def test_with_a_model_nothing_is_fitted(bag):
+    process = airpuck("faults", bag, "--model", "paper:M3", "--json", "-")
+    assert process.returncode == 0, process.stderr
+    assert json.loads(process.stdout)["model"] == "M3"
+
+
+def test_identify_tells_what_it_left_out(bag, tmp_path):
+    out = ("-o", tmp_path / "m.toml", "--report", tmp_path / "r", "--json", tmp_path / "f.json")
+    process = airpuck("identify", bag, *out)
+    assert process.returncode == 0, process.stderr
+    assert "left out" in process.stdout
+    assert json.loads((tmp_path / "f.json").read_text())["faults"]["spans"]
+    assert "whose predictions meet a fault" in (tmp_path / "r" / "index.html").read_text()
+
+
+def test_wrong_options_are_refused(bag, tmp_path):
+    vehicle = tmp_path / "v.toml"
+    refused(airpuck("faults", bag, "--model", "paper:M3", "--vehicle", vehicle), "--vehicle")
+    refused(airpuck("identify", bag, "--faults", "perhaps"), "--faults", "keep")
