@@ -56,3 +56,18 @@ def test_the_truth_is_recovered():
         # Single seeds may lie a little above; their mean and most of them may not.
         assert abs(values.mean()) < bound
         assert np.mean(np.abs(values) <= bound) >= 0.9
+
+
+def fault_study(seed, healthy):
+    return study("faults_found").flown(seed, 60.0, healthy)
+
+
+@pytest.mark.study
+def test_faults_are_found_and_healthy_flights_lose_nothing(monkeypatch):
+    monkeypatch.syspath_prepend(str(STUDIES))
+    faulty = [fault_study(seed, False) for seed in range(10)]
+    visible = [fault for one in faulty for fault in one.faults if fault[1]]
+    visible = [fault for fault in visible if fault[0].cause != "contact"]
+    assert np.mean([fault[2] for fault in visible]) >= 0.95
+    assert sum(one.wrong for one in faulty) <= 0.05 * sum(one.told for one in faulty)
+    assert max(fault_study(seed, True).lost for seed in range(10)) < 0.01
