@@ -93,8 +93,10 @@ def test_the_physics_computes_and_nothing_else():
             "airpuck",
             "collections",
             "dataclasses",
+            "itertools",
             "jax",
             "jaxtyping",
+            "math",
             "numpy",
             "typing",
         }

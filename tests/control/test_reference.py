@@ -10,7 +10,7 @@ from airpuck.control.reference import Reference, SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.errors import InputError
-from airpuck.estimate.axis_filter import Estimate
+from airpuck.estimate.estimator import Estimate
 from airpuck.model_file import read_model
 
 time = st.floats(-100, 100)

@@ -15,7 +15,7 @@ from airpuck.control.discretization import motor_lag
 from airpuck.control.reference import Reference, SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import Step, TrackingController
 from airpuck.errors import InputError
-from airpuck.estimate.axis_filter import Estimate
+from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.model.rigid_body import acceleration, derivative
 from airpuck.model_file import read_model

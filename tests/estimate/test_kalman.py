@@ -12,7 +12,8 @@ from scipy.linalg import block_diag, expm
 
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.estimate.axis_filter import Estimate, Noise, correct, spread
+from airpuck.estimate.axis_filter import Noise, correct, spread
+from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.rigid_body import acceleration, derivative
 from airpuck.model_file import read_model

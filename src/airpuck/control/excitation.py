@@ -13,7 +13,7 @@ from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import Numbers, Step, TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.errors import InputError
-from airpuck.estimate.axis_filter import Estimate
+from airpuck.estimate.estimator import Estimate
 from airpuck.model_file import Model
 from airpuck.table import Table
 

@@ -16,7 +16,8 @@ from airpuck.control.lqr import regulator
 from airpuck.control.reference import Reference, Target
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.errors import InputError
-from airpuck.estimate.axis_filter import Estimate, Noise
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.compiled import for_real_time
 from airpuck.model.rigid_body import acceleration_map

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import Dynamics, acceleration
+from airpuck.model.rigid_body import Dynamics, motor_accelerations
 from airpuck.model.thrust import thrust_slope
 from airpuck.windows import Past
 
@@ -32,11 +32,14 @@ class EffectivenessPrior:
         How probable this state of the craft is.
     common, single : float
         Standard deviations of what all motors share, and of what each has for itself.
+    name : str
+        What it is called.
     """
 
     weight: float
     common: float
     single: float
+    name: str = ""
 
     def covariance(self, n: int) -> Float[np.ndarray, "n n"]:
         """Return the prior covariance.
@@ -57,9 +60,9 @@ class EffectivenessPrior:
 #: Healthy, all motors at a loss, single motors failing. Widths of the first by maximum likelihood
 #: on the paper's training experiment; of the others, wide enough for a motor that stands.
 PRIORS = (
-    EffectivenessPrior(0.9, 0.07, 0.05),
-    EffectivenessPrior(0.05, 0.5, 0.05),
-    EffectivenessPrior(0.05, 0.05, 0.5),
+    EffectivenessPrior(0.9, 0.07, 0.05, "healthy"),
+    EffectivenessPrior(0.05, 0.5, 0.05, "common loss"),
+    EffectivenessPrior(0.05, 0.05, 0.5, "single motors"),
 )
 
 #: By how much motors may differ from the first command of a window, standard deviation: by 0.4 if
@@ -190,13 +193,13 @@ class ActuationEncoder:
             float(dynamics.motor_time_constant),
         )
         information, score, square = _normal_equations(regression, residual, precisions)
-        if self.velocity == "smoothed":
+        if not self.causal:
             linear, angular = self.velocity_noise
             precise = np.array([linear, linear, angular]) ** -2.0
             information[:, [3, 4, 5], [3, 4, 5]] += precise
             score[:, 3:6] += precise * present[3:].T
             square += (precise * present[3:].T ** 2).sum(axis=1)
-        measured = residual[:, :, 0].size + (3 if self.velocity == "smoothed" else 0) - 6
+        measured = residual[:, :, 0].size + (0 if self.causal else 3) - 6
         solution, covariance, probability = self._compete(information, score, square, measured)
         state = np.concatenate([present[:3] + solution[:, :3].T, solution[:, 3:6].T, speed[-1]])
         spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, 6:].T
@@ -246,21 +249,11 @@ def _accelerations(
     state = np.asarray(past.state)
     yaw, velocity, spin = state[:, 2], state[:, 3:5], state[:, 5]
     if causal:
-        time = np.cumsum(np.insert(past.duration, 0, 0.0, axis=0), axis=0)
-        rates = np.diff(state[:, :3], axis=0) / np.diff(time, axis=0)[:, None]
+        rates = np.diff(state[:, :3], axis=0) / np.asarray(past.duration)[:, None]
         rates = np.concatenate([rates, rates[-1:]])
         velocity, spin = rates[:, :2], rates[:, 2]
-    # The accelerations are linear in Π: one column at a time, and none.
-    n = speed.shape[1]
-    columns = np.concatenate([np.eye(n), np.zeros((1, n))])
-    matrix = np.asarray(dynamics.configuration)[:, :, None] * columns.T
-    one_motor = replace(dynamics, configuration=matrix[..., None, None])
-    motion = (yaw, velocity[:, 0], velocity[:, 1], spin)
-    parts = np.array(
-        np.broadcast_arrays(*acceleration(np, one_motor, motion, np.moveaxis(speed, 1, 0)))
-    )
-    rest = parts[:, -1]
-    by_motor = parts[:, :-1] - rest[:, None]
+    motion = yaw, velocity[:, 0], velocity[:, 1], spin
+    by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))
     return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
 
 

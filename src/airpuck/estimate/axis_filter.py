@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from airpuck.model.motor import motor_step
 from airpuck.model.rigid_body import Dynamics, acceleration
@@ -34,26 +33,26 @@ class Noise:
     disturbance: tuple[float, float, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """What the filter believes.
+#: One turn of each axis, and its inverse: only the yaw goes round.
+_TURN, _PER_TURN = np.array([0.0, 0.0, 2 * np.pi]), np.array([0.0, 0.0, 0.5 / np.pi])
 
-    Attributes
+
+def wrapped(xp: Any, difference: Any) -> Any:
+    """Take whole turns off a difference of poses.
+
+    Parameters
     ----------
-    time : float
-        When [s].
-    state : array, shape (6,)
-        x, y, γ (continuous), vx, vy, ω.
-    motor_speed : array, shape (n,)
-        Normalised motor speeds φ.
-    disturbance : array, shape (3,)
-        Acceleration that the model does not explain [m/s², m/s², rad/s²].
-    """
+    xp : module
+        Array namespace.
+    difference : array, shape (3,)
+        Of x, y [m] and yaw [rad].
 
-    time: float
-    state: Float[np.ndarray, " 6"]
-    motor_speed: Float[np.ndarray, " n"]
-    disturbance: Float[np.ndarray, " 3"]
+    Returns
+    -------
+    array, shape (3,)
+        The same, the yaw's between -π and π.
+    """
+    return difference - _TURN * xp.round(difference * _PER_TURN)
 
 
 def propagate(
@@ -118,6 +117,30 @@ def spread(
     """
     h = duration
     step = xp.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+    grown = process_noise(xp, h, acceleration_density, disturbance_density)
+    return _product(xp, _product(xp, step, covariance), step.T) + grown
+
+
+def process_noise(
+    xp: Any, duration: Any, acceleration_density: Any, disturbance_density: Any
+) -> Any:
+    """Integrate both noises over a time.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    duration : float
+        h [s].
+    acceleration_density, disturbance_density : array, shape (3,)
+        Squared densities of w₁ and w₂.
+
+    Returns
+    -------
+    array, shape (3, 3, 3)
+        Covariance of (p, v, d) of each axis.
+    """
+    h = duration
     by_acceleration = xp.array([[h**3 / 3, h**2 / 2, 0.0], [h**2 / 2, h, 0.0], [0.0, 0.0, 0.0]])
     by_disturbance = xp.array(
         [
@@ -127,8 +150,7 @@ def spread(
         ]
     )
     return (
-        _product(xp, _product(xp, step, covariance), step.T)
-        + acceleration_density[:, None, None] * by_acceleration
+        acceleration_density[:, None, None] * by_acceleration
         + disturbance_density[:, None, None] * by_disturbance
     )
 

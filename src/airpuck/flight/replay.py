@@ -13,7 +13,7 @@ from airpuck.control.reference import Target
 from airpuck.control.tracking import Status, TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.errors import InputError
-from airpuck.estimate.axis_filter import Estimate
+from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
 from airpuck.model.rigid_body import acceleration_map
 from airpuck.model.thrust import thrust

@@ -6,8 +6,10 @@ namespace `xp`; the batch is the last axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
+
+import numpy as np
 
 from airpuck.model.effects import BodyMotion, Effect
 from airpuck.model.linear_map import linear_map
@@ -135,6 +137,41 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
         sin * forward + cos * left - rx * angular + ry * spin**2,
         angular,
     )
+
+
+def motor_accelerations(
+    xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any
+) -> tuple[Any, Any]:
+    """Split the accelerations into those that each motor gives, and all others.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    motion : sequence of array, shape (4, ...)
+        Yaw γ [rad], velocity vx, vy [m/s], spin ω [rad/s].
+    motor_speed : array, shape (n, ...)
+        Normalised motor speeds φ.
+
+    Returns
+    -------
+    by_motor : array, shape (3, n, ...)
+        ax, ay [m/s²] and ω' [rad/s²] by each motor; they are linear in its thrust.
+    rest : array, shape (3, ...)
+        The same without any thrust.
+    """
+    # The accelerations are linear in Π: one column at a time, and none.
+    n = motor_speed.shape[0]
+    columns = np.concatenate([np.eye(n), np.zeros((1, n))])
+    matrix = dynamics.configuration[:, :, None] * columns.T
+    one_motor = replace(
+        dynamics, configuration=matrix.reshape(matrix.shape + (1,) * (motor_speed.ndim - 1))
+    )
+    parts = xp.stack(xp.broadcast_arrays(*acceleration(xp, one_motor, motion, motor_speed)))
+    rest = parts[:, -1]
+    return parts[:, :-1] - rest[:, None], rest
 
 
 def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:

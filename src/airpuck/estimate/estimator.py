@@ -1,0 +1,118 @@
+"""What a controller asks of an estimator: measurements and commands in, estimates out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What an estimator believes.
+
+    Attributes
+    ----------
+    time : float
+        When [s].
+    state : array, shape (6,)
+        x, y, γ (continuous), vx, vy, ω.
+    motor_speed : array, shape (n,)
+        Normalised motor speeds φ.
+    disturbance : array, shape (3,)
+        Acceleration that the model does not explain [m/s², m/s², rad/s²].
+    actuation : ActuationEstimate, optional
+        What the motors do with their commands; None: as the model says, nobody has looked.
+    """
+
+    time: float
+    state: Float[np.ndarray, " 6"]
+    motor_speed: Float[np.ndarray, " n"]
+    disturbance: Float[np.ndarray, " 3"]
+    actuation: ActuationEstimate | None = None
+
+    @property
+    def effectiveness(self) -> Float[np.ndarray, " n"]:
+        """Share of the modelled thrust that each motor gives; ones where nobody has looked."""
+        if self.actuation is None:
+            return np.ones(len(self.motor_speed))
+        return self.actuation.effectiveness
+
+
+@dataclass(frozen=True, eq=False)
+class ActuationEstimate:
+    """What the motors really do with their commands.
+
+    Attributes
+    ----------
+    effectiveness : array, shape (n,)
+        Share of the modelled thrust that each motor gives, 1: all.
+    deviation : array, shape (n,)
+        Its standard deviation; that of the prior where a motor idles, since that says nothing.
+    probability : mapping of str to float
+        Of each state of the craft by its name (`airpuck.estimate.actuation.PRIORS`).
+    delay, delay_deviation : float
+        By how much the transport delay seems longer than the model's, and the standard deviation
+        of that [s].
+    """
+
+    effectiveness: Float[np.ndarray, " n"]
+    deviation: Float[np.ndarray, " n"]
+    probability: dict[str, float] = field(default_factory=dict)
+    delay: float = 0.0
+    delay_deviation: float = 0.0
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """Estimates the craft in closed loop; nothing measured later than a time is used for it."""
+
+    @property
+    def time(self) -> float | None:
+        """Time of the last measurement; None before the first pose [s]."""
+        ...
+
+    def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take note of a command that was sent; see `RecursiveFilter.command`."""
+        ...
+
+    def run_motors(self, time: float) -> None:
+        """Go through commands for the motors only; see `RecursiveFilter.run_motors`."""
+        ...
+
+    def pose(
+        self,
+        time: float,
+        pose: Float[np.ndarray, " 3"],
+        gate: tuple[float, float, float] | None = None,
+    ) -> bool:
+        """Use a measured pose, say whether; see `RecursiveFilter.pose`."""
+        ...
+
+    def imu(
+        self,
+        time: float,
+        acceleration_body: Float[np.ndarray, " 2"],
+        gyro: float,
+        noise: tuple[float, float],
+    ) -> None:
+        """Use an inertial measurement; see `RecursiveFilter.imu`."""
+        ...
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
+        """Use a measured velocity; see `RecursiveFilter.mouse`."""
+        ...
+
+    def predict(self, time: float) -> Estimate:
+        """Predict with the commands that are known; see `RecursiveFilter.predict`."""
+        ...
+
+    def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Begin anew at a pose, at rest; see `RecursiveFilter.restart`."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything."""
+        ...
