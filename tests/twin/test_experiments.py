@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from airpuck.control.reference import SetPoint, SetPoints
+from airpuck.control.tuning import default_tuning
 from airpuck.errors import InputError
 from airpuck.flight.track import Track
 from airpuck.identification.fit import identify
@@ -15,7 +16,7 @@ from airpuck.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording import read_recording, write_bag
 from airpuck.twin.experiments import excite, track
-from airpuck.twin.settings import Radio, default_twin_settings
+from airpuck.twin.settings import Motors, Radio, Stall, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
 from airpuck.twin.twin import build_plant
 from airpuck.vehicle import Vehicle, default_vehicle
@@ -204,3 +205,30 @@ def test_another_number_of_propellers_is_refused():
     four = nominal_model(Vehicle.model_validate(content))
     with pytest.raises(InputError, match="4 propellers, the twin 6"):
         track(four, SetPoint(0, 0, 0), 1.0, truth=M4)
+
+
+def faulty_flight(estimator, motors, plant):
+    """Fly to three set points; root mean square error of x and y [m] and yaw [rad] after 2 s."""
+    settings = default_twin_settings().model_copy(update={"motors": motors})
+    points = SetPoints([0.0, 1.5, 4.0], [(0, 0, 0), (0.2, 0.1, 0.8), (0.0, -0.1, -0.4)])
+    tuning = default_tuning().with_estimator(estimator)
+    recording, log = track(M4, points, 6.5, settings=settings, tuning=tuning, plant=plant)
+    flight = Track.of(recording, M4.vehicle, "")
+    wanted = np.array([points.at(float(t), 0.0).state[:3] for t in flight.time])
+    error = (flight.pose - wanted)[flight.time > 2.0]
+    assert set(log.status[10:]) <= {"exact", "scaled", "nearest"}
+    return np.sqrt(np.mean(error**2, axis=0))
+
+
+def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m4):
+    dead = Motors(stalls=(Stall(motor="motor_b_1", start_s=1.0, stop_s=99.0),))
+    unaware, aware = (
+        faulty_flight(estimator, dead, plant_m4) for estimator in ("kalman", "actuation")
+    )
+    assert np.linalg.norm(aware[:2]) < 0.8 * np.linalg.norm(unaware[:2])
+    assert aware[2] < 0.8 * unaware[2]
+
+
+def test_looking_after_the_motors_does_no_harm_to_a_healthy_craft(plant_m4):
+    kalman, actuation = (faulty_flight(e, Motors(), plant_m4) for e in ("kalman", "actuation"))
+    np.testing.assert_allclose(actuation, kalman, rtol=0.1)

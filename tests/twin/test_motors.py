@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from airpuck.errors import InputError
 from airpuck.twin.motors import MotorUnit
-from airpuck.twin.settings import Motors, Stall
+from airpuck.twin.settings import Motors, Stall, Weakness
 
 NAMES = ("left", "right")
 BOTH = np.array([0.6, 0.3])
@@ -118,3 +118,24 @@ def test_nothing_changes_by_itself_before_the_next_change(unarmed, delay, stall,
             before = np.nextafter(min(change, end), 0)
             np.testing.assert_array_equal(motors.follow(before, command), follows)
             now = min(change, end)
+
+
+def test_a_weak_motor_gives_its_share_while_it_is_weak():
+    losses = (
+        Weakness(motor="right", start_s=1.0, stop_s=2.0, share=0.6),
+        Weakness(motor="right", start_s=1.5, stop_s=3.0, share=0.5),
+    )
+    motors = unit(weak=losses)
+    right = NAMES.index("right")
+    for now, share in ((0.9, 1.0), (1.0, 0.6), (1.7, 0.3), (2.0, 0.5), (3.0, 1.0)):
+        expected = np.ones(len(NAMES))
+        expected[right] = share
+        np.testing.assert_allclose(motors.share(now), expected)
+    # Steps of the twin end where something changes.
+    assert [motors.next_change(t) for t in (0.5, 1.0, 1.5, 2.0, 3.0)] == [1, 1.5, 2, 3, np.inf]
+
+
+def test_a_loss_of_a_motor_that_is_not_there_is_refused():
+    with pytest.raises(InputError) as caught:
+        unit(weak=(Weakness(motor="middle", start_s=0.0, stop_s=1.0, share=0.5),))
+    assert caught.value.field == "motors.weak"

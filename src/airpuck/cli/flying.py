@@ -175,6 +175,12 @@ def track(
         str,
         typer.Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
     ] = "paper",
+    estimator: Annotated[
+        str | None,
+        typer.Option(
+            help="kalman, or actuation: finds out what each motor does; by default the tuning's."
+        ),
+    ] = None,
     seed: Seed = 0,
     twin: TwinFile = None,
     tuning: TuningFile = None,
@@ -184,12 +190,15 @@ def track(
     json_file: Json = None,
 ) -> None:
     """Fly the paper's set points on the twin, beside the real flights."""
+    from airpuck.control.tuning import ESTIMATORS, default_tuning
     from airpuck.errors import InputError
     from airpuck.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
     from airpuck.twin.tracking_study import DWELL, tracking_study
 
     choose("--controller", controller, ("paper", "full"))
+    if estimator is not None:
+        choose("--estimator", estimator, ESTIMATORS)
     names = models or ["paper:M0", "paper:M4"]
     if dwell is not None and flights:
         raise InputError("a flight has its own times; give one of the two", field="--dwell")
@@ -201,6 +210,9 @@ def track(
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
     check_destinations(output=output, json=json_file)
+    controls = read_controls(tuning)
+    if estimator is not None:
+        controls = (controls or default_tuning()).with_estimator(estimator)
     plant = read_model(truth)
     tracked = tracking_study(
         [read_belief(name) for name in names],
@@ -210,7 +222,7 @@ def track(
         seed=seed,
         full_controller=controller == "full",
         settings=None if twin is None else read_twin_settings(twin),
-        tuning=read_controls(tuning),
+        tuning=controls,
     )
     if output is not None:
         from airpuck.report.tracking_report import tracking_report

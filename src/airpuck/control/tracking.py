@@ -16,8 +16,9 @@ from airpuck.control.lqr import regulator
 from airpuck.control.reference import Reference, Target
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.errors import InputError
+from airpuck.estimate.actuation_filter import ActuationFilter
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.estimator import Estimate
+from airpuck.estimate.estimator import Estimate, Estimator
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.compiled import for_real_time
 from airpuck.model.rigid_body import acceleration_map
@@ -42,6 +43,11 @@ _REMEMBERED = 0.5
 #: Poses that agree with each other for this long, but not with the prediction, are believed [s];
 #: rounding of stamps must not cost a frame.
 _BELIEVED_AFTER = _STALE - 1e-6
+
+#: Where the effectiveness that the allocation reckons with is kept: a motor that seems dead is
+#: still asked for a little, so that it is found out when it comes back; and no estimate may make
+#: the controller timid.
+_EFFECTIVENESS = (0.1, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +135,7 @@ class TrackingController:
         self.compensate_delay = compensate_delay
         self.gain = regulator(tuning.weights, tuning.period_s) if gain is None else gain
         InverseThrust(dynamics.thrust)  # refuses curves that fall
-        self.filter = KalmanFilter(model, _noise(tuning.estimation), compiled=compiled)
+        self.filter = _estimator(model, tuning.estimation, compiled)
         self._allocator = ThrustAllocator(
             vehicle.n_propellers,
             model.radius_of_gyration,
@@ -317,6 +323,7 @@ class TrackingController:
             estimate.state,
             estimate.motor_speed,
             estimate.disturbance,
+            estimate.effectiveness,
             target.state,
             target.acceleration,
             self.gain,
@@ -342,12 +349,16 @@ class TrackingController:
                 state: Any,
                 speed: Any,
                 disturbance: Any,
+                effectiveness: Any,
                 target: Any,
                 feedforward: Any,
                 gain: Any,
             ) -> tuple[Any, ...]:
                 # What the motors do in the coming period is settled; go on to the next one.
+                # A thrust that is believed weaker than it is counts the less, none is divided by.
+                effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
                 matrix, offset = acceleration_map(xp, dynamics, state[2], state[5])
+                matrix = matrix * effectiveness
                 settled = matrix @ thrust(dynamics.thrust, speed) + offset + disturbance
                 following = a @ state + b @ settled
                 error = following - target
@@ -355,6 +366,7 @@ class TrackingController:
                 error = xp.concatenate([error[:2], turn[None], error[3:]])
                 request = feedforward - gain @ error - rejected * disturbance
                 matrix, offset = acceleration_map(xp, dynamics, following[2], following[5])
+                matrix = matrix * effectiveness
                 coasting = lag * speed
                 low = thrust(dynamics.thrust, coasting + drive * least)
                 high = thrust(dynamics.thrust, coasting + drive * most)
@@ -373,7 +385,7 @@ class TrackingController:
         plan, command = programs(jnp)
         state, axes = np.zeros(6), np.zeros(3)
         return (
-            for_real_time(plan, state, self._idle, axes, state, axes, self.gain),
+            for_real_time(plan, state, self._idle, axes, self._idle, state, axes, self.gain),
             for_real_time(command, self._idle, self._idle),
         )
 
@@ -434,6 +446,15 @@ def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
     x, y, yaw = (pose - other).tolist()
     turn = (yaw + math.pi) % (2 * math.pi) - math.pi
     return abs(x) > _JUMP[0] or abs(y) > _JUMP[1] or abs(turn) > _JUMP[2]
+
+
+def _estimator(model: Model, estimation: Estimation, compiled: bool) -> Estimator:
+    """Make the estimator that the tuning names."""
+    if estimation.estimator == "kalman":
+        return KalmanFilter(model, _noise(estimation), compiled=compiled)
+    return ActuationFilter(
+        model, _noise(estimation), lasting=estimation.forgetting_s, compiled=compiled
+    )
 
 
 def _noise(estimation: Estimation) -> Noise:

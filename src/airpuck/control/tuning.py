@@ -10,6 +10,9 @@ import pydantic
 
 from airpuck.files import Section, read_toml, write_toml
 
+#: Estimators by name.
+ESTIMATORS = ("kalman", "actuation")
+
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
 # Beyond these the Riccati equation is out of reach of the arithmetic.
@@ -54,10 +57,13 @@ class Allocation(Section):
 
 
 class Estimation(Section):
-    """Noise that the state estimator assumes.
+    """The state estimator, and the noise that it assumes.
 
     Attributes
     ----------
+    estimator : {"kalman", "actuation"}
+        Whether motors are taken to do what they are told, or the effectiveness of each is
+        estimated, too.
     position_m, yaw_rad : float
         Standard deviation of the motion capture.
     acceleration_density, angular_acceleration_density : float
@@ -67,8 +73,11 @@ class Estimation(Section):
         rad/s³/√Hz]. Zero: no disturbance is estimated.
     imu_acceleration_m_s2, gyro_rad_s, mouse_m_s : float
         Standard deviation of the on-board sensors, where there are any.
+    forgetting_s : float
+        How long what was found out about a motor holds, of ``actuation``.
     """
 
+    estimator: Literal["kalman", "actuation"] = "kalman"
     position_m: Positive
     yaw_rad: Positive
     acceleration_density: Positive
@@ -78,6 +87,7 @@ class Estimation(Section):
     imu_acceleration_m_s2: Positive = 0.35
     gyro_rad_s: Positive = 0.015
     mouse_m_s: Positive = 1e-2
+    forgetting_s: Positive = 3.0
 
 
 class Tuning(Section):
@@ -99,6 +109,22 @@ class Tuning(Section):
     weights: Weights
     allocation: Allocation = Allocation()
     estimation: Estimation
+
+    def with_estimator(self, estimator: str) -> Tuning:
+        """Return the same tuning with an estimator.
+
+        Parameters
+        ----------
+        estimator : str
+            One of `ESTIMATORS`.
+
+        Returns
+        -------
+        Tuning
+            A copy.
+        """
+        estimation = self.estimation.model_copy(update={"estimator": estimator})
+        return self.model_copy(update={"estimation": estimation})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the tuning as TOML.

@@ -8,15 +8,22 @@ disturbance. The equations are in `airpuck.estimate.multiple_models`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.estimate.actuation import ActuationEncoder
-from airpuck.estimate.axis_filter import Noise, wrapped
+from airpuck.estimate.axis_filter import (
+    INITIAL_DISTURBANCE,
+    INITIAL_VELOCITY,
+    Noise,
+    propagate,
+    wrapped,
+)
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
-from airpuck.estimate.kalman import INITIAL_DISTURBANCE, INITIAL_VELOCITY, turned
+from airpuck.estimate.kalman import turned
 from airpuck.estimate.multiple_models import (
     ACTUATION,
     DISTURBANCE,
@@ -24,7 +31,6 @@ from airpuck.estimate.multiple_models import (
     VELOCITY,
     States,
     advance,
-    drift,
     measure,
     mixed,
     renewed,
@@ -52,7 +58,7 @@ class ActuationFilter(RecursiveFilter):
         What to expect of measurements and model.
     encoder : ActuationEncoder, optional
         Whose priors compete, and how.
-    lasting : float, default 10
+    lasting : float, default 3
         How long a state of the craft, healthy or not, lasts in the mean: what is not confirmed is
         forgotten in that time [s].
     delay_deviation : float, default 3e-3
@@ -67,7 +73,7 @@ class ActuationFilter(RecursiveFilter):
         noise: Noise,
         *,
         encoder: ActuationEncoder | None = None,
-        lasting: float = 10.0,
+        lasting: float = 3.0,
         delay_deviation: float = 3e-3,
         compiled: bool = True,
     ) -> None:
@@ -95,10 +101,16 @@ class ActuationFilter(RecursiveFilter):
 
         def programs(xp: Any) -> tuple[Callable[..., Any], ...]:
             def predict(means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
-                mean, covariance = mixed(xp, (means, covariances, weights))
-                transition, offset, speed = drift(xp, dynamics, mean, *given)
-                mean = xp.sum(transition * mean, axis=1) + offset
-                return mean, xp.sqrt(xp.diagonal(covariance)[ACTUATION]), speed
+                mean = xp.sum(weights[:, None] * means, axis=0)
+                # The delay is told, but not used: commands on their way have one of their own.
+                effective = replace(
+                    dynamics, thrust=dynamics.thrust * (1 + mean[9 : 9 + n])[:, None]
+                )
+                axes = xp.reshape(mean[:9], (3, 3)).T
+                axes, speed = propagate(xp, effective, axes, *given)
+                variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
+                spread = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
+                return axes.T, mean[ACTUATION], spread, speed
 
             def move(means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
                 belief = means, covariances, weights
@@ -196,8 +208,7 @@ class ActuationFilter(RecursiveFilter):
     def _estimate(
         self, time: float, belief: Belief, speed: Float[np.ndarray, " n"], pieces: Pieces
     ) -> Estimate:
-        mean, spread, speed = self._predict(*belief, speed, *pieces)
-        e = mean[ACTUATION]
+        motion, e, spread, speed = self._predict(*belief, speed, *pieces)
         actuation = ActuationEstimate(
             effectiveness=1 + e[:-1],
             deviation=spread[:-1],
@@ -205,4 +216,4 @@ class ActuationFilter(RecursiveFilter):
             delay=float(e[-1]),
             delay_deviation=float(spread[-1]),
         )
-        return Estimate(time, mean[:6], speed, mean[DISTURBANCE], actuation)
+        return Estimate(time, motion[:2].ravel(), speed, motion[2], actuation)

@@ -33,6 +33,9 @@ class Noise:
     disturbance: tuple[float, float, float]
 
 
+#: Standard deviation of velocity and disturbance at the first pose, in each axis.
+INITIAL_VELOCITY = np.array([0.5, 0.5, 5.0])
+INITIAL_DISTURBANCE = np.array([0.1, 0.1, 3.0])
 #: One turn of each axis, and its inverse: only the yaw goes round.
 _TURN, _PER_TURN = np.array([0.0, 0.0, 2 * np.pi]), np.array([0.0, 0.0, 0.5 / np.pi])
 

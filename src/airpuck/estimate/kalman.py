@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.estimate.axis_filter import Noise, correct, propagate, spread, wrapped
+from airpuck.estimate.axis_filter import (
+    INITIAL_DISTURBANCE,
+    INITIAL_VELOCITY,
+    Noise,
+    correct,
+    propagate,
+    spread,
+    wrapped,
+)
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.recursive_filter import (
     PIECES_TO_MEASURE,
@@ -28,10 +36,6 @@ from airpuck.estimate.recursive_filter import (
 from airpuck.model.compiled import for_real_time
 from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import Model
-
-#: Standard deviation of velocity and disturbance at the first pose, in each axis.
-INITIAL_VELOCITY = np.array([0.5, 0.5, 5.0])
-INITIAL_DISTURBANCE = np.array([0.1, 0.1, 3.0])
 
 
 class KalmanFilter(RecursiveFilter):

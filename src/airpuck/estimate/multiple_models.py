@@ -19,10 +19,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.estimate.axis_filter import Noise, process_noise
+from airpuck.estimate.axis_filter import INITIAL_VELOCITY, Noise, process_noise
 from airpuck.model.motor import motor_step
 from airpuck.model.rigid_body import Dynamics, motor_accelerations
 
+#: What surprises every state by this many standard deviations is a rail or a hand, no motor: those
+#: need ten frames for it. The velocities are unknown again, and the motors are not blamed.
+_KNOCK = 8.0
 #: Where p, v, d and e are.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
@@ -286,6 +289,12 @@ def measure(
     """
     means, covariances, weights = belief
     reference = xp.sum(weights[:, None] * means, axis=0)
+    unknown = np.zeros(means.shape[1])
+    unknown[VELOCITY] = INITIAL_VELOCITY**2
+    deviations = innovations - xp.sum((means - reference)[:, None] * rows, axis=2)
+    plain = xp.sum(_times(xp, rows, covariances) * rows, axis=2) + variances
+    knocked = xp.min(xp.max(deviations**2 / plain, axis=1)) > _KNOCK**2
+    covariances = covariances + xp.where(knocked, 1.0, 0.0) * np.diag(unknown)
     evidence = xp.log(weights)
     for k in range(len(rows)):
         row = rows[k]

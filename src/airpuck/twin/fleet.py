@@ -264,7 +264,7 @@ def _check(
         raise InputError("must have the shape (3, B) and be finite", field="poses")
     if not isinstance(every, Integral) or every < 1:
         raise InputError("must be a whole number, at least 1", field="every")
-    if settings.motors.starting_delay_s or settings.motors.stalls:
+    if settings.motors.starting_delay_s or settings.motors.stalls or settings.motors.weak:
         raise InputError(
             "motors of a fleet neither start late nor stall; use Twin", field="settings.motors"
         )

@@ -17,24 +17,29 @@ class MotorUnit:
     Parameters
     ----------
     settings : Motors
-        Arming, slow starts, stalls.
+        Arming, slow starts, stalls, losses of thrust.
     names : tuple of str
         Names of the motors.
 
     Raises
     ------
     InputError
-        If a stall names no motor.
+        If a stall or a loss names no motor.
     """
 
     def __init__(self, settings: Motors, names: tuple[str, ...]) -> None:
-        for stall in settings.stalls:
-            if stall.motor not in names:
-                raise InputError(f"there is no motor called {stall.motor!r}", field="motors.stalls")
+        for field, faults in (("stalls", settings.stalls), ("weak", settings.weak)):
+            for fault in faults:
+                if fault.motor not in names:
+                    raise InputError(
+                        f"there is no motor called {fault.motor!r}", field=f"motors.{field}"
+                    )
         self._settings = settings
         self._stalls = [(names.index(s.motor), s.start_s, s.stop_s) for s in settings.stalls]
+        self._weak = [(names.index(w.motor), w) for w in settings.weak]
+        faults = (*settings.stalls, *settings.weak)
         self._edges = sorted(
-            {settings.unarmed_s, *(t for s in settings.stalls for t in (s.start_s, s.stop_s))}
+            {settings.unarmed_s, *(t for f in faults for t in (f.start_s, f.stop_s))}
         )
         #: When each motor may follow its command; never while it idles.
         self._released = np.full(len(names), np.inf)
@@ -85,3 +90,22 @@ class MotorUnit:
                 command = command.copy()
                 command[motor] = 0.0
         return command
+
+    def share(self, now: float) -> Float[np.ndarray, " n"]:
+        """Return the share of its thrust that each motor gives now.
+
+        Parameters
+        ----------
+        now : float
+            Time [s].
+
+        Returns
+        -------
+        array, shape (n,)
+            One: all of it.
+        """
+        share = np.ones(len(self._released))
+        for motor, weakness in self._weak:
+            if weakness.start_s <= now < weakness.stop_s:
+                share[motor] *= weakness.share
+        return share

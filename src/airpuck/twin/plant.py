@@ -77,24 +77,26 @@ class Plant:
             return state, (state != free).any()
 
         n = self.model.vehicle.n_propellers
-        return for_real_time(advanced, np.zeros(6 + n), np.zeros(n), 0.0, 1.0)
+        return for_real_time(advanced, np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n))
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
-    """Scale all thrusts.
+    """Scale thrusts.
 
     Parameters
     ----------
     dynamics : Dynamics
         Coefficients.
-    factor : float or array, shape ()
-        For example of a battery that sags.
+    factor : float or array, shape () or (n,)
+        For example of a battery that sags, or of each motor.
 
     Returns
     -------
     Dynamics
         With scaled thrust curves.
     """
+    if getattr(factor, "ndim", 0) > 0:
+        factor = factor.reshape((-1,) + (1,) * (dynamics.thrust.ndim - 1))
     return replace(dynamics, thrust=dynamics.thrust * factor)
 
 

@@ -90,8 +90,7 @@ class RadioLink:
         array, shape (n,)
             What the craft's electronics tell the motors.
         """
-        while self._flying and self._flying[0][0] <= now:
-            self._received_at, self._received = self._flying.popleft()
+        self._receive(now)
         return self._received if self.in_contact(now) else self._stopped
 
     def in_contact(self, now: float) -> bool:
@@ -122,7 +121,12 @@ class RadioLink:
         float
             Arrival of the next packet, or the timeout [s].
         """
-        self.command(now)
+        self._receive(now)
         arrival = self._flying[0][0] if self._flying else math.inf
         timeout = self._received_at + self._settings.timeout_s
         return min(time for time in (arrival, timeout, math.inf) if time > now)
+
+    def _receive(self, now: float) -> None:
+        """Take in the packets that have arrived."""
+        while self._flying and self._flying[0][0] <= now:
+            self._received_at, self._received = self._flying.popleft()

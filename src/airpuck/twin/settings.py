@@ -150,6 +150,22 @@ class Stall(Section):
         return self
 
 
+class Weakness(Stall):
+    """A motor that gives only a share of its thrust for a while.
+
+    Attributes
+    ----------
+    motor : str
+        Name of its propeller.
+    start_s, stop_s : float
+        When.
+    share : float
+        Thrust given, of what the model says.
+    """
+
+    share: Probability
+
+
 class Motors(Section):
     """What motors do besides following their command.
 
@@ -163,12 +179,15 @@ class Motors(Section):
         Commands below this value count as idling.
     stalls : tuple of Stall
         Failures.
+    weak : tuple of Weakness
+        Losses of thrust; shares of one motor multiply.
     """
 
     unarmed_s: NonNegative = 0.0
     starting_delay_s: NonNegative = 0.0
     idle_below: Probability = 0.05
     stalls: tuple[Stall, ...] = ()
+    weak: tuple[Weakness, ...] = ()
 
 
 class TwinSettings(Section):

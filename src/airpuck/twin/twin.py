@@ -223,9 +223,10 @@ class Twin:
                 self.contacts.append(begin)
         self._state_time = time
 
-    def _thrust_left(self, time: float) -> float:
-        """Return the share of the thrust that the battery still gives."""
-        return max(1 - self.settings.effects.battery_sag_1_s * time, 0.0)
+    def _thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
+        """Return the share of the thrust that battery and motors still give."""
+        battery = max(1 - self.settings.effects.battery_sag_1_s * time, 0.0)
+        return battery * self._motors.share(time)
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
         """Return what a perfect sensor would say."""

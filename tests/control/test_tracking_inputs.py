@@ -1,0 +1,313 @@
+"""The tracking controller and everything that can be wrong with what it is told."""
+
+from itertools import count, takewhile
+
+import numpy as np
+import pytest
+
+from airpuck.control.allocation import Daqp
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import Step, TrackingController
+from airpuck.errors import InputError
+
+from .flights import (
+    FRAME,
+    IDLE,
+    MODEL,
+    NOTHING,
+    controller,
+    hold_still,
+    idles,
+)
+
+
+def test_without_a_pose_the_motors_idle():
+    ours = controller()
+    idles(ours.step(0.0), "no pose")
+    ours.pose(0.0, NOTHING)
+    assert ours.step(0.0).flies
+
+
+def test_a_stale_pose_idles_the_motors_until_the_next():
+    ours = controller(SetPoint(0.1, 0, 0))
+    last = hold_still(ours)
+    assert ours.step(last + 0.049).flies
+    idles(ours.step(last + 0.051), "stale pose")
+    idles(ours.step(last + 10), "stale pose")
+    ours.pose(last + 10, np.array([0.05, 0.0, 0.0]))
+    step = ours.step(last + 10)
+    assert step.flies
+    # Begun anew there, at rest.
+    np.testing.assert_allclose(step.request[0], ours.gain[0, 0] * 0.05, atol=0.02)
+
+
+@pytest.mark.parametrize("jump", [[0.2, 0, 0], [0, -0.2, 0], [0, 0, 2.0]])
+def test_a_single_jump_idles_once_and_is_forgotten(jump):
+    ours, spared = controller(), controller()
+    last = hold_still(ours)
+    hold_still(spared)
+    ours.pose(last + FRAME, np.array(jump))
+    idles(ours.step(last + FRAME), "jumping pose")
+    for one in (ours, spared):
+        one.pose(last + 2 * FRAME, NOTHING)
+    one, other = ours.step(last + 2 * FRAME), spared.step(last + 2 * FRAME)
+    assert one.flies
+    np.testing.assert_array_equal(one.command, other.command)
+
+
+@pytest.mark.parametrize("jump", [[0.09, 0, 0], [0, 0.09, 0], [0, 0, 0.9], [0, 0, 2 * np.pi]])
+def test_what_a_craft_can_do_is_no_jump(jump):
+    ours = controller()
+    last = hold_still(ours)
+    ours.pose(last + FRAME, np.array(jump))
+    assert ours.step(last + FRAME).flies
+
+
+@pytest.mark.parametrize("rate", [240.0, 400.0])
+def test_a_craft_that_was_moved_is_believed_after_50_ms(rate):
+    ours = controller()
+    last = hold_still(ours)
+    flown = {}
+    for k in range(1, 40):
+        now = last + k / rate
+        ours.pose(now, np.array([0.5, 0.0, 0.0]))
+        step = ours.step(now)
+        flown[k] = step.flies
+        if not step.flies:
+            idles(step, "jumping pose")
+        elif step.estimate is not None:
+            assert step.estimate.state[0] == pytest.approx(0.5, abs=0.01)
+    first = min(k for k, flies in flown.items() if flies)
+    assert all(flies for k, flies in flown.items() if k >= first)
+    assert 0.025 < first / rate <= 0.055
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0, 2000.0])
+def test_it_is_time_that_makes_poses_credible_not_their_number(rate):
+    ours = controller()
+    for k in range(12):
+        ours.pose(k / rate, NOTHING)
+    last = 11 / rate
+    flown = []
+    for k in range(1, 200):
+        ours.pose(last + k / rate, np.array([0.5, 0.0, 0.0]))
+        flown.append(ours.step(last + k / rate).flies)
+    # Counted from the first one there.
+    assert 0.0499 < flown.index(True) / rate < 0.0501
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_at_random_are_never_believed(seed):
+    random = np.random.default_rng(seed)
+    ours = controller()
+    last = hold_still(ours)
+    for k in range(1, 241):
+        # Anywhere on the table but where the craft is.
+        x, yaw = random.uniform(0.2, 1) * random.choice([-1, 1]), random.uniform(-3, 3)
+        ours.pose(last + k * FRAME, np.array([x, random.uniform(-0.5, 0.5), yaw]))
+        idles(ours.step(last + k * FRAME), "jumping pose")
+
+
+def test_after_long_doubts_the_old_prediction_is_no_reason_to_believe():
+    ours = controller()
+    last = hold_still(ours)
+    for k in range(1, 25):
+        ours.pose(last + k * FRAME, np.array([0.5 * (-1) ** k, 0, 0]))
+    ours.pose(last + 25 * FRAME, NOTHING)
+    idles(ours.step(last + 25 * FRAME), "jumping pose")
+    for k in range(26, 25 + 13):
+        ours.pose(last + k * FRAME, NOTHING)
+    assert ours.step(last + 37 * FRAME).flies
+
+
+def test_poses_that_jump_to_and_fro_are_not_believed_for_50_ms():
+    ours = controller()
+    last = hold_still(ours)
+    for k in takewhile(lambda k: k * FRAME < 0.05, count(1)):
+        ours.pose(last + k * FRAME, np.array([0.5 * (-1) ** k, 0, 0]))
+        idles(ours.step(last + k * FRAME), "jumping pose")
+    ours.pose(last + 0.0499, NOTHING)
+    assert ours.step(last + 0.0499).flies
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_pose_that_is_not_a_number_idles_the_motors_until_the_next(bad):
+    ours = controller()
+    last = hold_still(ours)
+    for place in range(3):
+        pose = np.zeros(3)
+        pose[place] = bad
+        ours.pose(last + 1e-3, pose)
+        idles(ours.step(last + 1e-3), "bad input")
+    ours.pose(bad, NOTHING)
+    idles(ours.step(last + 1e-3), "bad input")
+    ours.pose(last + FRAME, NOTHING)
+    assert ours.step(last + FRAME).flies
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_time_that_is_not_a_number_idles_the_motors_once(bad):
+    ours = controller()
+    last = hold_still(ours)
+    idles(ours.step(bad), "bad input")
+    assert ours.step(last).flies
+
+
+@pytest.mark.parametrize("kind", [tuple, list])
+def test_a_pose_may_be_any_three_numbers(kind):
+    ours, same = controller(), controller()
+    for k in range(12):
+        ours.pose(k * FRAME, kind((0.001 * k, 0, 0)))
+        same.pose(k * FRAME, np.array([0.001 * k, 0, 0]))
+    np.testing.assert_array_equal(ours.step(0.05).command, same.step(0.05).command)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0), np.zeros(6), np.zeros((1, 3))])
+def test_a_pose_of_another_shape_is_refused_and_leaves_no_trace(pose):
+    ours = controller()
+    with pytest.raises(InputError, match="give 3 numbers"):
+        ours.pose(0.0, pose)
+    idles(ours.step(0.0), "no pose")
+    last = hold_still(ours)
+    with pytest.raises(InputError, match="give 3 numbers"):
+        ours.pose(last + FRAME, pose)
+    assert ours.step(last).flies
+
+
+def test_arrays_that_the_caller_uses_again_are_copied():
+    ours, same = controller(), controller()
+    pose, command = np.zeros(3), np.zeros(6)
+    for k in range(60):
+        now = k / 100
+        pose[:], command[:] = [0.001 * k, 0, 0], 0.03
+        command[k % 6] = 0.6
+        for one, copied in ((ours, False), (same, True)):
+            one.pose(now, pose.copy() if copied else pose)
+            one.sent(now, command.copy() if copied else command)
+    expected = same.filter.predict(0.59)
+    np.testing.assert_array_equal(ours.filter.predict(0.59).motor_speed, expected.motor_speed)
+    # Among poses in doubt too: each agrees with the one before, none with itself.
+    for k in range(1, 26):
+        pose[:] = [0.5 * (-1) ** k, 0, 0]
+        ours.pose(0.59 + k * FRAME, pose)
+        idles(ours.step(0.59 + k * FRAME), "jumping pose")
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_commands_belong_to_the_caller(compiled):
+    ours = controller(compiled=compiled)
+    for last in (0.0, hold_still(ours)):
+        step = ours.step(last)
+        kept = step.command.copy()
+        step.command[:] = 7.0
+        np.testing.assert_array_equal(ours.step(last).command, kept)
+
+
+def flown(told, steps: int = 40) -> tuple[TrackingController, Step]:
+    """Fly at one place; `told` changes what the controller hears of each command."""
+    ours = controller(SetPoint(0.05, 0, 0))
+    step = ours.step(0.0)
+    for k in range(steps):
+        now = k / 100
+        ours.pose(now, NOTHING)
+        step = ours.step(now + 0.001)
+        ours.sent(*told(k, now + 0.001, step.command))
+    return ours, step
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_sent_command_that_is_not_a_number_is_taken_as_not_sent(bad):
+    def told(k, time, command):
+        return time, np.where(np.arange(6) == 2, bad, command) if k == 20 else command
+
+    _, step = flown(told)
+    assert step.flies
+    assert step.estimate is not None
+    assert np.isfinite(step.estimate.motor_speed).all()
+    # What was sent before stays in force for the time of one more command.
+    _, other = flown(lambda k, time, command: (time, command))
+    np.testing.assert_allclose(step.command, other.command, atol=0.05)
+
+
+@pytest.mark.parametrize("wrong", [1000.0, 1.0, np.nan, np.inf, -np.inf])
+def test_a_command_is_sent_now_if_its_time_cannot_be(wrong):
+    def told(k, time, command):
+        return (time + wrong if k == 20 else time), command
+
+    ours, step = flown(told)
+    _, other = flown(lambda k, time, command: (time, command))
+    np.testing.assert_array_equal(step.command, other.command)
+    assert len(ours.filter._pending) < 5
+
+
+def test_a_command_stamped_a_little_late_does_not_hold_up_the_next():
+    ours, step = flown(lambda k, time, command: (time + 0.045 * (k == 20), command))
+    _, other = flown(lambda k, time, command: (time, command))
+    np.testing.assert_allclose(step.command, other.command, atol=0.02)
+    assert len(ours.filter._pending) < 5
+
+
+@pytest.mark.parametrize("command", [np.zeros(4), [0.1] * 7, np.zeros((6, 1))])
+def test_a_sent_command_of_another_shape_is_refused_and_leaves_no_trace(command):
+    ours = controller()
+    last = hold_still(ours)
+    with pytest.raises(InputError, match="give 6 numbers"):
+        ours.sent(last, command)
+    ours.pose(last + FRAME, NOTHING)
+    assert ours.step(last + FRAME).flies
+
+
+@pytest.mark.parametrize("poses", [0, 12])
+def test_a_pause_of_the_cameras_costs_neither_memory_nor_knowledge_of_the_motors(poses):
+    ours = controller()
+    hold_still(ours, poses)
+    random = np.random.default_rng(0)
+    commands = random.uniform(0.03, 0.6, (3000, 6))
+    for k, command in enumerate(commands):
+        assert not ours.step(0.2 + k / 100).flies
+        ours.sent(0.2 + k / 100, command)
+        assert len(ours.filter._pending) < 70
+    end = 0.2 + 30.0
+    ours.pose(end, NOTHING)
+    speed, now, acting = IDLE, 0.2, IDLE
+    tau = float(MODEL.dynamics.motor_time_constant)
+    for k, command in enumerate([*commands, None]):
+        begins = 0.2 + k / 100 + MODEL.transport_delay if command is not None else end
+        begins = min(begins, end)
+        speed = acting + (speed - acting) * np.exp(-(begins - now) / tau)
+        now, acting = begins, acting if command is None or begins == end else command
+    np.testing.assert_allclose(ours.filter.predict(end).motor_speed, speed, rtol=1e-9)
+    assert ours.step(end).flies
+
+
+def test_an_old_pose_is_ignored():
+    ours, spared = controller(), controller()
+    last = hold_still(ours)
+    hold_still(spared)
+    ours.pose(last, np.array([0.05, 0, 0]))
+    ours.pose(last - 0.02, np.array([0.05, 0, 0]))
+    np.testing.assert_array_equal(ours.step(last).command, spared.step(last).command)
+
+
+def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
+    ours = controller(SetPoint(0.1, 0, 0))
+    last = hold_still(ours)
+    ours.pose(last + 10, NOTHING)
+    idles(ours.step(last + FRAME), "stale pose")
+    ours.pose(last + 2 * FRAME, np.array([0.05, 0.0, 0.0]))
+    step = ours.step(last + 2 * FRAME)
+    assert step.flies
+    # Begun anew there, at rest.
+    np.testing.assert_allclose(step.request[0], ours.gain[0, 0] * 0.05, atol=0.02)
+
+
+def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):
+    ours = controller(SetPoint(0.1, 0, 0))
+    last = hold_still(ours)
+    before = ours.step(last)
+    assert before.flies
+    with monkeypatch.context() as broken:
+        broken.setattr(Daqp, "constrained", lambda *_: None)
+        broken.setattr(Daqp, "nearest", lambda *_: None)
+        idles(ours.step(last), "failed")
+    np.testing.assert_array_equal(ours.step(last).command, before.command)
