@@ -221,7 +221,7 @@ def faulty_flight(estimator, motors, plant):
 
 
 def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m4):
-    dead = Motors(stalls=(Stall(motor="motor_b_1", start_s=1.0, stop_s=99.0),))
+    dead = Motors(stalls=(Stall(motor="motor_b_2", start_s=1.0, stop_s=99.0),))
     unaware, aware = (
         faulty_flight(estimator, dead, plant_m4) for estimator in ("kalman", "actuation")
     )

@@ -103,7 +103,7 @@ def test_without_thrust_the_center_of_mass_goes_straight_and_the_spin_stays(plan
     velocity = center_velocity(state, r)
     begin = state[:2] + offset(state, r)
     for _ in range(240):
-        state, _ = plant.advance(state, IDLE, LONGEST_STEP, 1.0)
+        state, _ = plant.advance(state, IDLE, LONGEST_STEP, np.ones(6))
         assert state[5] == first[5]
         np.testing.assert_allclose(center_velocity(state, r), velocity, atol=1e-10)
     np.testing.assert_allclose(state[:2] + offset(state, r), begin + velocity, atol=1e-9)
@@ -308,7 +308,7 @@ def test_compiled_and_numpy_agree(plant_with_effects):
     for _ in range(100):
         state, command = crafts(rng, 1)[:, 0] * 1.2, rng.uniform(0, 1, 6)
         state[6:] = rng.uniform(0, 1, 6)
-        compiled, met = plant.advance(state, command, 1 / 300, 1.0)
+        compiled, met = plant.advance(state, command, 1 / 300, np.ones(6))
         plain = advance(np, plant.dynamics, plant.disc, plant.table, state, command, 1 / 300)
         assert met == (plain != step(np, plant.dynamics, state, command, 1 / 300)).any()
         bounces += met
@@ -319,7 +319,7 @@ def test_compiled_and_numpy_agree(plant_with_effects):
 def test_thrust_scales(plant):
     state, command = np.concatenate([np.zeros(6), np.full(6, 0.5)]), np.full(6, 0.5)
     state[6], command[0] = 0.9, 0.9
-    full, half = (plant.advance(state, command, 1e-3, scale)[0] for scale in (1.0, 0.5))
+    full, half = (plant.advance(state, command, 1e-3, np.full(6, s))[0] for s in (1.0, 0.5))
     np.testing.assert_allclose(half[3:6], full[3:6] / 2, rtol=1e-4)
     assert abs(full[4]) > 1e-4
     np.testing.assert_array_equal(half[6:], full[6:])
@@ -378,7 +378,7 @@ def flown(plant, steps):
     state = START
     for command in COMMANDS:
         for _ in range(steps):
-            state, _ = plant.advance(state, command, 0.1 / steps, 1.0)
+            state, _ = plant.advance(state, command, 0.1 / steps, np.ones(6))
     return state
 
 

@@ -64,7 +64,7 @@ class Plant:
 
     @cached_property
     def advance(self) -> Callable[..., Any]:
-        """Compiled ``(state, command, duration, thrust scale) -> (state, met)`` of one craft.
+        """Compiled ``(state, command, duration, thrust scales) -> (state, met)`` of one craft.
 
         `met` says whether it met a rail.
         """
