@@ -15,6 +15,7 @@ from airpuck.twin.settings import (
     Radio,
     Stall,
     TwinSettings,
+    Weakness,
     default_twin_settings,
     read_twin_settings,
 )
@@ -64,6 +65,7 @@ EVERYTHING = TwinSettings(
         starting_delay_s=0.1,
         idle_below=0.06,
         stalls=(Stall(motor="motor_b_1", start_s=1.0, stop_s=2.0),),
+        weak=(Weakness(motor="motor_c_2", start_s=3.0, stop_s=4.0, share=0.6),),
     ),
 )
 
