@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.errors import InputError
 from airpuck.files import Section, checked, read_toml, write_toml
-from airpuck.model.parameters import QUANTITIES, Parameters, nominal_parameters
+from airpuck.model.parameters import EFFECTS, QUANTITIES, Parameters, nominal_parameters
 from airpuck.model.presets import PRESETS
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
 from airpuck.model.uncertainty import Uncertainty
@@ -157,7 +157,9 @@ class Model:
         from airpuck.model.linearization import linearize, trim
 
         names = self.vehicle.propeller_names
-        command = trim(self.dynamics) if command is None else np.asarray(command, dtype=float)
+        command = (
+            trim(self.dynamics, yaw=yaw) if command is None else np.asarray(command, dtype=float)
+        )
         if command.shape != (len(names),):
             raise InputError(f"needs {len(names)} numbers, one for each motor", field="command")
         if not ((command >= 0) & (command <= 1)).all():
@@ -224,6 +226,11 @@ class _ParametersSection(Section):
     angle_offset_rad: float
     center_of_mass_m: tuple[float, float]
     configuration_matrix_SI: tuple[tuple[float, ...], ...] | None = None
+    drag_SI: tuple[float, float, float, float] | None = None
+    inflow_s_m: float | None = None
+    pair_interaction_1_N: float | None = None
+    voltage_sag_1_N: float | None = None
+    tilt_rad: tuple[float, float] | None = None
 
     def parameters(self, vehicle: Vehicle) -> Parameters:
         n = vehicle.n_propellers
@@ -248,7 +255,13 @@ class _ParametersSection(Section):
             angle_offset=self.angle_offset_rad,
             center_of_mass=np.array(self.center_of_mass_m),
             configuration_matrix=matrix,
+            **{q.name: self._effect(q.key) for q in QUANTITIES if q.name in EFFECTS},
         )
+
+    def _effect(self, key: str) -> Any:
+        """Return an effect's numbers, None where it is not modelled."""
+        value = getattr(self, key)
+        return np.array(value) if isinstance(value, tuple) else value
 
 
 def _matrix(rows: tuple[tuple[float, ...], ...], key: str) -> Float[np.ndarray, "rows columns"]:

@@ -81,6 +81,11 @@ class _StandardErrors(_WithNan):
     angle_offset_rad: float | None = None
     center_of_mass_m: tuple[float, float] | None = None
     configuration_matrix_SI: tuple[tuple[float, ...], ...] | None = None
+    drag_SI: tuple[float, float, float, float] | None = None
+    inflow_s_m: float | None = None
+    pair_interaction_1_N: float | None = None
+    voltage_sag_1_N: float | None = None
+    tilt_rad: tuple[float, float] | None = None
 
 
 class _Bootstrap(_WithNan):

@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.model.effects import GRAVITY, BodyMotion, Drag, Effect, Inflow, PairInteraction, Tilt
+from airpuck.model.effects import (
+    GRAVITY,
+    BodyMotion,
+    Drag,
+    Effect,
+    Inflow,
+    PairInteraction,
+    Tilt,
+    VoltageSag,
+)
 from airpuck.model.rigid_body import acceleration
 from airpuck.model.thrust import thrust
 from airpuck.model_file import published_model
@@ -22,6 +31,7 @@ STILL, STOPPED = np.zeros(4), np.zeros(6)
 ALL = (
     Inflow.of(VEHICLE, 0.1),
     PairInteraction.of(VEHICLE, 0.5),
+    VoltageSag.of(VEHICLE, 0.2),
     Drag(0.3, 0.2, 0.1, 0.05),
     Tilt(0.01, -0.02),
 )
@@ -146,6 +156,22 @@ def test_pairs_are_those_of_the_vehicle():
     assert twins[0, 3] == twins[3, 0] == 1
 
 
+def test_a_battery_sags_by_hand():
+    # 4 N in all and c = 1/2: q = 2 / (1 + √9) = 1/2, so that a quarter of each thrust is left. The
+    # load at that voltage, 1 N, costs c · 1 N = 1/2 of the voltage: the equation is satisfied.
+    force = np.array([1.6, 0.4, 1.0, 0.0, 0.7, 0.3])
+    found = VoltageSag.of(VEHICLE, 0.5).thrust(np, force, felt())
+    np.testing.assert_allclose(found, force / 4, rtol=1e-14)
+
+
+@given(st.floats(0, 5), st.lists(st.floats(0, 2), min_size=6, max_size=6))
+def test_voltage_and_load_of_a_battery_agree(coefficient, thrusts):
+    force = np.array(thrusts)
+    left = VoltageSag.of(VEHICLE, coefficient).thrust(np, force, felt())
+    voltage = 1 - coefficient * left.sum()
+    np.testing.assert_allclose(left, voltage**2 * force, rtol=1e-9, atol=1e-300)
+
+
 def test_effects_act_one_after_the_other():
     # The pair sees the thrusts that the inflow has left.
     speed, motion = np.linspace(0.2, 0.9, 6), [0.0, 0.0, 2.0, 0.0]
@@ -165,6 +191,7 @@ def test_effects_act_one_after_the_other():
         (Tilt(),),
         (Inflow.of(VEHICLE, 0.0),),
         (PairInteraction.of(VEHICLE, 0.0),),
+        (VoltageSag.of(VEHICLE, 0.0),),
     ],
 )
 @given(motions)

@@ -1,5 +1,7 @@
 """Linear models against the equations of motion and python-control."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from airpuck.model.linearization import linearize, trim
 from airpuck.model.rigid_body import acceleration, derivative
 from airpuck.model.rollout import rollout
 from airpuck.model_file import published_model
+from airpuck.vehicle import default_vehicle
 
 
 @pytest.mark.parametrize("name", ["M0", "M3", "M4"])
@@ -17,6 +20,17 @@ def test_a_trimmed_craft_stays_at_rest(name):
     command = trim(dynamics)
     assert ((command > 0) & (command < 1)).all()
     np.testing.assert_allclose(acceleration(np, dynamics, np.zeros(4), command), 0, atol=1e-9)
+
+
+def test_a_craft_with_effects_on_a_tilted_table_is_trimmed_too():
+    truth = published_model("M3").parameters
+    effects = {"inflow": 0.2, "pair_interaction": 5.0, "voltage_sag": 0.1}
+    parameters = replace(truth, **effects, tilt=np.array([0.004, -0.002]))
+    dynamics = parameters.dynamics(np, default_vehicle())
+    command = trim(dynamics, yaw=0.7)
+    assert ((command > 0) & (command < 1)).all()
+    motion = np.array([0.7, 0, 0, 0])
+    np.testing.assert_allclose(acceleration(np, dynamics, motion, command), 0, atol=1e-9)
 
 
 def test_the_matrices_are_those_of_central_differences():

@@ -13,9 +13,9 @@ VEHICLE = default_vehicle()
 GRID = np.tile(np.linspace(0, 1, 201), (6, 1))
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", [*PRESETS, "M4+drag+inflow+pair+sag+tilt"])
 def test_vector_and_back(name):
-    parameters = PRESETS[name].initial(VEHICLE)
+    parameters = preset(name).initial(VEHICLE)
     vector = parameters.to_vector() + 1.0
     moved = parameters.with_vector(vector)
     np.testing.assert_array_equal(moved.to_vector(), vector)
@@ -79,3 +79,23 @@ def test_nominal_is_the_vehicles():
     parameters = nominal_parameters(VEHICLE)
     assert parameters.inertia == VEHICLE.nominal.inertia_kg_m2
     np.testing.assert_array_equal(parameters.thrust, VEHICLE.nominal_thrust)
+
+
+def test_terms_of_a_name_are_switches():
+    rung = preset("M3+inflow+pair")
+    assert (rung.name, rung.effects) == ("M3+inflow+pair", ("inflow", "pair_interaction"))
+    parameters = rung.initial(VEHICLE)
+    assert parameters.effects == {"inflow", "pair_interaction"}
+    assert rung.mask(parameters).sum() == 25
+    kinds = [type(effect).__name__ for effect in parameters.dynamics(np, VEHICLE).effects]
+    assert kinds == ["Inflow", "PairInteraction"]
+    assert PRESETS["M3"].initial(VEHICLE).dynamics(np, VEHICLE).effects == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("M3+wind", "no term 'wind'"), ("M3+", "no term ''"), ("M3+sag+sag", "twice"), ("sag", "M0")],
+)
+def test_unknown_terms_are_refused(name, told):
+    with pytest.raises(InputError, match=told):
+        preset(name)

@@ -57,6 +57,7 @@ EVERYTHING = TwinSettings(
         spin_drag_quadratic_1_rad=0.4,
         inflow_s_m=0.5,
         pair_interaction_1_N=0.6,
+        voltage_sag_1_N=0.7,
         tilt_rad=(0.01, -0.02),
         battery_sag_1_s=0.001,
     ),

@@ -75,7 +75,9 @@ def identify(
     recordings: Annotated[
         list[Path], typer.Argument(metavar="RECORDING...", help="One or more, of one craft.")
     ],
-    model: Annotated[str, typer.Option(help="M0 … M4 or quadratic.")] = "M3",
+    model: Annotated[
+        str, typer.Option(help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair.")
+    ] = "M3",
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE", help="Model file to write.")
     ] = Path("model.toml"),

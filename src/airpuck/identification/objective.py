@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.model.motor import motor_step
 from airpuck.model.parameters import Parameters
+from airpuck.model.pytrees import register_pytrees
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
 from airpuck.vehicle import Vehicle
 from airpuck.windows import Windows, gather_past
@@ -160,14 +161,15 @@ class PredictionLoss:
         self, parameters: Parameters, parts: Sequence[_Batch], owner: Int[np.ndarray, " N"]
     ) -> Shares:
         """Evaluate batches, and sum up those of each owner."""
-        matrix, moved_by = _configuration_basis(parameters, self.vehicle)
+        register_pytrees()
+        values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
         windows = self.windows
         with jax.enable_x64(True):
             dynamics = jax.tree.map(
                 jnp.asarray,
                 (
                     parameters.thrust,
-                    parameters.dynamics(np, self.vehicle).configuration,
+                    values,
                     parameters.center_of_mass,
                     float(parameters.motor_time_constant),
                 ),
@@ -177,7 +179,7 @@ class PredictionLoss:
                 jnp.asarray(windows.state),
                 jnp.asarray(windows.input),
             )
-            basis, weights = jnp.asarray(matrix), jnp.asarray(self.weights)
+            basis, weights = jax.tree.map(jnp.asarray, slopes), jnp.asarray(self.weights)
 
         def sums(batch: _Batch) -> Any:
             with jax.enable_x64(True):
@@ -232,26 +234,27 @@ def _split(
     return batches
 
 
-def _configuration_basis(
+def _linear_basis(
     parameters: Parameters, vehicle: Vehicle
-) -> tuple[Float[np.ndarray, "K 3 n"], Int[np.ndarray, " K"]]:
-    """Return dΠ/dθ for the entries of θ that move Π, and which they are.
+) -> tuple[tuple[Any, Any], tuple[Any, Any], Int[np.ndarray, " K"]]:
+    """Return Π and the effects, d/dθ of both for the entries of θ that move them, and these.
 
     By complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
     SIAM Review 40, 1998).
     """
-    names = {"configuration_matrix"}
-    if parameters.configuration_matrix is None:
-        names = {"inertia", "angle_offset", "center_of_mass"}
-    moved_by = np.flatnonzero(parameters.mask(frozenset(names)))
+
+    def at(vector: Any) -> tuple[Any, Any]:
+        dynamics = parameters.with_vector(vector).dynamics(np, vehicle)
+        return dynamics.configuration, dynamics.effects
+
+    names = {"inertia", "angle_offset", "center_of_mass"}
+    if parameters.configuration_matrix is not None:
+        names = {"configuration_matrix"} | ({"angle_offset"} if parameters.effects else set())
+    moved_by = np.flatnonzero(parameters.mask(frozenset(names) | parameters.effects))
     vector, step = parameters.to_vector(), 1e-30
-    basis = []
-    for entry in moved_by:
-        moved = vector.astype(complex)
-        moved[entry] += 1j * step
-        matrix = parameters.with_vector(moved).dynamics(np, vehicle).configuration
-        basis.append(np.imag(matrix) / step)
-    return np.array(basis), moved_by
+    moved = [at(vector + 1j * step * unit) for unit in np.eye(len(vector))[moved_by]]
+    slopes = jax.tree.map(lambda *values: np.imag(np.array(values)) / step, *moved)
+    return at(vector), slopes, moved_by
 
 
 def _local_coordinates(
@@ -259,8 +262,8 @@ def _local_coordinates(
 ) -> Float[np.ndarray, "L P"]:
     """Return d(local)/dθ for the coordinates that `_normal_equations` differentiates by.
 
-    These are the thrust coefficients, the K directions of Π, the centre of mass where it acts
-    beside Π, and the time constant.
+    These are the thrust coefficients, the K directions of Π and the effects, the centre of mass
+    where it acts beside Π, and the time constant.
     """
     entry = np.eye(len(parameters.to_vector()))
     return np.concatenate(
@@ -275,8 +278,8 @@ def _local_coordinates(
 
 @partial(jax.jit, static_argnames=("encoder", "horizon", "frame"))
 def _normal_equations(
-    dynamics: tuple[Any, Any, Any, Any],
-    basis: Any,
+    dynamics: tuple[Any, tuple[Any, Any], Any, Any],
+    basis: tuple[Any, Any],
     time: Any,
     state: Any,
     command: Any,
@@ -289,21 +292,23 @@ def _normal_equations(
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
     """Sum r², Jᵀr and JᵀJ over a batch of B windows."""
-    coefficients, configuration, center, tau = dynamics
+    coefficients, linear, center, tau = dynamics
     n, batch = command.shape[1], starts.shape[0]
 
     def encode(tau: Any) -> Any:
-        model = Dynamics(coefficients, configuration, center, tau, frame)
+        model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
         past = gather_past(jnp, time, state, command, starts, encoder.length)
         return encoder.encode(jnp, model, past)
 
     def accelerate(coefficients: Any, direction: Any, center: Any, motion: Any, speed: Any) -> Any:
-        """Accelerations of one window, with Π moved by `direction` in its basis."""
-        matrix = configuration + jnp.tensordot(direction, basis, 1)
-        model = Dynamics(coefficients, matrix, center, tau, frame)
+        """Accelerations of one window, with Π and the effects moved by `direction` in the basis."""
+        matrix, effects = jax.tree.map(
+            lambda value, slopes: value + jnp.tensordot(direction, slopes, 1), linear, basis
+        )
+        model = Dynamics(coefficients, matrix, center, tau, frame, effects)
         return jnp.stack(acceleration(jnp, model, motion, speed))
 
-    origin = (coefficients, jnp.zeros(len(basis)), center)
+    origin = (coefficients, jnp.zeros(len(basis[0])), center)
     over_batch = {"in_axes": (None, None, None, -1, -1), "out_axes": -1}
     value = jax.vmap(accelerate, **over_batch)
     jacobian = jax.vmap(jax.jacrev(accelerate, argnums=(0, 1, 2, 3, 4)), **over_batch)
@@ -364,7 +369,7 @@ def _normal_equations(
         return (position, motion, end[0], d_position, d_motion, end[1], sums), None
 
     encoded, d_encoded = jax.jvp(encode, (tau,), (jnp.ones_like(tau),))
-    size = coefficients.size + len(basis) + 3
+    size = coefficients.size + len(basis[0]) + 3
     # Only the time constant moves the encoder's estimate; it is the last local coordinate.
     d_state = jnp.zeros((6, size, batch)).at[:, -1].set(d_encoded[:6])
     carry = (

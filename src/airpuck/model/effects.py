@@ -125,7 +125,9 @@ class Inflow(Effect):
     axes: Any
 
     @classmethod
-    def of(cls, vehicle: Vehicle, coefficient: Any, angle_offset: float = 0.0) -> Inflow:
+    def of(
+        cls, vehicle: Vehicle, coefficient: Any, angle_offset: Any = 0.0, xp: Any = np
+    ) -> Inflow:
         """Take the axes from a vehicle.
 
         Parameters
@@ -136,6 +138,8 @@ class Inflow(Effect):
             c [s/m].
         angle_offset : float, default 0
             Rotation α of the layout against the measured yaw [rad].
+        xp : module, default numpy
+            Array namespace.
 
         Returns
         -------
@@ -143,9 +147,9 @@ class Inflow(Effect):
             The effect.
         """
         (px, py), (dx, dy) = vehicle.positions.T, vehicle.directions.T
-        cos, sin = np.cos(angle_offset), np.sin(angle_offset)
+        cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
         turned = [cos * dx - sin * dy, sin * dx + cos * dy, px * dy - py * dx]
-        return cls(coefficient, np.stack(turned, axis=1))
+        return cls(coefficient, xp.stack(turned, axis=1))
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
@@ -162,14 +166,15 @@ class PairInteraction(Effect):
     coefficient : float
         c [1/N].
     twins : array, shape (n, n)
-        One at the twin of each propeller, zeros elsewhere.
+        One at the twin of each propeller, zeros elsewhere; where thrusts are not in newtons, what
+        brings the twin's there.
     """
 
     coefficient: Any
     twins: Any
 
     @classmethod
-    def of(cls, vehicle: Vehicle, coefficient: Any) -> PairInteraction:
+    def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> PairInteraction:
         """Take the twins from a vehicle.
 
         Parameters
@@ -178,6 +183,8 @@ class PairInteraction(Effect):
             Its pairs.
         coefficient : float
             c [1/N].
+        scale : float or array, shape (n,)
+            What brings each thrust to newtons.
 
         Returns
         -------
@@ -187,11 +194,59 @@ class PairInteraction(Effect):
         twins = np.zeros((vehicle.n_propellers, vehicle.n_propellers))
         for first, second in vehicle.pair_indices:
             twins[first, second] = twins[second, first] = 1.0
-        return cls(coefficient, twins)
+        return cls(coefficient, twins * scale)
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
         return thrust / (1 + self.coefficient * linear_map(self.twins, thrust))
+
+
+@dataclass(frozen=True, eq=False)
+class VoltageSag(Effect):
+    """The battery's voltage falls under load, and with it every thrust.
+
+    A battery of open-circuit voltage E and internal resistance R gives V = E - R I (the Rint model,
+    e.g. He, Xiong and Fan, Energies 4, 2011). At a given command the speed of a motor goes with V
+    and its thrust with the square of it; the current goes with the torque and so with the thrust.
+    With I = k Σ F, c = R k / E and the thrusts F₀ at full voltage
+
+        F = q² F₀,  q = V/E = 1 - c q² S,  S = Σ F₀,  so that  q = 2 / (1 + √(1 + 4 c S)).
+
+    Attributes
+    ----------
+    coefficient : float
+        c, the share of the voltage that is lost per thrust [1/N].
+    weights : array, shape (n,)
+        How thrusts add up to S: ones, or what brings them to newtons.
+    """
+
+    coefficient: Any
+    weights: Any
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> VoltageSag:
+        """Count all propellers of a vehicle.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            The craft.
+        coefficient : float
+            c [1/N].
+        scale : float or array, shape (n,)
+            What brings each thrust to newtons.
+
+        Returns
+        -------
+        VoltageSag
+            The effect.
+        """
+        return cls(coefficient, np.ones(vehicle.n_propellers) * scale)
+
+    def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
+        """Reduce thrusts; see `Effect.thrust`."""
+        total = linear_map(self.weights[None], thrust)[0]
+        return thrust * (2 / (1 + xp.sqrt(1 + 4 * self.coefficient * total))) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,3 +266,59 @@ class Tilt(Effect):
         """Let the craft slide; see `Effect.acceleration`."""
         ax, ay = GRAVITY * self.x, GRAVITY * self.y
         return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0
+
+
+#: All kinds of effects.
+KINDS = (Drag, Inflow, PairInteraction, VoltageSag, Tilt)
+
+
+def make_effects(
+    vehicle: Vehicle,
+    *,
+    drag: Any = None,
+    inflow: Any = None,
+    pair_interaction: Any = None,
+    voltage_sag: Any = None,
+    tilt: Any = None,
+    angle_offset: Any = 0.0,
+    scale: Any = 1.0,
+    xp: Any = np,
+) -> tuple[Effect, ...]:
+    """Make effects from their coefficients, in the order in which they act.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Positions, directions and pairs of the propellers.
+    drag : array, shape (4,), optional
+        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad]; left out, as all below: there is no such effect.
+    inflow : float, optional
+        [s/m].
+    pair_interaction, voltage_sag : float, optional
+        [1/N].
+    tilt : array, shape (2,), optional
+        [rad].
+    angle_offset : float, default 0
+        Rotation α of the layout against the measured yaw [rad].
+    scale : float or array, shape (n,)
+        What brings each thrust to newtons.
+    xp : module, default numpy
+        Array namespace.
+
+    Returns
+    -------
+    tuple of Effect
+        Those that there are.
+    """
+    chosen: list[Effect] = []
+    if inflow is not None:
+        chosen.append(Inflow.of(vehicle, inflow, angle_offset, xp))
+    if pair_interaction is not None:
+        chosen.append(PairInteraction.of(vehicle, pair_interaction, scale))
+    if voltage_sag is not None:
+        chosen.append(VoltageSag.of(vehicle, voltage_sag, scale))
+    if drag is not None:
+        chosen.append(Drag(drag[0], drag[1], drag[2], drag[3]))
+    if tilt is not None:
+        chosen.append(Tilt(tilt[0], tilt[1]))
+    return tuple(chosen)

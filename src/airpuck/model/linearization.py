@@ -8,11 +8,15 @@ from jaxtyping import Float
 from airpuck.model.rigid_body import Dynamics, acceleration, derivative
 from airpuck.model.thrust import inverse_thrust, thrust
 
+#: Newton's method on a trim that effects have moved: it settles in two or three passes.
+_PASSES = 10
 
-def trim(dynamics: Dynamics, level: float = 0.5) -> Float[np.ndarray, " n"]:
+
+def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.ndarray, " n"]:
     """Find commands under which the craft at rest stays at rest.
 
-    Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`.
+    Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`. Where
+    optional effects change that, Newton's method goes on from there by steps of least norm.
 
     Parameters
     ----------
@@ -20,6 +24,8 @@ def trim(dynamics: Dynamics, level: float = 0.5) -> Float[np.ndarray, " n"]:
         Coefficients.
     level : float, default 0.5
         Motor speed to stay near.
+    yaw : float, default 0
+        Orientation of the craft, which matters on a table that is not level [rad].
 
     Returns
     -------
@@ -30,7 +36,18 @@ def trim(dynamics: Dynamics, level: float = 0.5) -> Float[np.ndarray, " n"]:
     configuration = np.asarray(dynamics.configuration)
     wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))
     cancelling = wanted - np.linalg.pinv(configuration) @ (configuration @ wanted)
-    return inverse_thrust(np, dynamics.thrust, cancelling)
+    command = inverse_thrust(np, dynamics.thrust, cancelling)
+    if not dynamics.effects:
+        return command
+    motion, step = np.array([yaw, 0.0, 0.0, 0.0]), 1e-30
+    # Complex steps, one motor in each column.
+    nudge = 1j * step * np.eye(len(command))
+    for _ in range(_PASSES):
+        left = np.array(acceleration(np, dynamics, motion, command))
+        moved = acceleration(np, dynamics, motion[:, None], command[:, None] + nudge)
+        slope = np.imag(np.array(np.broadcast_arrays(*moved))) / step
+        command = np.clip(command - np.linalg.pinv(slope) @ left, 0.0, 1.0)
+    return command
 
 
 def linearize(

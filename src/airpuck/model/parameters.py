@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.model.effects import make_effects
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
 from airpuck.vehicle import Vehicle
 
@@ -47,6 +48,22 @@ class Quantity:
     upper: float
     meaning: str
     entries: Callable[[tuple[str, ...], int], tuple[str, ...]]
+
+    def of_entry(self, number: int) -> tuple[str, str]:
+        """Return what one entry is called, where each has a name of its own.
+
+        Parameters
+        ----------
+        number : int
+            Its place in the flat vector of this quantity.
+
+        Returns
+        -------
+        symbol, unit : str
+            Its symbol, and its unit for people.
+        """
+        symbols, units = self.symbol.split(", "), self.unit.split(", ")
+        return symbols[number], units[min(number, len(units) - 1)]
 
 
 def _scalar(_names: tuple[str, ...], _degree: int) -> tuple[str, ...]:
@@ -114,7 +131,68 @@ QUANTITIES: tuple[Quantity, ...] = (
         "directly learned map from thrusts to body accelerations",
         lambda names, _degree: tuple(f"{row} {n}" for row in ("x", "y", "yaw") for n in names),
     ),
+    Quantity(
+        "drag",
+        "drag_SI",
+        "1/s, 1/m, 1/s, 1/rad",
+        "c₁, c₂, d₁, d₂",
+        0.0,
+        np.inf,
+        "linear and quadratic drag of the velocity and of the spin",
+        lambda _names, _degree: ("linear", "quadratic", "spin linear", "spin quadratic"),
+    ),
+    Quantity(
+        "inflow",
+        "inflow_s_m",
+        "s/m",
+        "cᵢ",
+        -10.0,
+        10.0,
+        "loss of thrust per air speed along the propeller's axis",
+        _scalar,
+    ),
+    Quantity(
+        "pair_interaction",
+        "pair_interaction_1_N",
+        "1/N",
+        "cₚ",
+        0.0,
+        1e3,
+        "loss of thrust per thrust of the twin",
+        _scalar,
+    ),
+    Quantity(
+        "voltage_sag",
+        "voltage_sag_1_N",
+        "1/N",
+        "cᵥ",
+        0.0,
+        1e3,
+        "loss of battery voltage per total thrust",
+        _scalar,
+    ),
+    Quantity(
+        "tilt",
+        "tilt_rad",
+        "rad",
+        "sₓ, s_y",
+        -0.5,
+        0.5,
+        "slope of the table",
+        lambda _names, _degree: ("x", "y"),
+    ),
 )
+
+#: Quantities of the optional effects (`airpuck.model.effects`), with where a fit starts. Twins that
+#: oppose each other lose alike: their difference does not change with a small interaction, so that
+#: zero is a stationary point.
+EFFECTS: dict[str, float | tuple[float, ...]] = {
+    "drag": (0.0, 0.0, 0.0, 0.0),
+    "inflow": 0.0,
+    "pair_interaction": 1.0,
+    "voltage_sag": 0.0,
+    "tilt": (0.0, 0.0),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +214,17 @@ class Parameters:
     configuration_matrix : array, shape (3, n), or None
         Π, where it is learned directly; None where it follows from the vehicle and the parameters
         above [1/kg, 1/kg, 1/(kg m)].
+    drag : array, shape (4,), or None
+        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad] of `airpuck.model.effects.Drag`; None, as for the
+        optional effects below: not modelled.
+    inflow : float or None
+        Loss of thrust per air speed along the propeller's axis [s/m].
+    pair_interaction : float or None
+        Loss of thrust per thrust of the twin [1/N].
+    voltage_sag : float or None
+        Loss of battery voltage per total thrust [1/N].
+    tilt : array, shape (2,), or None
+        Slope of the table along its axes [rad].
     """
 
     thrust: Any
@@ -144,11 +233,21 @@ class Parameters:
     angle_offset: Any
     center_of_mass: Any
     configuration_matrix: Any = None
+    drag: Any = None
+    inflow: Any = None
+    pair_interaction: Any = None
+    voltage_sag: Any = None
+    tilt: Any = None
 
     @property
     def quantities(self) -> Iterator[Quantity]:
         """The kinds of parameter that this set has."""
         return (q for q in QUANTITIES if getattr(self, q.name) is not None)
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Names of the optional effects that this set models."""
+        return frozenset(name for name in EFFECTS if getattr(self, name) is not None)
 
     def to_vector(self) -> Float[np.ndarray, " P"]:
         """Return all entries as one vector, in the order of `QUANTITIES`.
@@ -265,7 +364,42 @@ class Parameters:
             center_of_mass=self.center_of_mass,
             motor_time_constant=self.motor_time_constant,
             frame=frame,
+            effects=make_effects(
+                vehicle,
+                **{name: getattr(self, name) for name in EFFECTS},
+                angle_offset=self.angle_offset,
+                scale=1.0 if self.configuration_matrix is None else thrust_scale(xp, self, vehicle),
+                xp=xp,
+            ),
         )
+
+
+def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
+    """Return the factor that brings each thrust to newtons.
+
+    By Newton's law a propeller's column of Π has a linear part of length 1/m. Where Π is learned
+    directly, s times the thrust and 1/s times the column give the same motion, and the length can
+    be any.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    parameters : Parameters
+        With or without a Π of its own.
+    vehicle : Vehicle
+        Its mass m.
+
+    Returns
+    -------
+    array, shape (n,)
+        m ‖Π_xy,i‖; ones where Π follows from the vehicle.
+    """
+    matrix = parameters.configuration_matrix
+    if matrix is None:
+        return np.ones(vehicle.n_propellers)
+    # Not hypot, which complex steps cannot go through.
+    return vehicle.mass_kg * xp.sqrt(matrix[0] ** 2 + matrix[1] ** 2)
 
 
 def nominal_parameters(vehicle: Vehicle, degree: int | None = None) -> Parameters:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.errors import InputError
-from airpuck.model.parameters import Parameters, nominal_parameters
+from airpuck.model.parameters import EFFECTS, Parameters, nominal_parameters
 from airpuck.vehicle import Vehicle
 
 
@@ -30,6 +30,8 @@ class Preset:
         Whether the configuration matrix is learned directly.
     powers : tuple of int or None
         Powers of φ in the thrust curve; None: all up to the degree.
+    effects : tuple of str
+        Names of the optional effects that it models, in `airpuck.model.parameters.EFFECTS`.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Preset:
     lag: bool = True
     direct: bool = False
     powers: tuple[int, ...] | None = None
+    effects: tuple[str, ...] = ()
 
     def initial(self, vehicle: Vehicle, degree: int | None = None) -> Parameters:
         """Return where a fit of this rung starts.
@@ -52,7 +55,8 @@ class Preset:
         Returns
         -------
         initial : Parameters
-            The vehicle's nominal values, as far as the rung has them.
+            The vehicle's nominal values, as far as the rung has them; effects as in
+            `airpuck.model.parameters.EFFECTS`.
         """
         parameters = nominal_parameters(vehicle, degree)
         if self.powers is not None:
@@ -62,7 +66,11 @@ class Preset:
         if self.direct:
             matrix = parameters.dynamics(np, vehicle).configuration
             parameters = replace(parameters, configuration_matrix=matrix)
-        return parameters
+        starts = {name: EFFECTS[name] for name in self.effects}
+        return replace(
+            parameters,
+            **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
+        )
 
     def mask(self, parameters: Parameters) -> Bool[np.ndarray, " P"]:
         """Mark the free entries.
@@ -77,7 +85,7 @@ class Preset:
         array of bool, shape (P,)
             True where ``parameters.to_vector()`` is free.
         """
-        mask = parameters.mask(self.free)
+        mask = parameters.mask(self.free.union(self.effects))
         if self.powers is not None:
             n, degree = np.shape(parameters.thrust)
             # The thrust coefficients come first in the vector.
@@ -99,6 +107,11 @@ def _only(
     return result
 
 
+#: What M3 learns.
+_FIRST_PRINCIPLES = frozenset(
+    {"thrust", "inertia", "motor_time_constant", "angle_offset", "center_of_mass"}
+)
+
 PRESETS: dict[str, Preset] = {
     preset.name: preset
     for preset in (
@@ -112,9 +125,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "M3",
             "full first-principles model",
-            frozenset(
-                {"thrust", "inertia", "motor_time_constant", "angle_offset", "center_of_mass"}
-            ),
+            _FIRST_PRINCIPLES,
         ),
         Preset(
             "M4",
@@ -123,14 +134,28 @@ PRESETS: dict[str, Preset] = {
             direct=True,
         ),
         Preset(
+            "M5",
+            "M3, inflow and pair interaction",
+            _FIRST_PRINCIPLES,
+            effects=("inflow", "pair_interaction"),
+        ),
+        Preset(
             "quadratic",
             "M3 with the classical thrust κφ²",
-            frozenset(
-                {"thrust", "inertia", "motor_time_constant", "angle_offset", "center_of_mass"}
-            ),
+            _FIRST_PRINCIPLES,
             powers=(2,),
         ),
     )
+}
+
+
+#: Optional terms of a rung's name, and the effects that they stand for.
+TERMS: dict[str, str] = {
+    "drag": "drag",
+    "inflow": "inflow",
+    "pair": "pair_interaction",
+    "sag": "voltage_sag",
+    "tilt": "tilt",
 }
 
 
@@ -140,7 +165,7 @@ def preset(name: str) -> Preset:
     Parameters
     ----------
     name : str
-        ``M0`` … ``M4`` or ``quadratic``.
+        A rung in `PRESETS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
 
     Returns
     -------
@@ -150,11 +175,25 @@ def preset(name: str) -> Preset:
     Raises
     ------
     InputError
-        If there is none of that name.
+        If there is no rung or no term of that name.
     """
-    try:
-        return PRESETS[name]
-    except KeyError:
+    base, *terms = name.split("+")
+    if base not in PRESETS:
         raise InputError(
-            f"there is no model {name!r}; choose one of {', '.join(PRESETS)}", field="model"
-        ) from None
+            f"there is no model {base!r}; choose one of {', '.join(PRESETS)}", field="model"
+        )
+    rung = PRESETS[base]
+    for term in terms:
+        if term not in TERMS:
+            raise InputError(
+                f"there is no term {term!r}; choose from {', '.join(TERMS)}", field="model"
+            )
+        if TERMS[term] in rung.effects:
+            raise InputError(f"{name!r} has the term {term!r} twice", field="model")
+        rung = replace(
+            rung,
+            name=f"{rung.name}+{term}",
+            summary=f"{rung.summary}, {term}",
+            effects=(*rung.effects, TERMS[term]),
+        )
+    return rung

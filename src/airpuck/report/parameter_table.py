@@ -10,7 +10,7 @@ import numpy as np
 
 from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
 from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
-from airpuck.model.presets import PRESETS
+from airpuck.model.presets import preset as preset_of
 from airpuck.model_file import Model
 
 #: Quantities in the order of the paper's table:models.
@@ -66,7 +66,7 @@ def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str
     Parameters
     ----------
     names : sequence of str
-        Rungs, in `PRESETS`.
+        Rungs (`airpuck.model.presets.preset`).
     models : sequence of Model
         One for each rung, for the values of what is fixed.
 
@@ -80,7 +80,7 @@ def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str
     headings = ["thrust a, b, c [N]", "I [kg m²]", "τ [s]", "α [rad]", "r [m]", "Π"]
     rows = []
     for name, model in zip(names, models, strict=True):
-        preset, cells = PRESETS[name], []
+        preset, cells = preset_of(name), []
         for column in _COLUMNS:
             if column in preset.free:
                 cells.append(Cell("free", True))

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from airpuck.errors import InputError
-from airpuck.model.effects import Drag, Inflow, PairInteraction, Tilt
+from airpuck.model.pytrees import register_pytrees
 from airpuck.model.rigid_body import Dynamics
 from airpuck.model_file import Model
 from airpuck.recording.stream import Recording
@@ -124,7 +124,8 @@ def fly_fleet(
     ----------
     models : Model or sequence of Model
         Truth, one for all or one for each craft. Craft of a fleet share the number of propellers,
-        the degree of the thrust, the frame of the centre of mass, the mass and the radius.
+        the degree of the thrust, the frame of the centre of mass, the mass, the radius and the
+        kinds of effects.
     command : array, shape (K, n) or (K, n, B)
         Commands, sent every `period`; the flight ends one period after the last.
     period : float, default 0.01
@@ -244,12 +245,19 @@ def _check(
         check_seed(seed, "seeds")
     n = models[0].vehicle.n_propellers
     kinds = {
-        (m.frame, m.parameters.thrust.shape, m.vehicle.mass_kg, m.vehicle.radius_m) for m in models
+        (
+            m.frame,
+            m.parameters.thrust.shape,
+            m.vehicle.mass_kg,
+            m.vehicle.radius_m,
+            tuple(map(type, m.dynamics.effects)),
+        )
+        for m in models
     }
     if len(kinds) > 1:
         raise InputError(
             "craft of a fleet must have the same number of propellers, degree of the thrust, frame "
-            "of the centre of mass, mass and radius",
+            "of the centre of mass, mass, radius and kinds of effects",
             field="models",
         )
     if command.ndim not in (2, 3) or command.shape[1] != n or not command.size:
@@ -384,9 +392,8 @@ def _register() -> None:
     """Let JAX see into the dataclasses that make up a fleet."""
     from jax.tree_util import register_dataclass
 
-    for kind in (Dynamics, Drag, Inflow, PairInteraction, Tilt, _Fleet):
-        names = [field.name for field in fields(kind)]
-        register_dataclass(kind, [n for n in names if n != "frame"], ["frame"] * ("frame" in names))
+    register_pytrees()
+    register_dataclass(_Fleet, [field.name for field in fields(_Fleet)], [])
 
 
 @cache

@@ -113,6 +113,8 @@ class Effects(Section):
         Loss of thrust per air speed along the propeller's axis.
     pair_interaction_1_N : float
         Loss of thrust per thrust of the twin.
+    voltage_sag_1_N : float
+        Loss of battery voltage per total thrust.
     tilt_rad : tuple of float
         Slope of the table along x and y.
     battery_sag_1_s : float
@@ -125,6 +127,7 @@ class Effects(Section):
     spin_drag_quadratic_1_rad: NonNegative = 0.0
     inflow_s_m: NonNegative = 0.0
     pair_interaction_1_N: NonNegative = 0.0
+    voltage_sag_1_N: NonNegative = 0.0
     tilt_rad: tuple[float, float] = (0.0, 0.0)
     battery_sag_1_s: NonNegative = 0.0
 

@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.flight.link import Kind, Measurement
-from airpuck.model.effects import Drag, Effect, Inflow, PairInteraction, Tilt
+from airpuck.model.effects import Effect, Tilt, make_effects
+from airpuck.model.parameters import thrust_scale
 from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import Model
 from airpuck.recording.stream import COLUMNS, Recording, Stream
@@ -48,23 +49,24 @@ def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
 
 
 def _effects(model: Model, settings: Effects) -> tuple[Effect, ...]:
-    """Return the effects that are switched on."""
-    s, chosen = settings, []
+    """Return the effects of the truth, and those that are switched on besides."""
+    s = settings
     drag = (
         s.drag_linear_1_s,
         s.drag_quadratic_1_m,
         s.spin_drag_linear_1_s,
         s.spin_drag_quadratic_1_rad,
     )
-    if s.inflow_s_m:
-        chosen.append(Inflow.of(model.vehicle, s.inflow_s_m, float(model.parameters.angle_offset)))
-    if s.pair_interaction_1_N:
-        chosen.append(PairInteraction.of(model.vehicle, s.pair_interaction_1_N))
-    if any(drag):
-        chosen.append(Drag(*drag))
-    if any(s.tilt_rad):
-        chosen.append(Tilt(*s.tilt_rad))
-    return tuple(chosen)
+    return model.dynamics.effects + make_effects(
+        model.vehicle,
+        drag=drag if any(drag) else None,
+        inflow=s.inflow_s_m or None,
+        pair_interaction=s.pair_interaction_1_N or None,
+        voltage_sag=s.voltage_sag_1_N or None,
+        tilt=s.tilt_rad if any(s.tilt_rad) else None,
+        angle_offset=float(model.parameters.angle_offset),
+        scale=thrust_scale(np, model.parameters, model.vehicle),
+    )
 
 
 class Twin:
