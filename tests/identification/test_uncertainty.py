@@ -14,7 +14,8 @@ from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.identifiability import identifiability_of
 from airpuck.identification.objective import PredictionLoss, Shares
 from airpuck.identification.uncertainty import binding_constraints, cluster_windows, sandwich
-from airpuck.model.presets import PRESETS
+from airpuck.model.gauge import fix_gauge, gauge_directions
+from airpuck.model.presets import PRESETS, preset
 from airpuck.model.rollout import rollout
 from airpuck.model_file import published_model, read_model
 from airpuck.vehicle import default_vehicle
@@ -201,8 +202,8 @@ def test_m4_knows_products_only():
     fit = identify(noisy(), "M4")
     known = fit.identifiability
     assert known.free - known.rank == 6
-    assert "thrust of motor_a_1 and column motor_a_1 of Π can only be determined" in known.notes[0]
-    assert sum("as a product" in note for note in known.notes) == 6
+    assert all(name in known.notes[0] for name in NAMES)
+    assert "as a product; their scale is fixed by Newton's law" in known.notes[0]
     before = identifiability(noisy(), "M4")
     assert [n for n in before.notes if "product" in n] == [n for n in known.notes if "product" in n]
     errors = fit.uncertainty.standard_errors
@@ -211,11 +212,60 @@ def test_m4_knows_products_only():
     assert lag > 0
     found = fit.model.standard_error(lambda m: m.parameters.motor_time_constant)
     assert found == pytest.approx(lag, rel=1e-6)
+    # The scale is Newton's: thrusts are in newtons, and as well known as at the physical scale.
+    matrix = np.asarray(fit.model.parameters.configuration_matrix)
+    np.testing.assert_allclose(VEHICLE.mass_kg * np.hypot(*matrix[:2]), 1, rtol=1e-12)
     thrust = fit.model.standard_error(lambda m: m.parameters.thrust.sum(axis=1))
-    assert np.isnan(thrust).all()
+    assert (thrust < 0.3 * fit.model.parameters.thrust.sum(axis=1)).all()
     physical = fit.model.standard_error(lambda m: physical_thrust(m).sum(axis=1))
-    assert (physical > 0).all()
-    assert (physical < 0.3 * physical_thrust(fit.model).sum(axis=1)).all()
+    np.testing.assert_allclose(physical, thrust, rtol=1e-5)
+
+
+def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observed():
+    windows = make_windows(noisy(), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    rung = preset("M4+pair+sag")
+    start = rung.initial(VEHICLE)
+    free = rung.mask(start)
+    scale = np.array([0.5, 2.0, 1.3, 0.8, 1.0, 3.0])
+    wild = replace(
+        start,
+        thrust=start.thrust * scale[:, None],
+        configuration_matrix=start.configuration_matrix / scale,
+    )
+    tame = fix_gauge(wild, VEHICLE, free)
+    np.testing.assert_allclose(tame.thrust, start.thrust, rtol=1e-12)
+    np.testing.assert_allclose(tame.configuration_matrix, start.configuration_matrix, rtol=1e-12)
+    assert loss.quadratic(wild).loss == pytest.approx(loss.quadratic(start).loss, rel=1e-12)
+    # At any scale each gauge direction is one without information.
+    hessian = loss.quadratic(wild).hessian
+    for direction in gauge_directions(wild, free).values():
+        size = np.abs(direction) @ np.abs(hessian) @ np.abs(direction)
+        assert abs(direction @ hessian @ direction) < 1e-12 * size
+    # With the pseudo-inverse, which prefers no scale, as with Newton's: the same errors.
+    shares = loss.by_cluster(tame, cluster_windows(windows))
+    products = np.array([
+        sandwich(shares, tame, free, gauge=gauge).propagate(
+            lambda v: physical(tame.with_vector(v))
+        )
+        for gauge in (None, np.zeros((0, len(free))))
+    ])  # fmt: skip
+    assert (products > 0).all()
+    np.testing.assert_allclose(products[0], products[1], rtol=1e-4)
+
+
+def physical(parameters):
+    """Thrusts at full speed in newtons, whatever their scale."""
+    length = np.hypot(*np.asarray(parameters.configuration_matrix)[:2])
+    return VEHICLE.mass_kg * length * np.asarray(parameters.thrust).sum(axis=1)
+
+
+def test_a_scale_that_is_given_is_no_gauge():
+    rung = replace(preset("M4"), free=frozenset({"configuration_matrix"}))
+    start = rung.initial(VEHICLE)
+    assert not gauge_directions(start, rung.mask(start))
+    assert fix_gauge(start, VEHICLE, rung.mask(start)) is start
+    assert not gauge_directions(PRESETS["M3"].initial(VEHICLE), np.ones(25, dtype=bool))
 
 
 def test_an_idle_motor_is_named():

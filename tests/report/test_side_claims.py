@@ -93,5 +93,7 @@ def test_all_side_claims(data, tmp_path):
     thrusts = claims.largest_thrusts
     for kind in ("published", "fitted"):
         first = thrusts.first_principles[kind]
-        assert np.mean(thrusts.direct[kind] / first) > 1.2
+        # Published thrusts have any scale; that of our own fits is Newton's.
+        ratio = np.mean(thrusts.direct[kind] / first)
+        assert ratio > 1.2 if kind == "published" else abs(ratio - 1) < 0.06
         assert np.abs(thrusts.direct_scaled[kind] / first - 1).max() < 0.06

@@ -3,7 +3,8 @@
 Where the configuration matrix is learned directly, multiplying a propeller's thrust curve by s and
 dividing its column of Π by s changes nothing that can be observed. Only products count: the linear
 and angular acceleration that a propeller causes. `physical_thrust` picks the scale at which a
-column's force part has the length 1/m, as it has by Newton's law.
+column's force part has the length 1/m, as it has by Newton's law. Our own fits are at that scale
+already (`airpuck.model.gauge`); published parameters are as published.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.model.parameters import thrust_scale as parameters_scale
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model
 
@@ -28,10 +30,7 @@ def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:
     array, shape (n,)
         m ‖Π_xy,i‖; ones where Π follows from the vehicle.
     """
-    if model.parameters.configuration_matrix is None:
-        return np.ones(model.vehicle.n_propellers)
-    matrix = np.asarray(model.dynamics.configuration)
-    return model.vehicle.mass_kg * np.hypot(matrix[0], matrix[1])
+    return parameters_scale(np, model.parameters, model.vehicle)
 
 
 def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.errors import InputError
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
+from airpuck.model.gauge import fix_gauge
 from airpuck.model.parameters import Parameters
 from airpuck.model.uncertainty import Bootstrap
 
@@ -82,7 +83,8 @@ def bootstrap(
     def fit(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
         resampled = replace(loss, multiplicity=counted * draw[clusters])
         try:
-            return method.minimize(resampled, parameters, free).parameters.to_vector()
+            found = method.minimize(resampled, parameters, free).parameters
+            return fix_gauge(found, loss.vehicle, free).to_vector()
         except (InputError, ArithmeticError):
             return None  # this draw does not determine the parameters
 

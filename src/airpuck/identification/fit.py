@@ -22,6 +22,7 @@ from airpuck.identification.method import Iteration, Method, minimize_on
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.robust import reweighted
 from airpuck.identification.uncertainty import cluster_windows, sandwich
+from airpuck.model.gauge import fix_gauge
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
 from airpuck.model.rigid_body import CenterOfMassFrame
@@ -248,6 +249,7 @@ def identify(
     windows = loss.windows
     if robust:
         loss, outcome = reweighted(method, loss, outcome, free, progress)
+    outcome = replace(outcome, parameters=fix_gauge(outcome.parameters, vehicle, free))
     clusters = cluster_windows(windows)
     shares = loss.by_cluster(outcome.parameters, clusters)
     uncertainty = sandwich(shares, outcome.parameters, free)

@@ -6,7 +6,7 @@ information cannot be learned from these data, however long the optimiser runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.identification.uncertainty import UNDETERMINED, scaling
+from airpuck.model.gauge import gauge_directions
 from airpuck.model.parameters import Parameters
 
 #: Correlation from which two parameters are hard to tell apart.
@@ -99,9 +100,11 @@ def identifiability_of(
     value, vector = np.linalg.eigh(information)
     known = value > UNDETERMINED * max(value[-1], 1e-300)
     rank = int(known.sum())
-    notes = _undetermined_notes(
-        vector[:, ~known], labels, _gauges(hessian, parameters, free, propellers)
-    )
+    gauges = {}
+    for motor, direction in gauge_directions(parameters, free).items():
+        scaled = direction[free] / scale[free]
+        gauges[propellers[motor]] = scaled / np.linalg.norm(scaled)
+    notes = _undetermined_notes(vector[:, ~known], labels, gauges)
     condition = float(value[-1] / value[known][0]) if rank else float("inf")
     weakest = _main(vector[:, known][:, 0], labels) if rank else ()
     if condition > _POOR:
@@ -142,52 +145,25 @@ def _pairs(
     )
 
 
-def _gauges(
-    hessian: Float[np.ndarray, "P P"],
-    parameters: Parameters,
-    free: Bool[np.ndarray, " P"],
-    propellers: tuple[str, ...],
-) -> list[tuple[str, Float[np.ndarray, " F"]]]:
-    """Find propellers whose thrust and column of Π cancel: s times one and 1/s times the other."""
-    if parameters.configuration_matrix is None:
-        return []
-    found = []
-    thrust_entries = parameters.mask(frozenset({"thrust"}))
-    matrix_entries = parameters.mask(frozenset({"configuration_matrix"}))
-    scale = scaling(hessian, free)
-    for motor, name in enumerate(propellers):
-        curve = np.zeros(np.shape(parameters.thrust))
-        curve[motor] = np.asarray(parameters.thrust)[motor]
-        column = np.zeros(np.shape(parameters.configuration_matrix))
-        column[:, motor] = -np.asarray(parameters.configuration_matrix)[:, motor]
-        direction = np.zeros(len(free))
-        direction[thrust_entries], direction[matrix_entries] = curve.ravel(), column.ravel()
-        if (direction[~free] != 0).any():
-            continue  # one of the two is fixed, and fixes the other
-        scaled = direction[free] / scale[free]
-        scaled = scaled / np.linalg.norm(scaled)
-        found.append(
-            (
-                f"thrust of {name} and column {name} of Π can only be determined as a product",
-                scaled,
-            )
-        )
-    return found
-
-
 def _undetermined_notes(
     blind: Float[np.ndarray, "F K"],
     labels: list[str],
-    gauges: Sequence[tuple[str, Float[np.ndarray, " F"]]],
+    gauges: Mapping[str, Float[np.ndarray, " F"]],
 ) -> list[str]:
     """Name what the data do not determine: products first, then what else there is."""
-    notes, left = [], blind
-    for sentence, direction in gauges:
+    notes, left, named = [], blind, []
+    for name, direction in gauges.items():
         part = left.T @ direction
         if part @ part < 0.99:
             continue
-        notes.append(sentence)
+        named.append(name)
         left = _without(left, direction[:, None])
+    if named:
+        notes.append(
+            f"thrust and column of Π of {', '.join(named)} can only be determined as a product; "
+            "their scale is fixed by Newton's law: a column's linear part has the length 1/m, and "
+            "thrusts are in newtons"
+        )
     silent = np.flatnonzero(np.linalg.norm(left, axis=1) > 1 - 1e-6)
     notes += [f"the data say nothing about {labels[k]}" for k in silent.tolist()]
     left = _without(left, np.eye(len(labels))[:, silent])

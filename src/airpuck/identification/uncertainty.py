@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.identification.objective import BATCH, Shares
+from airpuck.model.gauge import gauge_constraints
 from airpuck.model.parameters import Parameters
 from airpuck.model.thrust import thrust_slope
 from airpuck.model.uncertainty import Uncertainty
@@ -200,6 +201,7 @@ def sandwich(
     parameters: Parameters,
     free: Bool[np.ndarray, " P"],
     constraints: Float[np.ndarray, "C P"] | None = None,
+    gauge: Float[np.ndarray, "K P"] | None = None,
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 
@@ -213,6 +215,8 @@ def sandwich(
         What was estimated.
     constraints : array, shape (C, P), optional
         Rows of binding constraints; by default `binding_constraints`.
+    gauge : array, shape (K, P), optional
+        Rows of what fixes a freedom that no data see; by default `gauge_constraints`.
 
     Returns
     -------
@@ -225,6 +229,8 @@ def sandwich(
 
     if constraints is None:
         constraints = binding_constraints(parameters, free)
+    if gauge is None:
+        gauge = gauge_constraints(parameters, free)
     vector, hessian = parameters.to_vector(), shares.hessian.sum(axis=0)
     count, size = shares.gradient.shape
     if count < 2 or not (np.isfinite(hessian).all() and np.isfinite(shares.gradient).all()):
@@ -238,7 +244,7 @@ def sandwich(
             vector, np.full((size, size), np.nan), nothing, np.zeros((0, size)), count, np.nan,
             (f"no standard errors: {reason}",),
         )  # fmt: skip
-    space = subspace(hessian, free, constraints)
+    space = subspace(hessian, free, np.concatenate([constraints, gauge]))
     change = _jackknife(shares.gradient @ space.basis, space.basis.T @ shares.hessian @ space.basis)
     covariance = (count - 1) / count * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2

@@ -175,7 +175,7 @@ def thrust_section(study: Study, names: Sequence[str] | None = None) -> Section:
     direct = any(m.parameters.configuration_matrix is not None for m in [*models, *reference])
     note = (
         " The scale of M4's thrusts is arbitrary: s times the thrust and 1/s times the propeller's "
-        "column of Π predict the same. It is fixed here so that a propeller's column of Π has the "
+        "column of Π predict the same. It is fixed so that a propeller's column of Π has the "
         "length 1/m in x and y, as Newton's law demands."
         if direct
         else ""
@@ -329,7 +329,8 @@ def parameter_section(study: Study) -> Section:
         blocks.append(
             table(
                 "What each propeller does at full speed. m‖Π_xy‖ is the factor from a thrust as "
-                "learned to newtons: 1 where Π follows from first principles, arbitrary in M4.",
+                "learned to newtons: 1 where Π follows from first principles or the scale was "
+                "fixed after the fit, arbitrary in the published M4.",
                 effect_rows(models),
             )
         )

@@ -1,0 +1,106 @@
+"""The scale of thrusts where Π is learned directly, and Newton's law to fix it.
+
+s times a propeller's thrust and 1/s times its column of Π give the same motion: data determine
+their product only. By Newton's law the linear part of a column has the length 1/m, and at that
+scale the thrust is in newtons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.model.parameters import Parameters, thrust_scale
+from airpuck.vehicle import Vehicle
+
+
+def gauge_directions(
+    parameters: Parameters, free: Bool[np.ndarray, " P"]
+) -> dict[int, Float[np.ndarray, " P"]]:
+    """Return the directions along which nothing that can be observed changes.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Where.
+    free : array of bool, shape (P,)
+        What may change.
+
+    Returns
+    -------
+    dict of int to array, shape (P,)
+        For each propeller whose scale is free: its thrust rises and its column of Π falls by the
+        same share. None where Π follows from the vehicle.
+    """
+    matrix = parameters.configuration_matrix
+    if matrix is None:
+        return {}
+    thrust, matrix = np.asarray(parameters.thrust), np.asarray(matrix)
+    of_thrust = parameters.mask(frozenset({"thrust"}))
+    of_matrix = parameters.mask(frozenset({"configuration_matrix"}))
+    found = {}
+    for motor, own in enumerate(np.eye(len(thrust))):
+        direction = np.zeros(len(free))
+        direction[of_thrust] = np.ravel(own[:, None] * thrust)
+        direction[of_matrix] = np.ravel(-matrix * own)
+        # Where one of the two is fixed, it fixes the other.
+        if not (direction[~free] != 0).any() and own @ np.hypot(matrix[0], matrix[1]) > 0:
+            found[motor] = direction
+    return found
+
+
+def fix_gauge(parameters: Parameters, vehicle: Vehicle, free: Bool[np.ndarray, " P"]) -> Parameters:
+    """Bring the thrusts whose scale is free to newtons; no prediction changes.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        At any scale.
+    vehicle : Vehicle
+        Its mass.
+    free : array of bool, shape (P,)
+        What may change.
+
+    Returns
+    -------
+    fixed : Parameters
+        With ‖Π_xy,i‖ = 1/m; as they were where Π follows from the vehicle.
+    """
+    motors = list(gauge_directions(parameters, free))
+    if not motors:
+        return parameters
+    scale = np.ones(vehicle.n_propellers)
+    scale[motors] = thrust_scale(np, parameters, vehicle)[motors]
+    return replace(
+        parameters,
+        thrust=np.asarray(parameters.thrust) * scale[:, None],
+        configuration_matrix=np.asarray(parameters.configuration_matrix) / scale,
+    )
+
+
+def gauge_constraints(
+    parameters: Parameters, free: Bool[np.ndarray, " P"]
+) -> Float[np.ndarray, "K P"]:
+    """Return the rows that keep ‖Π_xy,i‖ where it is, to first order.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        A point of the gauge.
+    free : array of bool, shape (P,)
+        What may change.
+
+    Returns
+    -------
+    array, shape (K, P)
+        ½ ∂‖Π_xy,i‖²/∂θ, one row for each propeller whose scale is free.
+    """
+    motors = list(gauge_directions(parameters, free))
+    rows = np.zeros((len(motors), len(free)))
+    entries = np.flatnonzero(parameters.mask(frozenset({"configuration_matrix"})))
+    for row, motor in zip(rows, motors, strict=True):
+        column = entries.reshape(3, -1)[:2, motor]
+        row[column] = np.asarray(parameters.configuration_matrix)[:2, motor]
+    return rows
