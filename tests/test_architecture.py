@@ -93,6 +93,7 @@ def test_the_physics_computes_and_nothing_else():
             "airpuck",
             "collections",
             "dataclasses",
+            "functools",
             "itertools",
             "jax",
             "jaxtyping",
