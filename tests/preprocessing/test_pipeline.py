@@ -108,8 +108,11 @@ def test_a_frozen_pose_is_found(recording):
         return stamp, received, values
 
     trajectory = preprocess(edited(recording, "pose", edit))
-    (span,) = trajectory.excluded
+    # When it thaws, the pose leaps to where the craft is by then.
+    span, leap = trajectory.excluded
     assert span.cause == "frozen pose"
+    assert leap.cause == "jumping pose"
+    assert leap.start < span.stop < leap.stop
     assert span.stop - span.start == pytest.approx(29 / RATE, rel=1e-3)
 
 

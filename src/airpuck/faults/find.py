@@ -26,6 +26,8 @@ _WIDE = 100.0
 _SHOWS = 1.0
 #: What nothing explains and is over within this time was a blow [s].
 _BLOW = 0.11
+#: Time constants of the motors until nothing is left of their first speeds.
+_SETTLING = 3.0
 #: The fewest steps that tell how large residuals usually are.
 _FEWEST = 20
 
@@ -69,7 +71,10 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
         return ()
     width = _usual_residual(predicted, usable)
     chain = fault_chain(predicted.faults, trajectory.propellers)
-    likelihood = np.where(usable[:, None], _log_likelihood(predicted, width), 0.0)
+    # The first motor speeds are a guess: until it is forgotten, accelerations say nothing.
+    forgotten = trajectory.time[0] + _SETTLING * float(model.dynamics.motor_time_constant)
+    says = usable & (trajectory.time[predicted.knots[:-1]] >= forgotten)
+    likelihood = np.where(says[:, None], _log_likelihood(predicted, width), 0.0)
     posterior = state_probabilities(likelihood, chain.transition, chain.initial)
     weighted = posterior * _effects(predicted, width)
     probability = {c: posterior[:, states].sum(axis=1) for c, states in chain.causes.items()}
