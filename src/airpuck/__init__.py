@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.evaluation.drift import Drift, drift
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
+    from airpuck.evaluation.prediction_bands import PredictionBands, prediction_bands
     from airpuck.evaluation.presentation import Presentation, present
     from airpuck.evaluation.residuals import ResidualTests, resid
     from airpuck.faults.find import find_faults
@@ -62,6 +63,7 @@ _HOME = {
     "Model": "airpuck.model_file",
     "PaperEncoder": "airpuck.estimate.encoder",
     "Parameters": "airpuck.model.parameters",
+    "PredictionBands": "airpuck.evaluation.prediction_bands",
     "Presentation": "airpuck.evaluation.presentation",
     "Recording": "airpuck.recording.stream",
     "Replay": "airpuck.flight.replay",
@@ -91,6 +93,7 @@ _HOME = {
     "identifiability": "airpuck.identification.fit",
     "identify": "airpuck.identification.fit",
     "load_trajectory": "airpuck.preprocessing.load",
+    "prediction_bands": "airpuck.evaluation.prediction_bands",
     "preflight": "airpuck.flight.preflight",
     "present": "airpuck.evaluation.presentation",
     "preprocess": "airpuck.preprocessing.pipeline",
@@ -119,6 +122,7 @@ __all__ = [
     "Model",
     "PaperEncoder",
     "Parameters",
+    "PredictionBands",
     "Presentation",
     "Recording",
     "Replay",
@@ -148,6 +152,7 @@ __all__ = [
     "identifiability",
     "identify",
     "load_trajectory",
+    "prediction_bands",
     "preflight",
     "preprocess",
     "present",

@@ -7,11 +7,10 @@ import pytest
 
 from airpuck.errors import InputError
 from airpuck.evaluation.drift import drift
-from airpuck.identification.fit import identify
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.model_file import published_model
 
-from ..noisy import TRUTH, noisy
+from ..noisy import TRUTH
 
 
 def estimated(rng, error=0.02, clusters=40):
@@ -33,8 +32,8 @@ def estimated(rng, error=0.02, clusters=40):
 
 def test_nothing_moves_where_nothing_moved():
     rng = np.random.default_rng(3)
-    alarms = [drift(estimated(rng), estimated(rng)).verdicts[0] for _ in range(100)]
-    assert sum(not line.startswith("nothing moved") for line in alarms) <= 10  # 5 % of 100
+    alarms = [drift(estimated(rng), estimated(rng)).verdicts[0] for _ in range(20)]
+    assert sum(not line.startswith("nothing moved") for line in alarms) <= 3  # 5 % of 20
 
 
 def test_the_arithmetic_by_hand():
@@ -45,16 +44,6 @@ def test_the_arithmetic_by_hand():
     joint = np.hypot(1, 1) * 0.02 * 1e3 * TRUTH.parameters.inertia
     assert change.standard_error == pytest.approx(joint, rel=1e-6)
     assert change.z == pytest.approx((after - before) / joint, rel=1e-6)
-
-
-@pytest.fixture(scope="module")
-def fits():
-    weak = np.array(TRUTH.parameters.thrust)
-    weak[2] *= 0.9
-    weakened = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=weak))
-    flights = noisy(duration=30.0, seed=1), noisy(duration=30.0, seed=2)
-    flights += (noisy(weakened, 30.0, seed=3),)
-    return [identify(flight, "M3").model for flight in flights]
 
 
 def test_a_propeller_that_lost_a_tenth_is_named(fits):

@@ -11,6 +11,7 @@ from airpuck.cli.fit_output import value_texts
 if TYPE_CHECKING:
     from airpuck.evaluation.drift import Drift
     from airpuck.evaluation.goodness import Goodness
+    from airpuck.evaluation.prediction_bands import PredictionBands
     from airpuck.evaluation.presentation import Presentation, Value
 
 
@@ -55,6 +56,16 @@ def print_goodness(names: Sequence[str], fits: Sequence[Goodness]) -> None:
         criteria = [f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)]
         rows.append([name, *shown, str(fit.parameters), *criteria])
     _print_rows("Fit, and criteria from one-step innovations", headings, rows)
+
+
+def print_coverage(bands: Sequence[PredictionBands]) -> None:
+    """Print how often measured poses are where predictions say."""
+    for one in bands:
+        shares = ", ".join(f"{share:.0f} %" for share in one.coverage)
+        print(
+            f"  95 % bands {one.horizon:.1f} s ahead hold {shares} of x, y, yaw in "
+            f"{len(one.start)} predictions"
+        )
 
 
 def print_drift(names: Sequence[str], found: Drift) -> None:

@@ -108,8 +108,9 @@ def resid(
     quiet: Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and what commands still explain."""
-    from airpuck.cli.judgement_output import print_goodness
+    from airpuck.cli.judgement_output import print_coverage, print_goodness
     from airpuck.evaluation.goodness import goodness
+    from airpuck.evaluation.prediction_bands import bands_of_all_horizons
     from airpuck.evaluation.residuals import resid
     from airpuck.model_file import read_model
 
@@ -120,17 +121,20 @@ def resid(
     with about(recording):
         tests = resid(known, trajectory, lags=lags)
         fit = goodness(known, trajectory, known=tests.innovations)
-    write_json(json_file, {**tests.to_json(), **fit.to_json(), "name": model})
+        bands = bands_of_all_horizons(known, trajectory, tests.innovations)
+    figures = {**tests.to_json(), **fit.to_json(), "bands": [one.to_json() for one in bands]}
+    write_json(json_file, {**figures, "name": model})
     page = None
     if output is not None:
         from airpuck.report.residual_report import residual_report
 
-        page = residual_report(known, trajectory, tests, fit, output)
+        page = residual_report(known, trajectory, tests, fit, output, bands)
     if not is_stdout(json_file):
         outcome = "nothing rejected" if tests.passed else "rejected"
         print(f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level")
         for sentence in tests.verdicts:
             print(f"  {sentence}")
+        print_coverage(bands)
         print_goodness([model], [fit])
         if page is not None:
             print(page)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 #: Step of a finite difference, in standard errors: small enough that a product of parameters is
 #: linear, large enough for double precision.
@@ -108,10 +108,30 @@ class Uncertainty:
             step[entry] = _STEP * (spread[entry] or moved[entry])
             above, below = (quantity(self.estimate + sign * step) for sign in (1, -1))
             gradient[entry] = np.ravel(np.subtract(above, below)) / (2 * step[entry])
-        variance = np.einsum("pk,pq,qk->k", gradient, self.covariance, gradient)
+        return self.errors_along(gradient).reshape(shape)
+
+    def errors_along(self, gradient: Float[np.ndarray, "P M"]) -> Float[np.ndarray, " M"]:
+        """Compute the standard errors of quantities whose gradients are known.
+
+        Parameters
+        ----------
+        gradient : array, shape (P, M)
+            Derivative of each quantity with respect to each parameter.
+
+        Returns
+        -------
+        array, shape (M,)
+            √(∇fᵀ V ∇f); nan where a quantity depends on what the data do not determine.
+        """
+        variance = np.sum(gradient * (self.covariance @ gradient), axis=0)
         error = np.sqrt(np.maximum(variance, 0.0))
         error[_touches(gradient, self.undetermined)] = np.nan
-        return error.reshape(shape)
+        return error
+
+    @property
+    def moved(self) -> Bool[np.ndarray, " P"]:
+        """Shape (P,): what was learned, or is part of a direction that is not determined."""
+        return (np.diag(self.covariance) > 0) | (self.undetermined != 0).any(axis=0)
 
 
 def _touches(gradient: Float[np.ndarray, "P M"], undetermined: Float[np.ndarray, "K P"]) -> Any:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from airpuck.evaluation.goodness import Goodness
+from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.evaluation.residuals import ResidualTests
 from airpuck.model_file import Model
 from airpuck.report.fit_report import sources_section
 from airpuck.report.page import Picture, Section, Table, Text, write_page
+from airpuck.report.prediction_bands_figure import prediction_bands_figure
 from airpuck.report.residual_figure import residual_figure
 from airpuck.trajectory import Trajectory
 
@@ -20,6 +23,7 @@ def residual_report(
     tests: ResidualTests,
     fit: Goodness,
     out: str | os.PathLike[str],
+    bands: Sequence[PredictionBands] = (),
 ) -> Path:
     """Write a page on the residual tests.
 
@@ -35,6 +39,8 @@ def residual_report(
         Fit percentages and information criteria.
     out : path-like
         Folder to write to.
+    bands : sequence of PredictionBands, optional
+        Predictions over a short horizon and a long one.
 
     Returns
     -------
@@ -64,6 +70,7 @@ def residual_report(
                 ),
             ),
         ),
+        *([_bands_section(bands)] if bands else []),
         Section("fit", "Fit", (_fit_table(fit), _noise_table(tests))),
         sources_section(trajectory),
     ]
@@ -73,6 +80,48 @@ def residual_report(
         "white and know nothing of the commands."
     )
     return write_page(out, f"Residuals of {model.name}", lead, sections)
+
+
+def _bands_section(bands: Sequence[PredictionBands]) -> Section:
+    """Show predicted against measured trajectories."""
+    parameters = (
+        "the dark part is what the parameters' standard errors alone make of it. "
+        if bands[0].by_parameters is not None
+        else "the model's file has no standard errors, so none of its parameters are in them. "
+    )
+    rows = [
+        [
+            f"{one.horizon:.1f} s",
+            str(len(one.start)),
+            *(f"{share:.0f}" for share in one.coverage),
+            *(f"{one.to_json()['half_band'][key]:.3g}" for key in ("x_m", "y_m", "yaw_rad")),
+        ]
+        for one in bands
+    ]
+    return Section(
+        "bands",
+        "Predictions",
+        (
+            Picture(
+                "prediction_bands",
+                prediction_bands_figure(bands[0], bands[-1]),
+                "Predictions from the estimate of a filter that hears all poses before, and none "
+                "after; right columns: measured minus predicted. Bands should hold 95 % of the "
+                "measured poses: "
+                + parameters
+                + "The rest is what the model does not explain, as one-step innovations have it, "
+                "and the noise of the pose. Drawn is the simulation with the median error. Errors "
+                "are propagated linearly: with yaw unsure by more than a radian, bands of x and y "
+                "are an order of magnitude.",
+            ),
+            Table(
+                "Poses at the end of a prediction: share within the 95 % band, of all predictions "
+                "that do not overlap; median half width of the bands.",
+                ["ahead", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
+                rows,
+            ),
+        ),
+    )
 
 
 def _fit_table(fit: Goodness) -> Table:

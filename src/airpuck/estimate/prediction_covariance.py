@@ -1,0 +1,142 @@
+"""How far predictions can be off: linearised propagation of errors through a rollout.
+
+Beside the state z of a prediction run, by the chain rule through every Runge-Kutta step, its
+sensitivity to the parameters, S' = F S + G, and the covariance of what the model does not explain,
+C' = A C Aᵀ + Q (Ljung 1999, ch. 4 and 7; the covariance is that of an extended Kalman filter that
+hears nothing). In A yaw moves the directions of the thrusts, so that what is not known of yaw
+spreads to x and y.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from airpuck.estimate.axis_filter import spread
+from airpuck.estimate.command_pieces import cut_at_commands
+from airpuck.estimate.innovations import Innovations
+from airpuck.model.motor import motor_step
+from airpuck.model.rollout import rollout, scan
+from airpuck.model_file import Model
+from airpuck.trajectory import Trajectory
+
+#: Samples before a start over which motor speeds are followed, for what they owe to the lag.
+_LEAD = 40
+
+
+def predict_with_errors(
+    model: Model,
+    trajectory: Trajectory,
+    known: Innovations,
+    starts: Int[np.ndarray, " W"],
+    steps: int,
+    entries: Bool[np.ndarray, " P"],
+) -> tuple[Float[np.ndarray, "T 3 W"], Float[np.ndarray, "T 3 W"], Float[np.ndarray, "T 3 W F"]]:
+    """Predict from the filter's estimates, with the covariance and sensitivities of predictions.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    trajectory : Trajectory
+        The commands.
+    known : Innovations
+        Of this model on this trajectory: estimates to start from, and the noise.
+    starts : array of int, shape (W,)
+        Samples that predictions start from; ``starts + steps`` are within the trajectory.
+    steps : int
+        T, in samples.
+    entries : array of bool, shape (P,)
+        Parameters whose sensitivities are wanted, F of them.
+
+    Returns
+    -------
+    predicted : array, shape (T, 3, W)
+        x, y [m], γ [rad] after each step.
+    variance : array, shape (T, 3, W)
+        Of the true pose about it, from the estimate's covariance and the densities of w₁ and w₂;
+        parameters taken as exact.
+    sensitivity : array, shape (T, 3, W, F)
+        Derivatives of `predicted` with respect to the parameters, that of the motor speeds at the
+        start included, that of the filter's estimate not.
+    """
+    import jax
+
+    acts = trajectory.command_time + trajectory.delay
+    durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
+    # The first sample has pieces of no length, so it may stand for those before.
+    lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)
+    ahead = starts[:, None] + np.arange(1, steps + 1)
+    mean = known.mean[starts]
+    densities = np.square([known.noise.acceleration, known.noise.disturbance])
+    with jax.enable_x64(True):
+        found = jax.jit(jax.vmap(_one_prediction(model, entries, densities)))(
+            np.concatenate([mean[:, :, 0], mean[:, :, 1]], axis=1),
+            mean[:, :, 2],
+            known.covariance[starts],
+            known.motor_speed[np.maximum(starts - _LEAD, 0)],
+            (commands[lead], durations[lead]),
+            (commands[ahead], durations[ahead]),
+        )
+    predicted, variance, sensitivity = (np.array(part) for part in found)
+    return (
+        np.moveaxis(predicted, 0, 2),
+        np.moveaxis(variance, 0, 2),
+        np.moveaxis(sensitivity, 0, 2),
+    )
+
+
+def _one_prediction(
+    model: Model, entries: Bool[np.ndarray, " P"], densities: Float[np.ndarray, "2 3"]
+) -> Any:
+    """Return the function that predicts one window."""
+    import jax
+    import jax.numpy as jnp
+
+    chosen, estimate = np.flatnonzero(entries), model.parameters.to_vector()
+    count, n = len(chosen), model.vehicle.n_propellers
+
+    def dynamics(free: Any) -> Any:
+        vector = jnp.asarray(estimate).at[chosen].set(free)
+        return model.parameters.with_vector(vector).dynamics(jnp, model.vehicle, model.frame)
+
+    def follow(free: Any, speed: Any, lead: Any) -> Any:
+        tau = dynamics(free).motor_time_constant
+        flat = lead[0].reshape(-1, n), lead[1].ravel()
+        return scan(jnp, lambda s, held: (motor_step(jnp, s, *held, tau),) * 2, speed, flat)[0]
+
+    def move(free: Any, state: Any, disturbance: Any, commands: Any, durations: Any) -> Any:
+        end = rollout(jnp, dynamics(free), state, commands, durations)[-1]
+        h = durations.sum()
+        return end + jnp.concatenate([h * h / 2 * disturbance, h * disturbance, jnp.zeros(n)])
+
+    def predict(
+        motion: Any, disturbance: Any, covariance: Any, speed: Any, lead: Any, ahead: Any
+    ) -> Any:
+        free = jnp.asarray(estimate[chosen])
+
+        def advance(carry: Any, held: Any) -> Any:
+            state, slope, covariance = carry
+            by_free, by_state = jax.jacfwd(move, argnums=(0, 1))(free, state, disturbance, *held)
+            state, slope = move(free, state, disturbance, *held), by_state @ slope + by_free
+            h = held[1].sum()
+            push = jnp.concatenate([h * h / 2 * jnp.eye(3), h * jnp.eye(3)])
+            change = jnp.block([[by_state[:6, :6], push], [jnp.zeros((3, 6)), jnp.eye(3)]])
+            added = spread(jnp, jnp.zeros((3, 3, 3)), h, *densities)
+            covariance = change @ covariance @ change.T + _joined(jnp, added)
+            return (state, slope, covariance), (state[:3], jnp.diag(covariance)[:3], slope[:3])
+
+        state = jnp.concatenate([motion, follow(free, speed, lead)])
+        by_free = jax.jacfwd(follow)(free, speed, lead)
+        slope = jnp.concatenate([jnp.zeros((6, count)), by_free])
+        begin = state, slope, _joined(jnp, covariance)
+        return jax.lax.scan(advance, begin, ahead)[1]
+
+    return predict
+
+
+def _joined(xp: Any, covariance: Any) -> Any:
+    """Join the axes' covariances of (p, v, d) to one of all p, all v, all d, shape (9, 9)."""
+    return xp.einsum("aij,ab->iajb", covariance, xp.eye(3)).reshape(9, 9)
