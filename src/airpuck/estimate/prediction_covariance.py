@@ -105,7 +105,13 @@ def _one_prediction(
     def follow(free: Any, speed: Any, lead: Any) -> Any:
         tau = dynamics(free).motor_time_constant
         flat = lead[0].reshape(-1, n), lead[1].ravel()
-        return scan(jnp, lambda s, held: (motor_step(jnp, s, *held, tau),) * 2, speed, flat)[0]
+
+        def turn(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
+            command, duration = held
+            speed = motor_step(jnp, speed, command, duration, tau)
+            return speed, speed
+
+        return scan(jnp, turn, speed, flat)[0]
 
     def move(free: Any, state: Any, disturbance: Any, commands: Any, durations: Any) -> Any:
         end = rollout(jnp, dynamics(free), state, commands, durations)[-1]

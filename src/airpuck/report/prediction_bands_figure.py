@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -71,7 +73,8 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
     grid = figure.subplots(3, 3, sharex=True)
     whole = typical_window(simulated)
     begin, end = simulated.start[whole], simulated.time[-1, whole]
-    shown = np.flatnonzero((ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9))
+    within = (ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)
+    shown = np.flatnonzero(within).tolist()
     for channel in range(3):
         pose, left, right = grid[channel]
         _draw_poses(pose, ahead, simulated, shown, whole, channel)
@@ -105,7 +108,7 @@ def _draw_poses(
     axes: Axes,
     ahead: PredictionBands,
     simulated: PredictionBands,
-    shown: np.ndarray,
+    shown: Sequence[int],
     whole: int,
     channel: int,
 ) -> None:
