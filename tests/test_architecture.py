@@ -71,6 +71,7 @@ def test_imports_go_downwards(path):
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),
+        ("viser", {"live"}),
         ("mcap", {"recording"}),
         ("dask", {"campaigns"}),
         ("distributed", {"campaigns"}),

@@ -78,7 +78,7 @@ def test_help_texts_keep_their_units(name):
 def test_commands_are_verbs_of_the_package():
     # airpuck.demo and airpuck.faults are modules, and to check what would remain open. Others start
     # a process on the graph; their functions are in airpuck.live.
-    others = {"demo", "faults", "check"} | {"fly", "record", "twin"}
+    others = {"demo", "faults", "check"} | {"fly", "record", "twin", "view", "watch"}
     verbs = set(get_command(app).commands) - others  # pyright: ignore
     assert verbs <= set(package.__all__)
 

@@ -58,20 +58,20 @@ def twin(
     quiet: Quiet = False,
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
-    _one_thread()
+    one_thread()
     from airpuck.live.twin import serve_twin
     from airpuck.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
 
     check_destinations(json=json_file)
-    _check_network(domain, interface)
+    check_network(domain, interface)
     report = serve_twin(
         read_model(model),
         None if settings is None else read_twin_settings(settings),
-        topics=_names(topics),
+        topics=topic_names(topics),
         domain=domain,
         interface=interface,
-        duration=_length(duration),
+        duration=run_length(duration),
         seed=seed,
         pose=pose,
         quiet=quiet,
@@ -139,7 +139,7 @@ def fly(
     quiet: Quiet = False,
 ) -> None:
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
-    _one_thread()
+    one_thread()
     from airpuck.control.excitation import Excitation
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import default_tuning
@@ -165,8 +165,8 @@ def fly(
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     check_destinations(json=json_file)
-    _check_network(domain, interface)
-    length = _length(duration)
+    check_network(domain, interface)
+    length = run_length(duration)
     craft = None if model is None else read_belief(model)
     if craft is None:
         craft = nominal_model(read_craft(vehicle) or default_vehicle())
@@ -187,7 +187,7 @@ def fly(
         Limits(geofence=fence),
         period=settings.period_s,
         reference=reference,
-        topics=_names(topics),
+        topics=topic_names(topics),
         domain=domain,
         interface=interface,
         duration=length,
@@ -225,7 +225,7 @@ def preflight(
     quiet: Quiet = False,
 ) -> None:
     """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
-    _one_thread()
+    one_thread()
     from airpuck.cli.inputs import read_flight
     from airpuck.errors import InputError
     from airpuck.flight.preflight import judge_recording
@@ -247,7 +247,7 @@ def preflight(
         found = preflight_live(
             craft,
             PulsePlan(level=level, rounds=rounds),
-            topics=_names(topics),
+            topics=topic_names(topics),
             domain=domain,
             interface=interface,
             quiet=quiet,
@@ -283,7 +283,7 @@ def record(
         motors=() if craft is None else craft.propeller_names,
         domain=domain,
         interface=interface,
-        duration=_length(duration),
+        duration=run_length(duration),
         quiet=quiet,
     )
     write_json(json_file, report.to_json())
@@ -293,7 +293,7 @@ def record(
         print(output)
 
 
-def _one_thread() -> None:
+def one_thread() -> None:
     """Keep NumPy's linear algebra on one thread; only before NumPy is imported does that help."""
     import os
 
@@ -301,7 +301,7 @@ def _one_thread() -> None:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-def _check_network(domain: int | None, interface: str | None) -> None:
+def check_network(domain: int | None, interface: str | None) -> None:
     """Refuse a domain or an interface that is not there, before anything is compiled."""
     from airpuck.live.domain import domain_config, domain_id
 
@@ -309,7 +309,7 @@ def _check_network(domain: int | None, interface: str | None) -> None:
     domain_config(interface)
 
 
-def _names(topics: Path | None) -> Topics | None:
+def topic_names(topics: Path | None) -> Topics | None:
     """Read the names of topics, if a file is given."""
     if topics is None:
         return None
@@ -318,7 +318,7 @@ def _names(topics: Path | None) -> Topics | None:
     return read_topics(topics)
 
 
-def _length(duration: float | None) -> float:
+def run_length(duration: float | None) -> float:
     """Return how long to go on."""
     from airpuck.errors import InputError
 

@@ -451,14 +451,25 @@ def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
 def _estimator(model: Model, estimation: Estimation, compiled: bool) -> Estimator:
     """Make the estimator that the tuning names."""
     if estimation.estimator == "kalman":
-        return KalmanFilter(model, _noise(estimation), compiled=compiled)
+        return KalmanFilter(model, assumed_noise(estimation), compiled=compiled)
     return ActuationFilter(
-        model, _noise(estimation), lasting=estimation.forgetting_s, compiled=compiled
+        model, assumed_noise(estimation), lasting=estimation.forgetting_s, compiled=compiled
     )
 
 
-def _noise(estimation: Estimation) -> Noise:
-    """Translate the tuning for the filter."""
+def assumed_noise(estimation: Estimation) -> Noise:
+    """Translate the tuning for the filter.
+
+    Parameters
+    ----------
+    estimation : Estimation
+        Of a tuning.
+
+    Returns
+    -------
+    Noise
+        What `KalmanFilter` and `ActuationFilter` are to expect.
+    """
     e = estimation
     return Noise(
         pose=(e.position_m, e.position_m, e.yaw_rad),

@@ -1,0 +1,227 @@
+"""The table in the browser: what is drawn, and the handle of the set point; viser's part."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.model.thrust import thrust
+from airpuck.model_file import Model
+from airpuck.table import Table
+
+if TYPE_CHECKING:
+    import viser
+
+#: Colours that the colour-blind can tell apart (Okabe and Ito), one for each pair of propellers.
+_PAIRS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0))
+_TABLE, _RAIL, _CRAFT, _NOSE, _TRAIL = (
+    (236, 239, 241),
+    (84, 98, 111),
+    (120, 130, 140),
+    (40, 40, 40),
+    (86, 180, 233),
+)
+_WISH = (240, 200, 20)
+#: Sizes [m]; an arrow's length for a newton of thrust [m/N].
+_THICK, _RAIL_HEIGHT, _RAIL_WIDTH, _PROPELLER, _PER_NEWTON = 0.02, 0.03, 0.03, 0.014, 0.25
+#: Points of the trail, and the least distance between them [m].
+_TRAIL_POINTS, _TRAIL_STEP = 200, 0.005
+
+
+class Scene:
+    """Table, craft, trail, thrusts and set point on a viser page.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The page.
+    model : Model
+        The craft.
+    table : Table
+        Its rails.
+    wish : callable
+        Is given x, y [m] and yaw [rad] whenever the user drags the set point.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        model: Model,
+        table: Table,
+        wish: Callable[[float, float, float], Any],
+    ) -> None:
+        self._model, self._scene = model, server.scene
+        self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_POINTS)
+        self.dragging = False
+        server.initial_camera.position = (0.0, -0.85, 1.4)
+        server.initial_camera.look_at = (0.0, -0.06, 0.0)
+        # viser's default surroundings would be fetched from elsewhere.
+        self._scene.configure_environment_map(None)
+        self._scene.add_light_hemisphere("/light", intensity=1.5)
+        self._draw_table(table)
+        self._craft = self._scene.add_frame("/craft", show_axes=False, visible=False)
+        self._draw_craft("/craft", None)
+        n = model.vehicle.n_propellers
+        self._colors = np.array([_PAIRS[k % len(_PAIRS)] for k in self._pair_of()], np.uint8)
+        self._arrows = self._scene.add_arrows(
+            "/craft/thrusts",
+            np.zeros((n, 2, 3)),
+            self._colors,
+            shaft_radius=0.004,
+            head_radius=0.009,
+            head_length=0.018,
+        )
+        points = np.zeros((_TRAIL_POINTS - 1, 2, 3))
+        self._line = self._scene.add_line_segments(
+            "/trail", points, _TRAIL, thickness=3.0, thickness_units="screen"
+        )
+        self._handle = self._draw_handle(table, wish)
+
+    def add_pose(self, pose: Float[np.ndarray, " 3"]) -> None:
+        """Lengthen the trail.
+
+        Parameters
+        ----------
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
+        point = np.array([pose[0], pose[1], 0.004])
+        if not self._trail or np.hypot(*(point - self._trail[-1])[:2]) > _TRAIL_STEP:
+            self._trail.append(point)
+
+    def show(
+        self,
+        pose: Float[np.ndarray, " 3"],
+        command: Float[np.ndarray, " n"] | None,
+    ) -> None:
+        """Move the craft.
+
+        Parameters
+        ----------
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        command : array, shape (n,) or None
+            Motor commands; their thrusts are drawn, as in the steady state.
+        """
+        self._craft.position = (float(pose[0]), float(pose[1]), 0.0)
+        self._craft.wxyz = _turned(float(pose[2]))
+        self._craft.visible = True
+        vehicle = self._model.vehicle
+        forces = np.zeros(vehicle.n_propellers)
+        if command is not None:
+            forces = thrust(self._model.dynamics.thrust, np.clip(command, 0.0, 1.0))
+        begin = np.column_stack([vehicle.positions, np.full(len(forces), _THICK + 0.012)])
+        # An arrow of no length has no direction.
+        lengths = np.maximum(_PER_NEWTON * forces, 1e-3)[:, None]
+        along = np.column_stack([vehicle.directions, np.zeros(len(forces))])
+        self._arrows.points = np.stack([begin, begin + lengths * along], axis=1).astype(np.float32)
+        if len(self._trail) > 1:
+            trail = np.array(self._trail)
+            filled = np.vstack([np.repeat(trail[:1], _TRAIL_POINTS - len(trail), axis=0), trail])
+            self._line.points = np.stack([filled[:-1], filled[1:]], axis=1).astype(np.float32)
+
+    def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
+        """Move the handle, unless somebody is dragging it.
+
+        Parameters
+        ----------
+        pose : array, shape (k,)
+            x, y [m], yaw [rad]; more is left aside.
+        """
+        if not self.dragging:
+            self._handle.position = (float(pose[0]), float(pose[1]), 0.0)
+            self._handle.wxyz = _turned(float(pose[2]))
+        self._handle.visible = True
+
+    def _draw_table(self, table: Table) -> None:
+        """Draw table and rails."""
+        length, width = table.length_m, table.width_m
+        self._scene.add_box("/table", _TABLE, (length, width, _THICK), position=(0, 0, -_THICK / 2))
+        long, short = length + 2 * _RAIL_WIDTH, width
+        x, y, z = (length + _RAIL_WIDTH) / 2, (width + _RAIL_WIDTH) / 2, _RAIL_HEIGHT / 2
+        for name, size, at in (
+            ("left", (_RAIL_WIDTH, short, _RAIL_HEIGHT), (-x, 0, z)),
+            ("right", (_RAIL_WIDTH, short, _RAIL_HEIGHT), (x, 0, z)),
+            ("near", (long, _RAIL_WIDTH, _RAIL_HEIGHT), (0, -y, z)),
+            ("far", (long, _RAIL_WIDTH, _RAIL_HEIGHT), (0, y, z)),
+        ):
+            self._scene.add_box(f"/rails/{name}", _RAIL, size, position=at)
+        self._scene.add_frame("/origin", axes_length=0.1, axes_radius=0.003)
+        for axis, at in (("x", (0.12, 0, 0)), ("y", (0, 0.12, 0))):
+            self._scene.add_label(f"/origin/{axis}", axis, position=at, anchor="center-center")
+
+    def _draw_craft(self, parent: str, ghost: tuple[int, int, int] | None) -> None:
+        """Draw a disc with its propellers and its nose; or its ghost."""
+        vehicle, opacity = self._model.vehicle, None if ghost is None else 0.35
+        self._scene.add_cylinder(
+            f"{parent}/disc",
+            vehicle.radius_m,
+            _THICK if ghost is None else _THICK / 4,
+            ghost or _CRAFT,
+            position=(0, 0, _THICK / 2),
+            opacity=opacity,
+        )
+        self._scene.add_box(
+            f"{parent}/nose",
+            ghost or _NOSE,
+            (0.4 * vehicle.radius_m, 0.008, 0.006),
+            position=(0.8 * vehicle.radius_m, 0, _THICK + 0.003),
+        )
+        if ghost is not None:
+            return
+        for name, at, pair in zip(
+            vehicle.propeller_names, vehicle.positions, self._pair_of(), strict=True
+        ):
+            self._scene.add_cylinder(
+                f"{parent}/{name}",
+                _PROPELLER,
+                0.012,
+                _PAIRS[pair % len(_PAIRS)],
+                position=(float(at[0]), float(at[1]), _THICK + 0.006),
+            )
+
+    def _draw_handle(self, table: Table, wish: Callable[..., Any]) -> Any:
+        """Draw the set point, to be dragged in the plane and turned about the vertical."""
+        reach = table.reach(self._model.vehicle.radius_m)
+        handle = self._scene.add_transform_controls(
+            "/setpoint",
+            scale=0.22,
+            line_width=4.0,
+            active_axes=(True, True, False),
+            translation_limits=((-reach[0], reach[0]), (-reach[1], reach[1]), (0.0, 0.0)),
+            depth_test=False,
+            visible=False,
+        )
+        self._draw_craft("/setpoint", _WISH)
+
+        def moved(event: Any) -> None:
+            self.dragging = event.phase != "end"
+            x, y, _ = handle.position
+            wish(float(x), float(y), _yaw(handle.wxyz))
+
+        handle.on_drag_start(moved)
+        handle.on_update(moved)
+        handle.on_drag_end(moved)
+        return handle
+
+    def _pair_of(self) -> list[int]:
+        """Return the pair of each propeller; those without one have a number of their own."""
+        vehicle = self._model.vehicle
+        pairs = {i: k for k, pair in enumerate(vehicle.pair_indices) for i in pair}
+        return [pairs.get(i, len(vehicle.pair_indices) + i) for i in range(vehicle.n_propellers)]
+
+
+def _turned(yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion w, x, y, z of a turn about the vertical."""
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+def _yaw(wxyz: Any) -> float:
+    """Turn about the vertical, between -π and π, of a quaternion [rad]."""
+    w, x, y, z = (float(part) for part in wxyz)
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
