@@ -1,0 +1,73 @@
+"""Recordings and the layout for Foxglove: every path in it is a field of what we record."""
+
+from __future__ import annotations
+
+import json
+from operator import attrgetter
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
+from airpuck.recording.bag_file import BagFile
+from airpuck.recording.message import MessageCodec, StreamCodec
+from airpuck.recording.message_types import HOLOHOVER_MOTORS, definitions
+from airpuck.recording.topics import Topics
+
+LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove_layout.json"
+STREAMS = {
+    getattr(Topics(), kind): StreamCodec(
+        kind, HOLOHOVER_MOTORS if kind == "command" else ()
+    ).msgtype
+    for kind in ("pose", "command", "reference", "estimate")
+}
+TYPES = {**STREAMS, EVENTS: EVENT_TYPE, HEARTBEAT: HEARTBEAT_TYPE}
+
+
+def test_the_layout_plots_what_is_recorded():
+    panels = json.loads(LAYOUT.read_text(encoding="utf-8"))["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    for path in paths:
+        topic, field = path.split(".", 1)
+        attrgetter(field)(MessageCodec(TYPES[topic]).blank())
+    shown = {path.split(".", 1)[0] for path in paths}
+    shown |= {panel["topicToRender"] for panel in panels.values() if "topicToRender" in panel}
+    assert shown == set(TYPES)
+
+
+def test_every_panel_is_laid_out_once():
+    content = json.loads(LAYOUT.read_text(encoding="utf-8"))
+
+    def leaves(node):
+        return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+    assert sorted(leaves(content["layout"])) == sorted(content["configById"])
+
+
+@pytest.fixture
+def mcap(tmp_path: Path) -> Path:
+    bag = BagFile(tmp_path / "bag")
+    for topic, msgtype in TYPES.items():
+        codec = MessageCodec(msgtype)
+        place = bag.add_topic(
+            topic, msgtype, definitions(""), best_effort=False, transient_local=False
+        )
+        bag.add(place, 1, 1, codec.encode(codec.blank()))
+    bag.close()
+    return next((tmp_path / "bag").glob("*.mcap"))
+
+
+def test_recordings_carry_the_definition_of_every_message(mcap):
+    with mcap.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert {channel.topic for channel in summary.channels.values()} == set(TYPES)
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        assert channel.message_encoding == "cdr"
+        assert (schema.name, schema.encoding) == (TYPES[channel.topic], "ros2msg")
+        # A viewer without ROS can read them: the definition is complete.
+        known = definitions(schema.name, schema.data.decode())
+        assert schema.name in known
+        assert schema.data
