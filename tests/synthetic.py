@@ -14,7 +14,7 @@ __all__ = ["RATE", "fly", "record"]
 
 
 def fly(model: Model, duration: float = 6.0, seed: int = 0) -> Trajectory:
-    """A random flight with exact states: no noise, no smoothing, no delay."""
+    """A random flight with exact states: no noise, no smoothing, the delay taken out already."""
     flight = random_flight(model, duration, seed)
     return Trajectory(
         time=flight.time,
@@ -23,6 +23,7 @@ def fly(model: Model, duration: float = 6.0, seed: int = 0) -> Trajectory:
         command_time=flight.time,
         command=flight.command,
         propellers=model.vehicle.propeller_names,
+        delay_known=False,
         source=f"synthetic flight {seed}",
         hashes={"synthetic": str(seed)},
     )

@@ -18,7 +18,7 @@ ORDER = (
     ("model",),
     ("uncertainty_section",),
     ("model_file",),
-    ("trajectory", "windows", "recording"),
+    ("trajectory", "windows", "recording", "zero_order_hold"),
     ("preprocessing",),
     ("estimate",),
     ("faults",),

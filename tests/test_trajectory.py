@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from airpuck.errors import InputError
 from airpuck.model_file import published_model
-from airpuck.trajectory import Span, hold, read_trajectory
+from airpuck.trajectory import Span, read_trajectory
 from airpuck.windows import make_windows
 
 from .synthetic import fly
@@ -18,18 +18,6 @@ from .synthetic import fly
 @pytest.fixture(scope="module")
 def flight():
     return fly(published_model("M3"), duration=2.0)
-
-
-@given(
-    st.lists(st.floats(0, 10), min_size=1, max_size=20).map(sorted),
-    st.lists(st.floats(-1, 11), min_size=1, max_size=20),
-)
-def test_hold_is_the_last_value_before(events, times):
-    values = np.arange(len(events), dtype=float)[:, None]
-    held = hold(np.array(events), values, np.array(times))[:, 0]
-    for time, value in zip(times, held, strict=True):
-        before = [k for k, event in enumerate(events) if event <= time]
-        assert value == (before[-1] if before else 0)
 
 
 def test_delay_moves_the_input(flight):

@@ -49,8 +49,6 @@ class Model:
         Where the offset of the centre of mass is constant.
     indexing : {"start", "end"}
         Convention of the encoder that the model was learned with (`PaperEncoder.indexing`).
-    transport_delay : float
-        From a command's stamp to the motors [s].
     fit : mapping
         How it was learned: loss, method, settings. Empty for a model that was not fitted here.
     data : mapping of str to str
@@ -67,7 +65,6 @@ class Model:
     free: Bool[np.ndarray, " P"]
     frame: CenterOfMassFrame = "body"
     indexing: Literal["start", "end"] = "start"
-    transport_delay: float = 0.0
     fit: Mapping[str, Any] = field(default_factory=dict)
     data: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
@@ -91,6 +88,35 @@ class Model:
         """
         rows = np.array([1.0, 1.0, self.radius_of_gyration])
         return rows[:, None] * np.asarray(self.dynamics.configuration)
+
+    @property
+    def transport_delay(self) -> float:
+        """From a command's stamp to the motors [s]."""
+        return float(self.parameters.transport_delay)
+
+    @property
+    def delay_learned(self) -> bool:
+        """Whether the transport delay was learned with the other parameters, as a continuous one.
+
+        Predictions then hold commands by it, and otherwise by the delay of each trajectory.
+        """
+        return bool(self.free[self.parameters.mask(frozenset({"transport_delay"}))].any())
+
+    def with_delay(self, transport_delay: float) -> Model:
+        """Return the model with another transport delay.
+
+        Parameters
+        ----------
+        transport_delay : float
+            From a command's stamp to the motors [s].
+
+        Returns
+        -------
+        Model
+            A copy.
+        """
+        parameters = replace(self.parameters, transport_delay=transport_delay)
+        return replace(self, parameters=parameters)
 
     def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
         """Compute the standard error of anything made from the parameters (delta method).
@@ -209,6 +235,7 @@ class Model:
             "parameters": {
                 q.key: np.asarray(getattr(self.parameters, q.name)).tolist()
                 for q in self.parameters.quantities
+                if q.name != "transport_delay"  # stands above
             },
             "free": free,
             "fit": dict(self.fit),
@@ -256,6 +283,7 @@ class _ParametersSection(Section):
             center_of_mass=np.array(self.center_of_mass_m),
             configuration_matrix=matrix,
             **{q.name: self._effect(q.key) for q in QUANTITIES if q.name in EFFECTS},
+            transport_delay=vehicle.nominal.transport_delay_s,
         )
 
     def _effect(self, key: str) -> Any:
@@ -319,7 +347,9 @@ def read_model(name: str | os.PathLike[str]) -> Model:
 
 def _from_file(content: _ModelFile) -> Model:
     """Assemble the model that a checked file describes."""
-    parameters = content.parameters.parameters(content.vehicle)
+    parameters = replace(
+        content.parameters.parameters(content.vehicle), transport_delay=content.transport_delay_s
+    )
     known = {quantity.name for quantity in parameters.quantities}
     for name in content.free:
         if name not in known:
@@ -341,7 +371,6 @@ def _from_file(content: _ModelFile) -> Model:
         free=np.concatenate(masks),
         frame=content.center_of_mass_frame,
         indexing=content.encoder_indexing,
-        transport_delay=content.transport_delay_s,
         fit=content.fit,
         data=content.data,
         source=content.source,
@@ -390,7 +419,6 @@ def published_model(name: str) -> Model:
         free=PRESETS[name].mask(parameters),
         frame="world",
         indexing="end",
-        transport_delay=vehicle.nominal.transport_delay_s,
         source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
     )
 
@@ -414,7 +442,6 @@ def nominal_model(vehicle: Vehicle) -> Model:
         vehicle=vehicle,
         parameters=parameters,
         free=parameters.mask(frozenset()),
-        transport_delay=vehicle.nominal.transport_delay_s,
         source=f"nominal values of {vehicle.name}",
     )
 
@@ -487,6 +514,5 @@ def _read_params_json(path: Path) -> Model:
         free=mask,
         frame="world",
         indexing="end",
-        transport_delay=vehicle.nominal.transport_delay_s,
         source=str(path),
     )

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.errors import InputError
 from airpuck.files import replacing
 from airpuck.vehicle import Vehicle
+from airpuck.zero_order_hold import hold, mean_hold
 
 _FORMAT = "airpuck trajectory 1"
 
@@ -115,6 +116,29 @@ class Trajectory:
     def input(self) -> Float[np.ndarray, "N n"]:
         """The command in force at each sample: zero-order hold of the delayed command events."""
         return hold(self.command_time + self.delay, self.command, self.time)
+
+    def delayed_input(
+        self, delay: float, assumed: float
+    ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
+        """Return the mean command over each step for another delay, to a fraction of a sample.
+
+        Parameters
+        ----------
+        delay : float
+            Transport delay d, from a command's stamp to the motors [s].
+        assumed : float
+            What the file's author is taken to have shifted commands by, where that is not known:
+            the vehicle's nominal delay [s].
+
+        Returns
+        -------
+        input : array, shape (N, n)
+            ``u_k(d)``; see `mean_hold`.
+        slope : array, shape (N, n)
+            ``du_k/dd`` [1/s].
+        """
+        shift = delay if self.delay_known else self.delay + delay - assumed
+        return mean_hold(self.command_time + shift, self.command, self.time)
 
     @cached_property
     def usable(self) -> np.ndarray:
@@ -319,31 +343,6 @@ def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     for name, is_wrong, problem in wrong:
         if is_wrong:
             raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
-
-
-def hold(
-    event_time: Float[np.ndarray, " K"],
-    values: Float[np.ndarray, "K n"],
-    time: Float[np.ndarray, " N"],
-) -> Float[np.ndarray, "N n"]:
-    """Zero-order hold: the last value at or before each time.
-
-    Parameters
-    ----------
-    event_time : array of float64, shape (K,)
-        When the values were set, not decreasing [s].
-    values : array of float64, shape (K, n)
-        The values.
-    time : array of float64, shape (N,)
-        Where to evaluate [s].
-
-    Returns
-    -------
-    array of float64, shape (N, n)
-        Before the first event, the first value.
-    """
-    index = np.searchsorted(event_time, time, side="right") - 1
-    return values[np.clip(index, 0, None)]
 
 
 def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:

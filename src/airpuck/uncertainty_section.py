@@ -86,6 +86,7 @@ class _StandardErrors(_WithNan):
     pair_interaction_1_N: float | None = None
     voltage_sag_1_N: float | None = None
     tilt_rad: tuple[float, float] | None = None
+    transport_delay_s: float | None = None
 
 
 class _Bootstrap(_WithNan):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,11 @@ class Windows:
         E and T, in samples.
     origins : tuple of int
         First sample of each trajectory.
+    trajectories : tuple of Trajectory
+        What was joined.
+    input_slope : array, shape (N, n), or None
+        Derivative of `input` with respect to the transport delay [1/s]; None where commands are
+        held by whole samples.
     """
 
     time: Float[np.ndarray, " N"]
@@ -43,6 +48,8 @@ class Windows:
     encoder_length: int
     prediction_length: int
     origins: tuple[int, ...] = (0,)
+    trajectories: tuple[Trajectory, ...] = ()
+    input_slope: Float[np.ndarray, "N n"] | None = None
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -51,6 +58,29 @@ class Windows:
     def present(self) -> Int[np.ndarray, " W"]:
         """Index of the sample that each prediction starts from."""
         return self.starts + self.encoder_length - 1
+
+    def delayed(self, delay: float, assumed: float) -> Windows:
+        """Hold the commands anew, for a transport delay to a fraction of a sample.
+
+        Parameters
+        ----------
+        delay : float
+            From a command's stamp to the motors [s].
+        assumed : float
+            The delay in trajectories whose commands somebody else has shifted [s]; see
+            `Trajectory.delayed_input`.
+
+        Returns
+        -------
+        Windows
+            The same windows, with other inputs and their slope.
+        """
+        held = [trajectory.delayed_input(delay, assumed) for trajectory in self.trajectories]
+        return replace(
+            self,
+            input=np.concatenate([values for values, _ in held]),
+            input_slope=np.concatenate([slope for _, slope in held]),
+        )
 
     def past(self, starts: Int[np.ndarray, " B"] | None = None, length: int | None = None) -> Past:
         """Gather what an encoder may look at.
@@ -214,6 +244,7 @@ def make_windows(
         encoder_length=encoder_length,
         prediction_length=prediction_length,
         origins=tuple(np.cumsum([0, *map(len, trajectories[:-1])]).tolist()),
+        trajectories=tuple(trajectories),
     )
 
 

@@ -169,7 +169,7 @@ def test_a_path_is_followed_in_time_though_the_radio_is_slow():
     angle = 2 * np.pi * np.clip(times - 0.5, 0, 3) / 3
     circle = np.stack([0.15 * (1 - np.cos(angle)), 0.15 * np.sin(angle), 0 * angle], axis=1)
     path = TimedPath(times, circle)
-    late = replace(MODEL, transport_delay=LONG)
+    late = MODEL.with_delay(LONG)
     when, poses, _ = fly(TrackingController(late, path), 3.4, delay=LONG)
     wanted = np.array([path.at(float(t), 0.0).state[:2] for t in when])
     assert np.abs(poses[:, :2] - wanted)[when > 1.5].max() < 0.012
@@ -193,7 +193,7 @@ def test_with_the_delay_compensated_the_craft_flies_as_without_one_only_later():
     # Smith's predictor, with a perfect model.
     target, flown = SetPoint(0.02, -0.01, 1.0), {}
     for delay, compensated in ((0.0, True), (LONG, True), (LONG, False)):
-        late = replace(MODEL, transport_delay=delay)
+        late = MODEL.with_delay(delay)
         ours = TrackingController(late, target, compensate_delay=compensated)
         _, flown[delay, compensated], _ = fly(ours, 2.0, delay=delay)
     prompt, shift = flown[0.0, True], round(LONG / 0.01)

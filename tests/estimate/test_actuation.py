@@ -15,7 +15,7 @@ from airpuck.estimate.actuation import (
     EffectivenessPrior,
     _accelerations,
     _motor_speeds,
-    _twice_integrated,
+    twice_integrated,
 )
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
@@ -109,8 +109,8 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
 
     speed = _motor_speeds(MODEL.dynamics, past)
     by_motor, rest = _accelerations(MODEL.dynamics, past, speed, velocity == "causal")
-    basis = _twice_integrated(by_motor, past.duration)[..., 0]
-    whole = _twice_integrated(rest + by_motor.sum(axis=2), past.duration)
+    basis = twice_integrated(by_motor, past.duration)[..., 0]
+    whole = twice_integrated(rest + by_motor.sum(axis=2), past.duration)
     offset = whole[..., 0]
     elapsed = np.cumsum(np.insert(past.duration[:, 0], 0, 0.0))
     elapsed -= elapsed[-1]
@@ -164,7 +164,7 @@ def covariance(encoder, c, size, step):
     """Of the poses' noise, white accelerations, and first motor speeds that nobody knows."""
     doubled = np.array(
         [
-            _twice_integrated(column[:, None], np.full((size - 1, 1), step))[:, 0]
+            twice_integrated(column[:, None], np.full((size - 1, 1), step))[:, 0]
             for column in np.eye(size)
         ]
     ).T
@@ -185,8 +185,8 @@ def contrast_density(encoder, past, prior):
     size, step = len(past.state), float(np.median(past.duration))
     speed = _motor_speeds(MODEL.dynamics, past)
     by_motor, rest = _accelerations(MODEL.dynamics, past, speed, encoder.causal)
-    basis = _twice_integrated(by_motor, past.duration)
-    offset = _twice_integrated(rest, past.duration) + basis.sum(axis=-2)
+    basis = twice_integrated(by_motor, past.duration)
+    offset = twice_integrated(rest, past.duration) + basis.sum(axis=-2)
     elapsed = np.cumsum(np.insert(past.duration[:, 0], 0, 0.0))
     y, nuisance, motors, spread = [], [], [], []
     for c in range(3):
@@ -262,7 +262,7 @@ def test_integrals_are_exact_for_accelerations_linear_between_samples(seed):
     duration = rng.uniform(0.003, 0.006, 6)
     values = rng.normal(size=7)
     time = np.insert(np.cumsum(duration), 0, 0.0)
-    ours = _twice_integrated(values[:, None], duration[:, None])[:, 0]
+    ours = twice_integrated(values[:, None], duration[:, None])[:, 0]
     # Backwards from rest at the present, piece by piece.
     state, theirs = np.zeros(2), [0.0]
     for k in range(5, -1, -1):

@@ -44,7 +44,7 @@ def test_the_filter_is_the_controllers_with_exact_integration(flight):
     # The real-time filter integrates by the midpoint rule and knows the pose's noise beforehand.
     noise = Noise(POSE_NOISE, (0.05, 0.05, 1.0), (0.1, 0.1, 3.0))
     found = innovations(TRUTH, flight, noise)
-    online = KalmanFilter(replace(TRUTH, transport_delay=0.0), noise, compiled=False)
+    online = KalmanFilter(TRUTH.with_delay(0.0), noise, compiled=False)
     speeds = []
     sent = 0
     for k in range(300):

@@ -106,7 +106,7 @@ def test_each_craft_does_what_a_twin_of_its_own_would_do():
 
 def test_a_radio_without_a_delay_has_that_of_each_model():
     settings = QUIET.model_copy(update={"radio": Radio()})
-    models = [replace(MODEL, transport_delay=delay) for delay in (0.0123, 0.04)]
+    models = [MODEL.with_delay(delay) for delay in (0.0123, 0.04)]
     flight = fly_fleet(models, COMMAND, settings=settings)
     for b, model in enumerate(models):
         _, state = twin_of(MODEL, COMMAND, delay=model.transport_delay, settings=settings).truth

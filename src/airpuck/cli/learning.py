@@ -101,6 +101,13 @@ def identify(
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write a page with figures, too.")
     ] = None,
+    delay: Annotated[
+        str | None,
+        typer.Option(
+            help="Transport delay: fit it, or take each recording's (fixed); by default fit, where "
+            "a motor lag is modelled, with lm."
+        ),
+    ] = None,
     robust: Annotated[
         bool,
         typer.Option("--robust", help="Let windows that are predicted badly count less."),
@@ -129,6 +136,10 @@ def identify(
     choose("--method", method, ("lm", "adam"))
     choose("--faults", faults, ("exclude", "keep"))
     choose("--com-frame", com_frame, ("body", "world"))
+    if delay is not None:
+        choose("--delay", delay, ("fit", "fixed"))
+    if delay == "fit" and method != "lm":
+        raise InputError("fit is of lm only", field="--delay")
     if epochs is not None and method != "adam":
         raise InputError("is of adam only; add --method adam", field="--epochs")
     if degree is not None and rung.powers is not None:
@@ -154,6 +165,7 @@ def identify(
             stride=stride or (7 if method == "lm" else 1),
             degree=degree,
             frame="body" if com_frame == "body" else "world",
+            delay=None if delay is None else "fit" if delay == "fit" else "fixed",
             robust=robust,
             faults="exclude" if faults == "exclude" else "keep",
             bootstrap=bootstrap or 0,

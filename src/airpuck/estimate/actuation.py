@@ -173,18 +173,18 @@ class ActuationEncoder:
         """
         speed = _motor_speeds(dynamics, past)
         by_motor, rest = _accelerations(dynamics, past, speed, self.causal)
-        basis = _twice_integrated(by_motor, past.duration)
+        basis = twice_integrated(by_motor, past.duration)
         present = np.asarray(past.state)[-1]
         residual = (
             past.state[:, :3]
             - present[:3]
-            - _twice_integrated(rest, past.duration)
+            - twice_integrated(rest, past.duration)
             - basis.sum(axis=-2)
         )
         elapsed = np.cumsum(np.insert(past.duration, 0, 0.0, axis=0), axis=0)
         regression = _regression(basis, elapsed - elapsed[-1])
         step = float(np.median(past.duration))
-        precisions = _precisions(
+        inverse = precisions(
             len(basis),
             step,
             self.pose_noise,
@@ -192,7 +192,7 @@ class ActuationEncoder:
             _unknown_start(dynamics),
             float(dynamics.motor_time_constant),
         )
-        information, score, square = _normal_equations(regression, residual, precisions)
+        information, score, square = _normal_equations(regression, residual, inverse)
         if not self.causal:
             linear, angular = self.velocity_noise
             precise = np.array([linear, linear, angular]) ** -2.0
@@ -257,10 +257,23 @@ def _accelerations(
     return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
 
 
-def _twice_integrated(
+def twice_integrated(
     acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
 ) -> Float[np.ndarray, "E ... B"]:
-    """Integrate backwards from the present twice, linear between samples."""
+    """Integrate backwards from the present twice, linear between samples.
+
+    Parameters
+    ----------
+    acceleration : array, shape (E, ..., B)
+        At the samples; the last one is the present.
+    duration : array, shape (E - 1, B)
+        Time from each sample to the next [s].
+
+    Returns
+    -------
+    array, shape (E, ..., B)
+        Where one was at each sample, against the position and velocity of the present.
+    """
     position = np.zeros_like(acceleration)
     velocity = np.zeros_like(acceleration[0])
     for k in range(len(duration) - 1, -1, -1):
@@ -278,7 +291,7 @@ def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=32)
-def _precisions(
+def precisions(
     length: int,
     step: float,
     pose_noise: tuple[float, float],
@@ -286,8 +299,29 @@ def _precisions(
     start: tuple[float, float],
     time_constant: float,
 ) -> tuple[Float[np.ndarray, "E E"], ...]:
-    """Return the inverse covariances of the residuals of x, y and γ."""
-    integral = _twice_integrated(np.eye(length), np.full((length - 1, 1), step))
+    """Return the inverse covariances of the residuals of x, y and γ.
+
+    Parameters
+    ----------
+    length : int
+        Samples E.
+    step : float
+        Time between them [s].
+    pose_noise : (float, float)
+        Standard deviation of measured positions [m] and yaw [rad].
+    disturbance : (float, float)
+        Density of white accelerations [m/s²/√Hz, rad/s²/√Hz].
+    start : (float, float)
+        Standard deviation of accelerations from what motors did before the first sample.
+    time_constant : float
+        Lag with which these fade [s].
+
+    Returns
+    -------
+    tuple of array, shape (E, E)
+        One for each channel.
+    """
+    integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))
     fading = np.exp(-np.arange(length) * step / time_constant) if time_constant > 0 else 0.0
     found = []
     for noise, density, first in zip(pose_noise, disturbance, start, strict=True):

@@ -8,10 +8,31 @@ from jaxtyping import Float, Int
 from airpuck.estimate.encoder import Encoder
 from airpuck.model.rigid_body import Dynamics
 from airpuck.model.rollout import rollout
+from airpuck.model_file import Model
 from airpuck.windows import Windows
 
 #: Windows predicted at once, which bounds the memory.
 _BATCH = 1024
+
+
+def hold_for(model: Model, windows: Windows) -> Windows:
+    """Hold the commands of windows as a model wants them.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    windows : Windows
+        With commands held by the delay of each trajectory.
+
+    Returns
+    -------
+    Windows
+        The same, or with commands that act after the delay that the model has learned.
+    """
+    if not model.delay_learned:
+        return windows
+    return windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
 def prediction_errors(

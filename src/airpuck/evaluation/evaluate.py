@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from airpuck.errors import InputError
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.estimate.prediction import prediction_errors
+from airpuck.estimate.prediction import hold_for, prediction_errors
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.windows import Windows, make_windows
@@ -215,8 +215,11 @@ def evaluate(
             field="encoder",
         )
     length = protocol.encoder_length + protocol.prediction_length
-    windows = make_windows(
-        trajectory, protocol.encoder_length, protocol.prediction_length, stride=length
+    windows = hold_for(
+        model,
+        make_windows(
+            trajectory, protocol.encoder_length, protocol.prediction_length, stride=length
+        ),
     )
     return Evaluation(
         model=model.name,

@@ -16,6 +16,7 @@ from airpuck.model_file import Model
 #: Symbol, unit and factor from SI where people use others than files do.
 _SHOWN = {
     "motor_time_constant": ("τ", "ms", 1e3, ".2f"),
+    "transport_delay": ("d", "ms", 1e3, ".2f"),
     "inertia": ("I", "10⁻³ kg m²", 1e3, ".4f"),
     "angle_offset": ("α", "mrad", 1e3, ".1f"),
     "center_of_mass": ("r", "mm", 1e3, ".2f"),
@@ -25,7 +26,7 @@ _BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
 #: Without a meaning where the configuration matrix is learned directly.
 UNUSED_WHERE_DIRECT = frozenset({"inertia", "angle_offset", "center_of_mass"})
 #: Quantities that are positive by nature, so that a change in percent says something.
-_POSITIVE = frozenset({"motor_time_constant", "inertia", "thrust"})
+_POSITIVE = frozenset({"motor_time_constant", "transport_delay", "inertia", "thrust"})
 
 
 @dataclass(frozen=True)

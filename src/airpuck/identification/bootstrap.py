@@ -32,6 +32,7 @@ def bootstrap(
     clusters: Int[np.ndarray, " W"],
     replicates: int,
     *,
+    undetermined: Float[np.ndarray, "K P"] | None = None,
     seed: int = 0,
     method: LevenbergMarquardt | None = None,
     progress: Callable[[int], None] = lambda _: None,
@@ -50,6 +51,9 @@ def bootstrap(
         The block that each window belongs to.
     replicates : int
         Number of fits N.
+    undetermined : array, shape (K, P), optional
+        Directions that the data do not determine (`Uncertainty.undetermined`): a fit stays where it
+        started along them, which says nothing, so what they move gets no interval.
     seed : int, default 0
         Seed of the resampling.
     method : LevenbergMarquardt, optional
@@ -98,5 +102,8 @@ def bootstrap(
         raise InputError("hardly any fit to resampled data came to an end", field="bootstrap")
     estimates = np.array(found)
     lower, upper = np.percentile(estimates, [2.5, 97.5], axis=0)
-    nothing = np.where(free, 0.0, np.nan)
+    known = free
+    if undetermined is not None:
+        known = free & (np.abs(undetermined) <= 1e-9).all(axis=0)
+    nothing = np.where(known, 0.0, np.nan)
     return Bootstrap(len(found), seed, lower + nothing, upper + nothing), estimates

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from airpuck import __version__
 from airpuck.errors import InputError
@@ -21,13 +21,19 @@ from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method, minimize_on
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.robust import reweighted
+from airpuck.identification.transport_delay import (
+    DelayChoice,
+    delay_warnings,
+    learns_delay,
+    mean_delay,
+)
 from airpuck.identification.uncertainty import cluster_windows, sandwich
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
 from airpuck.model.rigid_body import CenterOfMassFrame
 from airpuck.model.thrust import lowest_slope
-from airpuck.model.uncertainty import Bootstrap, Uncertainty
+from airpuck.model.uncertainty import Uncertainty
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.vehicle import Vehicle, default_vehicle
@@ -157,6 +163,7 @@ def identify(
     stride: int = 7,
     degree: int | None = None,
     frame: CenterOfMassFrame = "body",
+    delay: DelayChoice | None = None,
     robust: bool = False,
     faults: Literal["exclude", "keep"] = "exclude",
     bootstrap: int = 0,
@@ -194,6 +201,10 @@ def identify(
         Degree of the thrust polynomials; by default that of the nominal thrust.
     frame : {"body", "world"}, default "body"
         Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
+    delay : {"fit", "fixed"}, optional
+        Whether the transport delay is learned, as a continuous parameter for all recordings; or
+        the delay of each recording is taken as it is, in whole samples. By default it is learned
+        by `LevenbergMarquardt` on rungs with a motor lag.
     robust : bool, default False
         Whether windows that the model predicts badly count less (`reweighted`): faults that nobody
         has marked then hardly move the estimate.
@@ -231,9 +242,16 @@ def identify(
     vehicle = vehicle or default_vehicle()
     rung = preset(model) if isinstance(model, str) else model
     encoder = encoder or PaperEncoder(length=_PAST)
-    loss = _loss(trajectories, vehicle, encoder, weights, prediction_length, stride, frame)
-    start = initial or rung.initial(vehicle, degree)
-    free = rung.mask(start)
+    continuous = learns_delay(delay, rung, method)
+
+    def loss_on(trajectories: Sequence[Trajectory]) -> PredictionLoss:
+        return replace(
+            _loss(trajectories, vehicle, encoder, weights, prediction_length, stride, frame),
+            continuous_delay=continuous,
+        )
+
+    loss = loss_on(trajectories)
+    start, free = _start(trajectories, vehicle, rung, initial, degree, continuous)
     outcome, exclusion = None, None
     if faults == "exclude" and prediction_length is not None:
         first = method if isinstance(method, LevenbergMarquardt) else LevenbergMarquardt()
@@ -242,7 +260,7 @@ def identify(
         exclusion = exclude_faults(trajectories, rough, encoder.length + prediction_length, stride)
         if exclusion.share > 0:
             trajectories = exclusion.trajectories
-            loss = _loss(trajectories, vehicle, encoder, weights, prediction_length, stride, frame)
+            loss = loss_on(trajectories)
             outcome = minimize_on(first, loss, outcome, free, progress)
     if outcome is None or not isinstance(method, LevenbergMarquardt):
         outcome = method.minimize(loss, start, free, progress)
@@ -260,9 +278,16 @@ def identify(
     if bootstrap:
         uncertainty = replace(
             uncertainty,
-            bootstrap=_resampled(
-                loss, outcome.parameters, free, clusters, uncertainty, bootstrap, seed, resampled
-            ),
+            bootstrap=resample(
+                loss,
+                outcome.parameters,
+                free,
+                clusters,
+                bootstrap,
+                undetermined=uncertainty.undetermined,
+                seed=seed,
+                progress=resampled,
+            )[0],
         )
     identified = Model(
         name=rung.name,
@@ -271,7 +296,6 @@ def identify(
         free=free,
         frame=frame,
         indexing=encoder.indexing,
-        transport_delay=_delay(trajectories, vehicle),
         fit={
             "loss": outcome.loss,
             "iterations": outcome.history[-1].number,
@@ -303,6 +327,7 @@ def identify(
             *_idle_motors(trajectories),
             *(exclusion.warnings if exclusion else ()),
             *_warnings(identified, outcome.converged, outcome.message),
+            *delay_warnings(identified, trajectories),
             *(note for note in uncertainty.notes if "rough" in note or "no standard" in note),
         ),
         identifiability=known,
@@ -320,27 +345,14 @@ def identifiability(
     prediction_length: int | None = 50,
     stride: int = 7,
     frame: CenterOfMassFrame = "body",
+    delay: DelayChoice | None = None,
 ) -> Identifiability:
     """Say before a fit what data can determine, by the information at its start.
 
     Parameters
     ----------
-    trajectories : Trajectory or sequence of Trajectory
-        Data of one craft.
-    model : str or Preset, default "M3"
-        The rung of the model ladder.
-    vehicle : Vehicle, optional
-        The craft; by default the paper's.
-    initial : Parameters, optional
-        Where a fit would start; by default the vehicle's nominal values.
-    degree : int, optional
-        Degree of the thrust polynomials.
-    prediction_length : int or None, default 50
-        Steps to predict.
-    stride : int, default 7
-        Samples from one window to the next.
-    frame : {"body", "world"}, default "body"
-        Where the offset of the centre of mass is constant.
+    trajectories, model, vehicle, initial, degree, prediction_length, stride, frame, delay
+        What `identify` would be given.
 
     Returns
     -------
@@ -357,12 +369,29 @@ def identifiability(
     vehicle = vehicle or default_vehicle()
     rung = preset(model) if isinstance(model, str) else model
     encoder = PaperEncoder(length=_PAST)
-    loss = _loss(
-        trajectories, vehicle, encoder, PUBLISHED_WEIGHTS, prediction_length, stride, frame
+    continuous = learns_delay(delay, rung, LevenbergMarquardt())
+    loss = replace(
+        _loss(trajectories, vehicle, encoder, PUBLISHED_WEIGHTS, prediction_length, stride, frame),
+        continuous_delay=continuous,
     )
-    start = initial or rung.initial(vehicle, degree)
+    start, free = _start(trajectories, vehicle, rung, initial, degree, continuous)
     hessian = loss.quadratic(start).hessian
-    return identifiability_of(hessian, start, rung.mask(start), vehicle.propeller_names)
+    return identifiability_of(hessian, start, free, vehicle.propeller_names)
+
+
+def _start(
+    trajectories: Sequence[Trajectory],
+    vehicle: Vehicle,
+    rung: Preset,
+    initial: Parameters | None,
+    degree: int | None,
+    continuous: bool,
+) -> tuple[Parameters, Bool[np.ndarray, " P"]]:
+    """Return where a fit starts, and which entries are free."""
+    start = initial or rung.initial(vehicle, degree)
+    if initial is None or not continuous:
+        start = replace(start, transport_delay=mean_delay(trajectories, vehicle))
+    return start, rung.mask(start) | (start.mask(frozenset({"transport_delay"})) & continuous)
 
 
 def _loss(
@@ -380,27 +409,6 @@ def _loss(
     _refuse_twins(trajectories)
     windows = make_windows(trajectories, encoder.length, prediction_length, stride)
     return PredictionLoss(windows, vehicle, encoder, weights, frame)
-
-
-def _resampled(
-    loss: PredictionLoss,
-    parameters: Parameters,
-    free: Bool[np.ndarray, " P"],
-    clusters: Int[np.ndarray, " W"],
-    uncertainty: Uncertainty,
-    replicates: int,
-    seed: int,
-    progress: Callable[[int], None],
-) -> Bootstrap:
-    """Return intervals by resampling, of what the data determine."""
-    found, _ = resample(loss, parameters, free, clusters, replicates, seed=seed, progress=progress)
-    # Along a gauge direction a fit stays where it started: that says nothing.
-    blind = (np.abs(uncertainty.undetermined) > 1e-9).any(axis=0)
-    return replace(
-        found,
-        lower=np.where(blind, np.nan, found.lower),
-        upper=np.where(blind, np.nan, found.upper),
-    )
 
 
 def _hashes(trajectories: Sequence[Trajectory]) -> dict[str, str]:
@@ -427,12 +435,6 @@ def _refuse_twins(trajectories: Sequence[Trajectory]) -> None:
         if digest and digest in seen:
             raise InputError("is given twice; give each recording once", file=trajectory.source)
         seen.add(digest)
-
-
-def _delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
-    """Return the transport delay found in the data, or the nominal one where none can be."""
-    known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
-    return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
 
 
 def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:

@@ -19,6 +19,8 @@ from airpuck.model.parameters import Parameters
 
 #: Correlation from which two parameters are hard to tell apart.
 _ALIKE = 0.95
+#: The same for motor lag and transport delay, of which one is so easily taken for the other.
+_TRADED = 0.8
 #: Part of a direction, relative to its largest, from which a parameter is named.
 _MAIN = 0.5
 #: Most parameters to name at once.
@@ -109,7 +111,9 @@ def identifiability_of(
     weakest = _main(vector[:, known][:, 0], labels) if rank else ()
     if condition > _POOR:
         notes.append(f"poorly determined: {', '.join(weakest)} trade off against each other")
-    pairs = _pairs(vector[:, known], value[known], vector[:, ~known], labels)
+    correlation = _correlation(vector[:, known], value[known], vector[:, ~known])
+    pairs = _pairs(correlation, labels)
+    notes += _lag_against_delay(correlation, labels)
     if pairs:
         first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
         notes.append(
@@ -126,23 +130,43 @@ def _main(direction: Float[np.ndarray, " F"], labels: list[str]) -> tuple[str, .
     return tuple(labels[k] for k in order if size[k] >= _MAIN * size.max())
 
 
-def _pairs(
+def _correlation(
     vector: Float[np.ndarray, "F R"],
     value: Float[np.ndarray, " R"],
     blind: Float[np.ndarray, "F K"],
-    labels: list[str],
-) -> tuple[tuple[str, str, float], ...]:
-    """List pairs of determined parameters whose estimates are hard to tell apart."""
+) -> Float[np.ndarray, "F F"]:
+    """Return the correlation of the estimates; zero for what the data do not determine alone."""
     covariance = vector / value @ vector.T
     own = np.abs(blind).max(axis=1, initial=0.0) < 1e-6
     spread = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(spread, spread).clip(1e-300)
     correlation[~own] = correlation[:, ~own] = 0.0
+    return correlation
+
+
+def _pairs(
+    correlation: Float[np.ndarray, "F F"], labels: list[str]
+) -> tuple[tuple[str, str, float], ...]:
+    """List pairs of determined parameters whose estimates are hard to tell apart."""
     first, second = np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1))
     return tuple(
         (labels[i], labels[j], float(correlation[i, j]))
         for i, j in zip(first.tolist(), second.tolist(), strict=True)
     )
+
+
+def _lag_against_delay(correlation: Float[np.ndarray, "F F"], labels: list[str]) -> list[str]:
+    """Say how motor lag and transport delay trade off, which shift every response alike."""
+    names = ("motor_time_constant", "transport_delay")
+    if not all(name in labels for name in names):
+        return []
+    size = float(correlation[labels.index(names[0]), labels.index(names[1])])
+    if abs(size) < _TRADED:
+        return []
+    return [
+        f"motor lag and transport delay trade off (correlation {size:.3f}): the data know their "
+        "sum better than either; only how a response is rounded tells them apart"
+    ]
 
 
 def _undetermined_notes(

@@ -11,8 +11,9 @@ from jaxtyping import Float
 from airpuck.model.motor import motor_speeds
 from airpuck.model.thrust import thrust
 from airpuck.model_file import nominal_model
-from airpuck.trajectory import Trajectory, check_propellers, hold
+from airpuck.trajectory import Trajectory, check_propellers
 from airpuck.vehicle import Vehicle
+from airpuck.zero_order_hold import hold
 
 #: Longest transport delay that is tried [s].
 _LONGEST_DELAY = 0.1

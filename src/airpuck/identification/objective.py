@@ -99,6 +99,10 @@ class PredictionLoss:
         Where the offset of the centre of mass is constant.
     multiplicity : array, shape (W,), or None
         How often each window counts; None: once. For resampling; Adam does not know it.
+    continuous_delay : bool
+        Whether commands act after the transport delay in θ, each step under their mean
+        (`Windows.delayed`); or as the windows hold them, by whole samples, whatever θ says. Adam
+        does not know it.
     """
 
     windows: Windows
@@ -107,6 +111,25 @@ class PredictionLoss:
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
     frame: CenterOfMassFrame = "body"
     multiplicity: Float[np.ndarray, " W"] | None = None
+    continuous_delay: bool = False
+
+    def windows_at(self, parameters: Parameters) -> Windows:
+        """Return the windows, with the commands as they act.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            θ.
+
+        Returns
+        -------
+        Windows
+            Held anew where the delay is continuous.
+        """
+        if not self.continuous_delay:
+            return self.windows
+        assumed = self.vehicle.nominal.transport_delay_s
+        return self.windows.delayed(float(parameters.transport_delay), assumed)
 
     def quadratic(self, parameters: Parameters) -> Quadratic:
         """Evaluate the loss and its Gauss-Newton approximation.
@@ -163,7 +186,10 @@ class PredictionLoss:
         """Evaluate batches, and sum up those of each owner."""
         register_pytrees()
         values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
-        windows = self.windows
+        windows = self.windows_at(parameters)
+        slope = windows.input_slope
+        if slope is None:
+            slope = np.zeros_like(windows.input)
         with jax.enable_x64(True):
             dynamics = jax.tree.map(
                 jnp.asarray,
@@ -178,6 +204,7 @@ class PredictionLoss:
                 jnp.asarray(windows.time),
                 jnp.asarray(windows.state),
                 jnp.asarray(windows.input),
+                jnp.asarray(slope),
             )
             basis, weights = jax.tree.map(jnp.asarray, slopes), jnp.asarray(self.weights)
 
@@ -199,12 +226,12 @@ class PredictionLoss:
         # JAX releases the interpreter lock while it computes: threads use all cores without the
         # process-wide settings that several JAX devices would need.
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            square, slope, curvature = zip(*pool.map(sums, parts), strict=True)
+            square, score, curvature = zip(*pool.map(sums, parts), strict=True)
         local = _local_coordinates(parameters, moved_by)
         scale = 1 / (3 * windows.prediction_length * self._counted.sum())
         return Shares(
             loss=scale * _summed(square, owner),
-            gradient=2 * scale * _summed(slope, owner) @ local,
+            gradient=2 * scale * _summed(score, owner) @ local,
             hessian=2 * scale * (local.T @ _summed(curvature, owner) @ local),
         )
 
@@ -263,7 +290,7 @@ def _local_coordinates(
     """Return d(local)/dθ for the coordinates that `_normal_equations` differentiates by.
 
     These are the thrust coefficients, the K directions of Π and the effects, the centre of mass
-    where it acts beside Π, and the time constant.
+    where it acts beside Π, the time constant, and the transport delay.
     """
     entry = np.eye(len(parameters.to_vector()))
     return np.concatenate(
@@ -272,6 +299,7 @@ def _local_coordinates(
             entry[moved_by],
             entry[parameters.mask(frozenset({"center_of_mass"}))],
             entry[parameters.mask(frozenset({"motor_time_constant"}))],
+            entry[parameters.mask(frozenset({"transport_delay"}))],
         ]
     )
 
@@ -283,6 +311,7 @@ def _normal_equations(
     time: Any,
     state: Any,
     command: Any,
+    command_slope: Any,
     starts: Any,
     weight: Any,
     channel_weights: Any,
@@ -291,11 +320,16 @@ def _normal_equations(
     horizon: int,
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
-    """Sum r², Jᵀr and JᵀJ over a batch of B windows."""
+    """Sum r², Jᵀr and JᵀJ over a batch of B windows.
+
+    Motor speeds depend on two local coordinates, the last ones: τ, and the transport delay, by way
+    of the commands; their sensitivities have the shape (2, n, B).
+    """
     coefficients, linear, center, tau = dynamics
     n, batch = command.shape[1], starts.shape[0]
+    by_tau = jnp.array([1.0, 0.0])
 
-    def encode(tau: Any) -> Any:
+    def encode(tau: Any, command: Any) -> Any:
         model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
         past = gather_past(jnp, time, state, command, starts, encoder.length)
         return encoder.encode(jnp, model, past)
@@ -321,7 +355,7 @@ def _normal_equations(
                 by_thrust.reshape(3, -1, batch),
                 by_direction,
                 by_center,
-                jnp.sum(by_speed * d_speed, axis=1, keepdims=True),
+                jnp.einsum("anb,cnb->acb", by_speed, d_speed),
             ],
             axis=1,
         )
@@ -332,20 +366,20 @@ def _normal_equations(
             jnp.concatenate([d_motion[3:], d_acceleration]),
         )
 
-    def lag(speed: Any, d_speed: Any, held: Any, duration: Any) -> tuple[Any, Any]:
-        return jax.jvp(
-            lambda speed, tau: motor_step(jnp, speed, held, duration, tau),
-            (speed, tau),
-            (d_speed, jnp.ones_like(tau)),
+    def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
+        end, push = jax.linearize(
+            lambda speed, held, tau: motor_step(jnp, speed, held, duration, tau), speed, held, tau
         )
+        return end, jax.vmap(push)(d_speed, d_held, by_tau)
 
     def step(carry: Any, k: Any) -> tuple[Any, None]:
         position, motion, speed, d_position, d_motion, d_speed, sums = carry
         now = starts + encoder.length - 1 + k
         held, h = command[now].T, time[now + 1] - time[now]
+        d_held = jnp.stack([jnp.zeros_like(held), command_slope[now].T])
         # As in `airpuck.model.rollout.step`, with every quantity beside its sensitivities.
-        begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, 0.0)
-        middle, end = lag(*begin, held, h / 2), lag(*begin, held, h)
+        begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
+        middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
         k1, d1 = rates(motion, d_motion, *begin)
         k2, d2 = rates(motion + h / 2 * k1, d_motion + h / 2 * d1, *middle)
         k3, d3 = rates(motion + h / 2 * k2, d_motion + h / 2 * d2, *middle)
@@ -368,17 +402,18 @@ def _normal_equations(
         )
         return (position, motion, end[0], d_position, d_motion, end[1], sums), None
 
-    encoded, d_encoded = jax.jvp(encode, (tau,), (jnp.ones_like(tau),))
-    size = coefficients.size + len(basis[0]) + 3
-    # Only the time constant moves the encoder's estimate; it is the last local coordinate.
-    d_state = jnp.zeros((6, size, batch)).at[:, -1].set(d_encoded[:6])
+    encoded, push = jax.linearize(encode, tau, command)
+    d_encoded = jax.vmap(push)(by_tau, jnp.stack([jnp.zeros_like(command), command_slope]))
+    size = coefficients.size + len(basis[0]) + 4
+    # Only the last two local coordinates move the encoder's estimate.
+    d_state = jnp.zeros((6, size, batch)).at[:, -2:].set(jnp.moveaxis(d_encoded[:, :6], 0, 1))
     carry = (
         encoded[:2],
         encoded[2:6],
         encoded[6:],
         d_state[:2],
         d_state[2:],
-        d_encoded[6 : 6 + n],
+        d_encoded[:, 6 : 6 + n],
         (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
     )
     return jax.lax.scan(step, carry, jnp.arange(horizon))[0][-1]

@@ -90,7 +90,7 @@ def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.nda
         Weights between 0 and 1 + 1/ν.
     """
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
-    errors = prediction_errors(dynamics, loss.windows, loss.encoder)
+    errors = prediction_errors(dynamics, loss.windows_at(parameters), loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors
     square = np.mean(scaled**2, axis=(0, 1))
     typical = max(float(np.median(square)), np.finfo(float).tiny)

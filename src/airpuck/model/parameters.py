@@ -181,6 +181,16 @@ QUANTITIES: tuple[Quantity, ...] = (
         "slope of the table",
         lambda _names, _degree: ("x", "y"),
     ),
+    Quantity(
+        "transport_delay",
+        "transport_delay_s",
+        "s",
+        "d",
+        0.0,
+        0.5,
+        "from a command's stamp to the motors",
+        _scalar,
+    ),
 )
 
 #: Quantities of the optional effects (`airpuck.model.effects`), with where a fit starts. Twins that
@@ -225,6 +235,8 @@ class Parameters:
         Loss of battery voltage per total thrust [1/N].
     tilt : array, shape (2,), or None
         Slope of the table along its axes [rad].
+    transport_delay : float
+        From a command's stamp to the motors, d; no part of the equations of motion [s].
     """
 
     thrust: Any
@@ -238,6 +250,7 @@ class Parameters:
     pair_interaction: Any = None
     voltage_sag: Any = None
     tilt: Any = None
+    transport_delay: Any = 0.0
 
     @property
     def quantities(self) -> Iterator[Quantity]:
@@ -424,6 +437,7 @@ def nominal_parameters(vehicle: Vehicle, degree: int | None = None) -> Parameter
         motor_time_constant=vehicle.nominal.motor_time_constant_s,
         angle_offset=0.0,
         center_of_mass=np.zeros(2),
+        transport_delay=vehicle.nominal.transport_delay_s,
     )
 
 

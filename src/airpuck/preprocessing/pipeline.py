@@ -29,8 +29,9 @@ from airpuck.preprocessing.quality import (
     find_jumps,
 )
 from airpuck.recording.stream import Recording
-from airpuck.trajectory import Span, Trajectory, hold
+from airpuck.trajectory import Span, Trajectory
 from airpuck.vehicle import Vehicle, default_vehicle, match_columns
+from airpuck.zero_order_hold import hold
 
 #: A command this far above the lowest one means that the experiment has begun.
 _BEGINS_ABOVE_MINIMUM = 0.02

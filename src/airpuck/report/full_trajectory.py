@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.estimate.prediction import hold_for
 from airpuck.identification.fit import Fit, identify
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model_file import Model
@@ -132,7 +133,7 @@ def sample_landscapes(
     factor = np.linspace(1 - span, 1 + span, points)
     landscapes = []
     for horizon in horizons:
-        windows = make_windows(training, encoder.length, horizon, horizon or 1)
+        windows = hold_for(model, make_windows(training, encoder.length, horizon, horizon or 1))
         length = windows.prediction_length * training.sample_period
         say(f"side claim: loss landscape of predictions over {length:.1f} s")
         loss = PredictionLoss(windows, model.vehicle, encoder, frame=model.frame)

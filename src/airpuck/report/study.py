@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.estimate.prediction import prediction_errors
+from airpuck.estimate.prediction import hold_for, prediction_errors
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.identification.fit import Fit
 from airpuck.identification.objective import PUBLISHED_WEIGHTS
@@ -65,11 +65,14 @@ class Study:
             if model is None:
                 continue
             encoder = PaperEncoder(settings.get("encoder_length", 20), model.indexing)
-            windows = make_windows(
-                self.training,
-                encoder.length,
-                settings.get("prediction_length", 50),
-                settings.get("stride", 7),
+            windows = hold_for(
+                model,
+                make_windows(
+                    self.training,
+                    encoder.length,
+                    settings.get("prediction_length", 50),
+                    settings.get("stride", 7),
+                ),
             )
             errors = prediction_errors(model.dynamics, windows, encoder)
             weights = np.array(settings.get("weights", PUBLISHED_WEIGHTS))[:, None]

@@ -1,0 +1,101 @@
+"""The transport delay as a parameter: whether a fit frees it, where it starts, what it says.
+
+Preprocessing finds the delay by correlation, in whole samples and for a nominal motor lag. A fit
+goes on from there, jointly with the lag: the two shift the response alike, but only the lag rounds
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from airpuck.errors import InputError
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.method import Method
+from airpuck.model.presets import Preset
+from airpuck.model_file import Model
+from airpuck.trajectory import Trajectory
+from airpuck.vehicle import Vehicle
+
+#: Whether to learn the delay.
+DelayChoice = Literal["fit", "fixed"]
+#: A recording whose own delay is this far from the fitted one has other clocks, or another radio.
+_FAR_SAMPLES = 3.0
+
+
+def learns_delay(choice: DelayChoice | None, rung: Preset, method: Method) -> bool:
+    """Say whether a fit learns the transport delay.
+
+    Parameters
+    ----------
+    choice : {"fit", "fixed"} or None
+        What was asked for. None: learned by Levenberg-Marquardt on rungs with a motor lag. Where no
+        lag is modelled, a free delay would take its place.
+    rung : Preset
+        The rung.
+    method : Method
+        The optimiser.
+
+    Returns
+    -------
+    bool
+        Whether the delay is free.
+
+    Raises
+    ------
+    InputError
+        If the optimiser cannot learn it.
+    """
+    can = isinstance(method, LevenbergMarquardt)
+    if choice is None:
+        return rung.lag and can
+    if choice == "fit" and not can:
+        raise InputError("fit is of Levenberg-Marquardt only", field="delay")
+    return choice == "fit"
+
+
+def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
+    """Return the transport delay that preprocessing found.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        The recordings.
+    vehicle : Vehicle
+        Its nominal delay is taken where no recording tells its own.
+
+    Returns
+    -------
+    float
+        The mean [s].
+    """
+    known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
+    return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
+
+
+def delay_warnings(model: Model, trajectories: Sequence[Trajectory]) -> list[str]:
+    """Say which recordings seem to have another delay than the one that was learned.
+
+    Parameters
+    ----------
+    model : Model
+        The fitted model.
+    trajectories : sequence of Trajectory
+        What it was learned from.
+
+    Returns
+    -------
+    list of str
+        A sentence for each.
+    """
+    if not model.delay_learned:
+        return []
+    return [
+        f"{t.source}: preprocessing found a delay of {1e3 * t.delay:.1f} ms, the fit "
+        f"{1e3 * model.transport_delay:.1f} ms for all recordings; check clocks and nominal lag"
+        for t in trajectories
+        if t.delay_known and abs(t.delay - model.transport_delay) > _FAR_SAMPLES * t.sample_period
+    ]

@@ -1,0 +1,75 @@
+"""Commands are held from one event to the next: at a time, and on average over a step."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+
+def hold(
+    event_time: Float[np.ndarray, " K"],
+    values: Float[np.ndarray, "K n"],
+    time: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, "N n"]:
+    """Zero-order hold: the last value at or before each time.
+
+    Parameters
+    ----------
+    event_time : array of float64, shape (K,)
+        When the values were set, not decreasing [s].
+    values : array of float64, shape (K, n)
+        The values.
+    time : array of float64, shape (N,)
+        Where to evaluate [s].
+
+    Returns
+    -------
+    array of float64, shape (N, n)
+        Before the first event, the first value.
+    """
+    index = np.searchsorted(event_time, time, side="right") - 1
+    return values[np.clip(index, 0, None)]
+
+
+def mean_hold(
+    event_time: Float[np.ndarray, " K"],
+    values: Float[np.ndarray, "K n"],
+    time: Float[np.ndarray, " N"],
+) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
+    """Mean of the held values from each time to the next, and its slope.
+
+    For events that come ``d`` later, ``u_k(d) = 1/h ∫ u(s - d) ds`` over ``[t_k, t_{k+1}]`` is
+    continuous in ``d`` and piecewise linear, whereas `hold` jumps whenever an event passes a
+    sample. What it does to a lagging motor differs from what the events do by the variance that it
+    adds to their time, x (1 - x) h² for an event at the fraction x of a step: next to a lag of
+    28 ms, a change of the lag by at most 0.08 ms.
+
+    Parameters
+    ----------
+    event_time : array of float64, shape (K,)
+        When the values were set, not decreasing [s].
+    values : array of float64, shape (K, n)
+        The values.
+    time : array of float64, shape (N,)
+        Increasing times [s].
+
+    Returns
+    -------
+    mean : array of float64, shape (N, n)
+        At the last time, where no interval begins, the value held there.
+    slope : array of float64, shape (N, n)
+        ``du_k/dd = (u(t_k - d) - u(t_{k+1} - d)) / h`` [1/s]. Where an event falls on a time, that
+        towards less delay.
+    """
+    held = hold(event_time, values, time)
+    length = np.diff(time)[:, None]
+    mean, slope = held.copy(), np.zeros_like(held)
+    slope[:-1] = (held[:-1] - held[1:]) / length
+    # Each change counts for the part of its interval that is left.
+    interval = np.searchsorted(time, event_time, side="left") - 1
+    within = (interval >= 0) & (interval < len(time) - 1)
+    within[0] = False  # the first value holds before its event, too
+    interval, change = interval[within], np.diff(values, axis=0, prepend=values[:1])[within]
+    left = (time[interval + 1] - event_time[within])[:, None]
+    np.add.at(mean, interval, change * left / length[interval])
+    return mean, slope

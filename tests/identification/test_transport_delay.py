@@ -1,0 +1,154 @@
+"""The transport delay, to a fraction of a sample, jointly with the motor lag."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.errors import InputError
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.evaluation.evaluate import evaluate
+from airpuck.identification.adam import Adam
+from airpuck.identification.fit import identifiability, identify
+from airpuck.identification.objective import PredictionLoss
+from airpuck.model.presets import PRESETS
+from airpuck.model.rollout import rollout
+from airpuck.model_file import Model, published_model, read_model
+from airpuck.trajectory import Trajectory
+from airpuck.vehicle import default_vehicle
+from airpuck.windows import make_windows
+from airpuck.zero_order_hold import mean_hold
+
+from ..random_flight import random_flight
+from ..synthetic import fly
+
+VEHICLE = default_vehicle()
+TRUTH = replace(published_model("M3"), frame="body", indexing="start").with_delay(0.01873)
+#: Motors have forgotten their first command after so many samples.
+LONG = PaperEncoder(length=120)
+
+
+def flown(truth: Model = TRUTH, applied: float = 5 / 240, seed: int = 0) -> Trajectory:
+    """A flight with exact states whose commands act a fraction of a sample after one.
+
+    It is integrated at 16 times the rate of the motion capture, so that commands change between
+    samples.
+    """
+    fine, late = 16, 7
+    flight = random_flight(truth, 6.0, seed)
+    rate = 240 * fine
+    command = np.repeat(flight.command, fine, axis=0)
+    acting = np.concatenate([np.repeat(command[:1], late, axis=0), command])[: len(command)]
+    n = truth.vehicle.n_propellers
+    start = np.concatenate([np.zeros(6), np.full(n, truth.vehicle.command_min)])
+    states = rollout(np, truth.dynamics, start, acting, np.full(len(acting), 1 / rate))
+    state = np.concatenate([start[None], states[:-1]])[::fine, :6]
+    return Trajectory(
+        time=flight.time,
+        state=state,
+        acceleration=np.gradient(state[:, 3:], flight.time, axis=0),
+        command_time=flight.time + late / rate - truth.transport_delay,
+        command=flight.command,
+        propellers=truth.vehicle.propeller_names,
+        delay=applied,
+    )
+
+
+@pytest.fixture(scope="module")
+def flight() -> Trajectory:
+    return flown()
+
+
+@pytest.mark.parametrize("applied", [3 / 240, 7 / 240])
+def test_delay_and_lag_are_found_together(applied):
+    """From a delay two samples off and a lag half too long, in data without noise."""
+    start = PRESETS["M3"].initial(VEHICLE)
+    wrong = replace(start, motor_time_constant=1.5 * 0.0281, transport_delay=applied)
+    fit = identify(flown(applied=applied), initial=wrong, encoder=LONG, stride=3)
+    found = fit.model.parameters
+    assert fit.converged
+    # What the mean over a step leaves: x (1 - x) h² / 2τ of the lag, see `mean_hold`.
+    assert fit.model.transport_delay == pytest.approx(TRUTH.transport_delay, abs=8e-5)
+    assert found.motor_time_constant == pytest.approx(
+        TRUTH.parameters.motor_time_constant, abs=12e-5
+    )
+    assert found.inertia == pytest.approx(TRUTH.parameters.inertia, rel=1e-3)
+
+
+def test_held_by_whole_samples_the_lag_is_biased(flight):
+    """What the continuous delay is for: 5 samples in place of 4.5 make the lag too short."""
+    fit = identify(flight, delay="fixed", encoder=LONG, stride=3)
+    assert fit.model.transport_delay == flight.delay
+    assert not fit.model.delay_learned
+    bias = fit.model.parameters.motor_time_constant - TRUTH.parameters.motor_time_constant
+    assert bias < -1e-3
+
+
+@pytest.mark.parametrize("name", ["M0", "M3"])
+@pytest.mark.parametrize("indexing", ["start", "end"])
+def test_gradient_by_finite_differences(flight, name, indexing):
+    """Of lag and delay, against a plain rollout."""
+    noise = np.random.default_rng(1).normal(size=flight.state.shape)
+    noisy = replace(flight, state=flight.state + 0.01 * noise)
+    windows = make_windows(noisy, stride=31)
+    encoder = PaperEncoder(indexing=indexing)
+    loss = PredictionLoss(windows, VEHICLE, encoder, continuous_delay=True)
+    parameters = replace(PRESETS[name].initial(VEHICLE), transport_delay=0.0203)
+
+    def plain(vector):
+        moved = parameters.with_vector(vector)
+        dynamics = moved.dynamics(np, VEHICLE)
+        events = noisy.command_time + float(moved.transport_delay)
+        own = replace(windows, input=mean_hold(events, noisy.command, noisy.time)[0])
+        commands, durations, measured = own.future()
+        state = encoder.encode(np, dynamics, own.past())
+        error = rollout(np, dynamics, state, commands, durations)[:, :3] - measured[:, :3]
+        return np.mean((np.array(loss.weights)[:, None] * error) ** 2)
+
+    here, vector = loss.quadratic(parameters), parameters.to_vector()
+    assert here.loss == pytest.approx(plain(vector), rel=1e-12)
+    names = {"transport_delay"} | ({"motor_time_constant"} if name == "M3" else set())
+    for entry in np.flatnonzero(parameters.mask(frozenset(names))):
+        step = 1e-7 * np.eye(len(vector))[entry]
+        difference = (plain(vector + step) - plain(vector - step)) / 2e-7
+        assert here.gradient[entry] == pytest.approx(difference, rel=1e-5)
+
+
+def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
+    """Whatever preprocessing found in the other recording, also from the file."""
+    learned = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
+    other = flown(applied=6 / 240, seed=1)
+    exact = evaluate(learned, other).rmse
+    np.testing.assert_array_less(exact, 0.2 * evaluate(TRUTH, other).rmse)
+    learned.save(tmp_path / "model.toml")
+    again = evaluate(read_model(tmp_path / "model.toml"), replace(other, delay=4 / 240))
+    np.testing.assert_array_equal(again.rmse, exact)
+
+
+def test_shifted_commands_count_from_the_nominal_delay():
+    """Where the author had shifted the commands already, nobody knows by how much."""
+    fit = identify(fly(TRUTH, duration=6.0), encoder=LONG, stride=3)
+    assert fit.model.transport_delay == pytest.approx(VEHICLE.nominal.transport_delay_s, abs=2e-5)
+
+
+def test_rungs_without_a_lag_keep_the_delay(flight):
+    fit = identify(flight, "M0")
+    assert not fit.model.delay_learned
+    assert identify(flight, "M0", delay="fit").model.transport_delay > 1.5 * flight.delay
+
+
+def test_says_how_lag_and_delay_trade_off(flight):
+    notes = identifiability(flight, "M3").notes
+    assert any("transport delay" in note and "motor lag" in note for note in notes)
+    assert not any("transport delay" in n for n in identifiability(flight, delay="fixed").notes)
+
+
+def test_adam_does_not_learn_it(flight):
+    with pytest.raises(InputError, match="Levenberg-Marquardt only"):
+        identify(flight, delay="fit", method=Adam(epochs=1))
+
+
+def test_warns_of_a_recording_with_another_delay(flight):
+    strange = replace(flown(seed=2), delay=12 / 240)
+    warnings = identify([flight, strange]).warnings
+    assert any("check clocks" in warning for warning in warnings)
