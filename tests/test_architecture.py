@@ -16,7 +16,7 @@ ORDER = (
     ("errors", "files"),
     ("vehicle", "table"),
     ("model",),
-    ("uncertainty_section",),
+    ("parameters_section", "uncertainty_section"),
     ("model_file",),
     ("trajectory", "windows", "recording", "zero_order_hold"),
     ("preprocessing",),

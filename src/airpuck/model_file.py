@@ -18,10 +18,11 @@ from jaxtyping import Bool, Float
 
 from airpuck.errors import InputError
 from airpuck.files import Section, checked, read_toml, write_toml
-from airpuck.model.parameters import EFFECTS, QUANTITIES, Parameters, nominal_parameters
+from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.presets import PRESETS
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
 from airpuck.model.uncertainty import Uncertainty
+from airpuck.parameters_section import ParametersSection
 from airpuck.uncertainty_section import UncertaintySection, uncertainty_content
 from airpuck.vehicle import Vehicle, default_vehicle
 
@@ -96,10 +97,7 @@ class Model:
 
     @property
     def delay_learned(self) -> bool:
-        """Whether the transport delay was learned with the other parameters, as a continuous one.
-
-        Predictions then hold commands by it, and otherwise by the delay of each trajectory.
-        """
+        """Whether the transport delay was learned, as a continuous parameter."""
         return bool(self.free[self.parameters.mask(frozenset({"transport_delay"}))].any())
 
     def with_delay(self, transport_delay: float) -> Model:
@@ -115,8 +113,7 @@ class Model:
         Model
             A copy.
         """
-        parameters = replace(self.parameters, transport_delay=transport_delay)
-        return replace(self, parameters=parameters)
+        return replace(self, parameters=replace(self.parameters, transport_delay=transport_delay))
 
     def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
         """Compute the standard error of anything made from the parameters (delta method).
@@ -217,10 +214,9 @@ class Model:
         path : path-like
             The file to write.
         """
-        shapes = {q.name: np.shape(getattr(self.parameters, q.name)) for q in QUANTITIES}
         free, first = {}, 0
         for quantity in self.parameters.quantities:
-            size = int(np.prod(shapes[quantity.name], dtype=int))
+            size = np.size(getattr(self.parameters, quantity.name))
             entries = self.free[first : first + size]
             same = bool((entries == entries[0]).all())
             free[quantity.name] = bool(entries[0]) if same else entries.tolist()
@@ -235,7 +231,7 @@ class Model:
             "parameters": {
                 q.key: np.asarray(getattr(self.parameters, q.name)).tolist()
                 for q in self.parameters.quantities
-                if q.name != "transport_delay"  # stands above
+                if q.name != "transport_delay"
             },
             "free": free,
             "fit": dict(self.fit),
@@ -246,59 +242,6 @@ class Model:
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
 
 
-class _ParametersSection(Section):
-    thrust_N: tuple[tuple[float, ...], ...]
-    inertia_kg_m2: float = pydantic.Field(gt=0)
-    motor_time_constant_s: float = pydantic.Field(ge=0)
-    angle_offset_rad: float
-    center_of_mass_m: tuple[float, float]
-    configuration_matrix_SI: tuple[tuple[float, ...], ...] | None = None
-    drag_SI: tuple[float, float, float, float] | None = None
-    inflow_s_m: float | None = None
-    pair_interaction_1_N: float | None = None
-    voltage_sag_1_N: float | None = None
-    tilt_rad: tuple[float, float] | None = None
-
-    def parameters(self, vehicle: Vehicle) -> Parameters:
-        n = vehicle.n_propellers
-        thrust = _matrix(self.thrust_N, "thrust_N")
-        if len(thrust) != n:
-            raise InputError(
-                f"has {len(thrust)} curves, but the vehicle has {n} propellers",
-                field="parameters.thrust_N",
-            )
-        matrix = self.configuration_matrix_SI
-        if matrix is not None:
-            matrix = _matrix(matrix, "configuration_matrix_SI")
-            if matrix.shape != (3, n):
-                raise InputError(
-                    f"must have 3 rows of {n} numbers, one for each propeller",
-                    field="parameters.configuration_matrix_SI",
-                )
-        return Parameters(
-            thrust=thrust,
-            inertia=self.inertia_kg_m2,
-            motor_time_constant=self.motor_time_constant_s,
-            angle_offset=self.angle_offset_rad,
-            center_of_mass=np.array(self.center_of_mass_m),
-            configuration_matrix=matrix,
-            **{q.name: self._effect(q.key) for q in QUANTITIES if q.name in EFFECTS},
-            transport_delay=vehicle.nominal.transport_delay_s,
-        )
-
-    def _effect(self, key: str) -> Any:
-        """Return an effect's numbers, None where it is not modelled."""
-        value = getattr(self, key)
-        return np.array(value) if isinstance(value, tuple) else value
-
-
-def _matrix(rows: tuple[tuple[float, ...], ...], key: str) -> Float[np.ndarray, "rows columns"]:
-    """Return rows as an array, or say that they differ in length."""
-    if not rows or not rows[0] or len({len(row) for row in rows}) != 1:
-        raise InputError("its rows must all have the same length", field=f"parameters.{key}")
-    return np.array(rows, dtype=float)
-
-
 class _ModelFile(Section):
     format: Literal["airpuck model 1"]
     name: str
@@ -306,7 +249,7 @@ class _ModelFile(Section):
     transport_delay_s: float = pydantic.Field(ge=0)
     center_of_mass_frame: CenterOfMassFrame = "body"
     encoder_indexing: Literal["start", "end"] = "start"
-    parameters: _ParametersSection
+    parameters: ParametersSection
     free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
     fit: dict[str, Any] = pydantic.Field(default_factory=dict)
     data: dict[str, str] = pydantic.Field(default_factory=dict)
@@ -411,7 +354,7 @@ def published_model(name: str) -> Model:
             field="model",
         )
     vehicle = default_vehicle()
-    parameters = checked(published[name], _ParametersSection).parameters(vehicle)
+    parameters = checked(published[name], ParametersSection).parameters(vehicle)
     return Model(
         name=name,
         vehicle=vehicle,
@@ -496,7 +439,7 @@ def _read_params_json(path: Path) -> Model:
     }
     if switches.learn_configuration_matrix:
         section["configuration_matrix_SI"] = values.configuration_matrix
-    parameters = checked(section, _ParametersSection, file=path).parameters(vehicle)
+    parameters = checked(section, ParametersSection, file=path).parameters(vehicle)
     free = {
         "thrust": switches.learn_signal2thrust,
         "inertia": switches.learn_inertia,

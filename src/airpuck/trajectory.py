@@ -117,10 +117,8 @@ class Trajectory:
         """The command in force at each sample: zero-order hold of the delayed command events."""
         return hold(self.command_time + self.delay, self.command, self.time)
 
-    def delayed_input(
-        self, delay: float, assumed: float
-    ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
-        """Return the mean command over each step for another delay, to a fraction of a sample.
+    def acting_delay(self, delay: float, assumed: float) -> float:
+        """Return how long after its time in this trajectory a command acts.
 
         Parameters
         ----------
@@ -132,12 +130,29 @@ class Trajectory:
 
         Returns
         -------
+        float
+            To be added to `command_time` [s].
+        """
+        return delay if self.delay_known else self.delay + delay - assumed
+
+    def delayed_input(
+        self, delay: float, assumed: float
+    ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
+        """Return the mean command over each step for another delay, to a fraction of a sample.
+
+        Parameters
+        ----------
+        delay, assumed : float
+            As for `acting_delay` [s].
+
+        Returns
+        -------
         input : array, shape (N, n)
             ``u_k(d)``; see `mean_hold`.
         slope : array, shape (N, n)
             ``du_k/dd`` [1/s].
         """
-        shift = delay if self.delay_known else self.delay + delay - assumed
+        shift = self.acting_delay(delay, assumed)
         return mean_hold(self.command_time + shift, self.command, self.time)
 
     @cached_property

@@ -155,7 +155,9 @@ class Fitting(Item):
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
         model = _fit_to_all(whole, whole.key(fingerprint)).model
         windows = make_windows(trajectories, ENCODER.length, 50, self.stride)
-        loss = PredictionLoss(windows, craft, ENCODER, frame=self.frame)
+        loss = PredictionLoss(
+            windows, craft, ENCODER, frame=self.frame, continuous_delay=model.delay_learned
+        )
         clusters = cluster_windows(windows)
         _, estimates = bootstrap(
             loss, model.parameters, model.free, clusters, self.resamplings, seed=self.seed

@@ -20,6 +20,7 @@ from airpuck.errors import InputError
 from airpuck.estimate.axis_filter import Noise, correct, spread
 from airpuck.estimate.command_pieces import cut_at_commands, speed_before
 from airpuck.estimate.noise_likelihood import initial_covariance, most_likely_noise
+from airpuck.estimate.prediction import delay_for
 from airpuck.model.rigid_body import Dynamics
 from airpuck.model.rollout import rollout
 from airpuck.model_file import Model
@@ -176,7 +177,7 @@ class _Predictor:
 
     def __init__(self, model: Model, trajectory: Trajectory) -> None:
         check_propellers(model.vehicle, trajectory)
-        time, acts = trajectory.time, trajectory.command_time + trajectory.delay
+        time, acts = trajectory.time, trajectory.command_time + delay_for(model, trajectory)
         tau = float(model.dynamics.motor_time_constant)
         self.period = np.diff(time, prepend=time[0])
         self._pose = trajectory.state[:, :3]

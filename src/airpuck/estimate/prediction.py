@@ -9,10 +9,31 @@ from airpuck.estimate.encoder import Encoder
 from airpuck.model.rigid_body import Dynamics
 from airpuck.model.rollout import rollout
 from airpuck.model_file import Model
+from airpuck.trajectory import Trajectory
 from airpuck.windows import Windows
 
 #: Windows predicted at once, which bounds the memory.
 _BATCH = 1024
+
+
+def delay_for(model: Model, trajectory: Trajectory) -> float:
+    """Return how long after its time in a trajectory a command acts, as a model wants it.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    trajectory : Trajectory
+        With a delay of its own.
+
+    Returns
+    -------
+    float
+        The trajectory's delay, or what follows from the one that the model has learned [s].
+    """
+    if not model.delay_learned:
+        return trajectory.delay
+    return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
 def hold_for(model: Model, windows: Windows) -> Windows:
