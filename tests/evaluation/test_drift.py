@@ -60,7 +60,7 @@ def test_a_propeller_that_lost_a_tenth_is_named(fits):
 
 def test_two_flights_of_one_craft_differ_in_nothing(fits):
     (sentence,) = drift(fits[0], fits[1]).verdicts
-    assert sentence.startswith("nothing moved: of 17 quantities")
+    assert sentence.startswith("nothing moved: of 18 quantities")
 
 
 def test_models_without_errors_or_of_other_crafts_are_refused(fits):
@@ -69,7 +69,10 @@ def test_models_without_errors_or_of_other_crafts_are_refused(fits):
 
 
 def test_shared_data_and_other_terms_are_noted(fits):
-    other = replace(fits[0], name="M2", transport_delay=0.03)
+    other = replace(fits[0], name="M2").with_delay(0.03)
+    assert other.uncertainty
+    known = replace(other.uncertainty, estimate=other.parameters.to_vector())
+    other = replace(other, uncertainty=known)
     notes = " ".join(drift(fits[0], other).notes)
     assert "same files" in notes
     assert "different terms" in notes
