@@ -22,7 +22,7 @@ from airpuck.windows import Past
 from ..random_flight import random_flight
 from .flights import IDLE, MODEL, NOISE, some_commands
 
-M3 = replace(published_model("M3"), indexing="start", transport_delay=0.0)
+M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
 #: Noise of the twin's cameras, and a disturbance that hardly moves.
 QUIET = Noise(
     pose=(5e-5, 5e-5, 6e-4), acceleration=(0.02, 0.02, 0.6), disturbance=(0.02, 0.02, 0.6)
