@@ -39,9 +39,7 @@ class ParametersSection(Section):
 
         Returns
         -------
-
-        Parameters
-        ----------
+        point : Parameters
             The values.
 
         Raises
