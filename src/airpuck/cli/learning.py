@@ -105,7 +105,7 @@ def identify(
         str | None,
         typer.Option(
             help="Transport delay: fit it, or take each recording's (fixed); by default fit, where "
-            "a motor lag is modelled, with lm."
+            "a motor lag is modelled, with lm, unless others have prepared the recording (data.pt)."
         ),
     ] = None,
     robust: Annotated[
@@ -113,9 +113,12 @@ def identify(
         typer.Option("--robust", help="Let windows that are predicted badly count less."),
     ] = False,
     faults: Annotated[
-        str,
-        typer.Option(help="exclude: where motors or radio failed, nothing is learned; or keep."),
-    ] = "exclude",
+        str | None,
+        typer.Option(
+            help="exclude: where motors or radio failed, nothing is learned; or keep. By default "
+            "exclude, unless others have prepared the recording (data.pt)."
+        ),
+    ] = None,
     bootstrap: Annotated[
         int | None,
         typer.Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
@@ -134,7 +137,8 @@ def identify(
 
     rung = preset(model)
     choose("--method", method, ("lm", "adam"))
-    choose("--faults", faults, ("exclude", "keep"))
+    if faults is not None:
+        choose("--faults", faults, ("exclude", "keep"))
     choose("--com-frame", com_frame, ("body", "world"))
     if delay is not None:
         choose("--delay", delay, ("fit", "fixed"))
@@ -167,7 +171,7 @@ def identify(
             frame="body" if com_frame == "body" else "world",
             delay=None if delay is None else "fit" if delay == "fit" else "fixed",
             robust=robust,
-            faults="exclude" if faults == "exclude" else "keep",
+            faults=None if faults is None else "exclude" if faults == "exclude" else "keep",
             bootstrap=bootstrap or 0,
             seed=seed,
             progress=progress,

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.estimate.axis_filter import spread
 from airpuck.estimate.command_pieces import cut_at_commands
 from airpuck.estimate.innovations import Innovations
+from airpuck.estimate.prediction import delay_for
 from airpuck.model.motor import motor_step
 from airpuck.model.rollout import rollout, scan
 from airpuck.model_file import Model
@@ -64,7 +65,7 @@ def predict_with_errors(
     """
     import jax
 
-    acts = trajectory.command_time + trajectory.delay
+    acts = trajectory.command_time + delay_for(model, trajectory)
     durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
     # The first sample has pieces of no length, so it may stand for those before.
     lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)

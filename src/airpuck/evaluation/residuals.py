@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.estimate.innovations import Innovations, innovations
+from airpuck.estimate.prediction import delay_for
 from airpuck.evaluation.cross_correlation import (
     CrossCorrelation,
     cross_correlations,
@@ -22,7 +23,7 @@ from airpuck.evaluation.cross_correlation import (
 )
 from airpuck.evaluation.whiteness import Whiteness, ljung_box, p_text
 from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.trajectory import Trajectory, hold
 
 #: Channels of the innovations in the frame of the body.
 BODY_CHANNELS = ("forward", "left", "yaw")
@@ -160,6 +161,8 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
         ljung_box(name, body[:, k], found.used, lags, found.noise_parameters[k] - 1)
         for k, name in enumerate(BODY_CHANNELS)
     )
+    acts = trajectory.command_time + delay_for(model, trajectory)
+    held = hold(acts, trajectory.command, trajectory.time)
     return ResidualTests(
         model=model.name,
         samples=int(found.used.sum()),
@@ -172,7 +175,7 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
                 name,
                 body[:, k],
                 found.used,
-                trajectory.input,
+                held,
                 trajectory.propellers,
                 np.asarray(model.dynamics.configuration)[k],
                 lags,

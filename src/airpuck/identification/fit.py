@@ -165,7 +165,7 @@ def identify(
     frame: CenterOfMassFrame = "body",
     delay: DelayChoice | None = None,
     robust: bool = False,
-    faults: Literal["exclude", "keep"] = "exclude",
+    faults: Literal["exclude", "keep"] | None = None,
     bootstrap: int = 0,
     seed: int = 0,
     progress: Callable[[Iteration], None] = lambda _: None,
@@ -204,14 +204,16 @@ def identify(
     delay : {"fit", "fixed"}, optional
         Whether the transport delay is learned, as a continuous parameter for all recordings; or
         the delay of each recording is taken as it is, in whole samples. By default it is learned
-        by `LevenbergMarquardt` on rungs with a motor lag.
+        by `LevenbergMarquardt` on rungs with a motor lag, unless a recording was prepared by
+        others (`Trajectory.delay_known`): each of those was shifted by a delay of its own.
     robust : bool, default False
         Whether windows that the model predicts badly count less (`reweighted`): faults that nobody
         has marked then hardly move the estimate.
-    faults : {"exclude", "keep"}, default "exclude"
+    faults : {"exclude", "keep"}, optional
         Whether windows in which motors or radio failed are left out: a first fit finds them
-        (`airpuck.find_faults`), a second one goes on without them. Not searched for where one
-        window spans the whole trajectory.
+        (`airpuck.find_faults`), a second one goes on without them. By default they are, unless a
+        recording was prepared by others: fits to a published data set stay comparable. Not
+        searched for where one window spans the whole trajectory.
     bootstrap : int, default 0
         Fits to resampled data, for intervals beside those of the standard errors; some hundreds.
         Of `LevenbergMarquardt` only.
@@ -242,7 +244,7 @@ def identify(
     vehicle = vehicle or default_vehicle()
     rung = preset(model) if isinstance(model, str) else model
     encoder = encoder or PaperEncoder(length=_PAST)
-    continuous = learns_delay(delay, rung, method)
+    continuous = learns_delay(delay, rung, method, trajectories)
 
     def loss_on(trajectories: Sequence[Trajectory]) -> PredictionLoss:
         return replace(
@@ -253,6 +255,8 @@ def identify(
     loss = loss_on(trajectories)
     start, free = _start(trajectories, vehicle, rung, initial, degree, continuous)
     outcome, exclusion = None, None
+    if faults is None:
+        faults = "exclude" if all(t.delay_known for t in trajectories) else "keep"
     if faults == "exclude" and prediction_length is not None:
         first = method if isinstance(method, LevenbergMarquardt) else LevenbergMarquardt()
         outcome = first.minimize(loss, start, free, progress)
@@ -369,7 +373,7 @@ def identifiability(
     vehicle = vehicle or default_vehicle()
     rung = preset(model) if isinstance(model, str) else model
     encoder = PaperEncoder(length=_PAST)
-    continuous = learns_delay(delay, rung, LevenbergMarquardt())
+    continuous = learns_delay(delay, rung, LevenbergMarquardt(), trajectories)
     loss = replace(
         _loss(trajectories, vehicle, encoder, PUBLISHED_WEIGHTS, prediction_length, stride, frame),
         continuous_delay=continuous,

@@ -26,18 +26,24 @@ DelayChoice = Literal["fit", "fixed"]
 _FAR_SAMPLES = 3.0
 
 
-def learns_delay(choice: DelayChoice | None, rung: Preset, method: Method) -> bool:
+def learns_delay(
+    choice: DelayChoice | None, rung: Preset, method: Method, trajectories: Sequence[Trajectory]
+) -> bool:
     """Say whether a fit learns the transport delay.
 
     Parameters
     ----------
     choice : {"fit", "fixed"} or None
-        What was asked for. None: learned by Levenberg-Marquardt on rungs with a motor lag. Where no
-        lag is modelled, a free delay would take its place.
+        What was asked for. None: learned by Levenberg-Marquardt on rungs with a motor lag, since
+        where none is modelled a free delay would take its place; and from recordings that tell
+        theirs. Where others have shifted the commands, each file has another delay left, and what
+        one of them teaches does not hold for the next.
     rung : Preset
         The rung.
     method : Method
         The optimiser.
+    trajectories : sequence of Trajectory
+        The recordings.
 
     Returns
     -------
@@ -51,7 +57,7 @@ def learns_delay(choice: DelayChoice | None, rung: Preset, method: Method) -> bo
     """
     can = isinstance(method, LevenbergMarquardt)
     if choice is None:
-        return rung.lag and can
+        return rung.lag and can and all(t.delay_known for t in trajectories)
     if choice == "fit" and not can:
         raise InputError("fit is of Levenberg-Marquardt only", field="delay")
     return choice == "fit"
