@@ -1,7 +1,20 @@
 """The command line: each command parses, calls the verb of the same name, and prints."""
 
 # In the order in which the help lists their commands.
-from airpuck.cli import learning, faults, judging, flying, live, watching, many, study  # isort: skip
+# isort: off
+from airpuck.cli import learning, faults, judging, flying, designing, live, watching, many, study
+# isort: on
 from airpuck.cli.app import main
 
-__all__ = ["faults", "flying", "judging", "learning", "live", "main", "many", "study", "watching"]
+__all__ = [
+    "designing",
+    "faults",
+    "flying",
+    "judging",
+    "learning",
+    "live",
+    "main",
+    "many",
+    "study",
+    "watching",
+]

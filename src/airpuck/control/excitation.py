@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -60,6 +61,9 @@ class Excitation:
         Where the rails are; by default the paper's table.
     margin : float, default 0.05
         Distance to the rails at which the craft must be able to stop [m].
+    controller : TrackingController, optional
+        From `excitation_controller` of the same model, reference and tuning, to compile only once.
+        It is copied.
 
     Raises
     ------
@@ -79,14 +83,12 @@ class Excitation:
         seed: int = 0,
         table: Table | None = None,
         margin: float = 0.05,
+        controller: TrackingController | None = None,
     ) -> None:
-        self.controller = controller = TrackingController(
-            replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
-            reference or SetPoint(0.0, 0.0, 0.0),
-            tuning,
-            reject_disturbance=False,
-            compensate_delay=False,
-        )
+        if controller is None:
+            controller = excitation_controller(model, reference, tuning)
+        # A flight leaves its traces in a controller; copies share the compiled programs.
+        self.controller = controller = copy.deepcopy(controller)
         if not hold >= controller.tuning.period_s:
             raise InputError(
                 f"must be at least the controller's period, {controller.tuning.period_s:g} s",
@@ -187,6 +189,39 @@ class Excitation:
         position, velocity = estimate.state[:2], estimate.state[3:5]
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
+
+
+def excitation_controller(
+    model: Model, reference: Reference | None = None, tuning: Tuning | None = None
+) -> TrackingController:
+    """Build the controller of an excitation.
+
+    Parameters
+    ----------
+    model : Model
+        What it believes the craft to be, but for the lag of the motors; see `Excitation`.
+    reference : Reference, optional
+        What it steers to; by default the centre of the table.
+    tuning : Tuning, optional
+        By default the packaged one.
+
+    Returns
+    -------
+    TrackingController
+        Without rejection of disturbances and compensation of the delay.
+
+    Raises
+    ------
+    InputError
+        If the model or the tuning give no controller.
+    """
+    return TrackingController(
+        replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
+        reference or SetPoint(0.0, 0.0, 0.0),
+        tuning,
+        reject_disturbance=False,
+        compensate_delay=False,
+    )
 
 
 def _amplitudes(amplitude: Amplitude, signals: int) -> Float[np.ndarray, " signals"]:

@@ -111,8 +111,12 @@ def fly_excitation(
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     plant: Plant | None = None,
+    controller: TrackingController | None = None,
 ) -> Excited:
-    """Fly the excitation experiment and say how near to the rails it came; see `excite`."""
+    """Fly the excitation experiment and say how near to the rails it came; see `excite`.
+
+    A controller from `excitation_controller` of the nominal model need not be compiled again.
+    """
     _check_duration(duration, tuning)
     settings = settings or default_twin_settings()
     twin = Twin(model, settings, seed=seed, plant=plant)
@@ -124,6 +128,7 @@ def fly_excitation(
         seed=seed,
         table=settings.table,
         margin=margin,
+        controller=controller,
     )
     period = pilot.controller.tuning.period_s
     fly(pilot, twin, duration, period)

@@ -1,0 +1,246 @@
+"""The command that proposes what to fly next."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from airpuck.cli.app import app
+from airpuck.cli.inputs import choose, load, read_controls
+from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile
+from airpuck.cli.output import check_destinations, is_stdout, warn, write_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from airpuck.model_file import Model
+    from airpuck.twin.design import Candidate, Design
+    from airpuck.twin.design_check import Obtained
+
+#: Candidates to print.
+_SHOWN = 8
+
+
+@app.command(rich_help_panel="Control and flight")
+def design(
+    model: Annotated[
+        str, typer.Option(metavar="MODEL", help="What is believed of the craft.")
+    ] = "paper:M3",
+    after: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RECORDING", help="Fit to this first; repeat for several."),
+    ] = None,
+    duration: Annotated[
+        float, typer.Option(metavar="S", help=r"Length of the flight to propose \[s].")
+    ] = 60.0,
+    criterion: Annotated[
+        str, typer.Option(help="worst: the largest relative error; mean: their geometric mean.")
+    ] = "worst",
+    margin: Annotated[
+        float, typer.Option(metavar="M", help=r"Least distance to the rails \[m].")
+    ] = 0.03,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Plan to write, for excite --plan."),
+    ] = None,
+    check: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Fly it N times on the twin, identify, and compare.", min=1),
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the errors; a PNG.")
+    ] = None,
+    twin: TwinFile = None,
+    tuning: TuningFile = None,
+    topics: TopicsFile = None,
+    seed: Seed = 0,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Propose the excitation that shrinks the worst-determined parameters most."""
+    from airpuck.model_file import read_model
+    from airpuck.twin.design import design
+    from airpuck.twin.design_check import check_design
+    from airpuck.twin.settings import read_twin_settings
+
+    choose("--criterion", criterion, ("worst", "mean"))
+    check_destinations(output=output, figure=figure, json=json_file)
+    craft = read_model(model)
+    if after:
+        craft = _fitted(craft, after, topics, quiet)
+    settings = None if twin is None else read_twin_settings(twin)
+    with _progress("rehearsals", quiet) as progress:
+        found = design(
+            craft,
+            duration=duration,
+            criterion="worst" if criterion == "worst" else "mean",
+            margin=margin,
+            seed=seed,
+            settings=settings,
+            tuning=read_controls(tuning),
+            progress=progress,
+        )
+    obtained = None
+    if check is not None:
+        with _progress("flights to check", quiet) as progress:
+            obtained = check_design(found, check, progress=progress)
+    if output is not None:
+        found.proposal.plan.save(output)
+    if figure is not None:
+        from airpuck.report.design_figure import write_design_figure
+
+        write_design_figure(found, obtained and obtained[1], figure)
+    figures = found.to_json()
+    if obtained is not None:
+        labels = [one.label for one in found.wanted]
+        figures["check"] = {
+            name: one.to_json(labels)
+            for name, one in zip(("usual", "proposal"), obtained, strict=True)
+        }
+    write_json(json_file, figures)
+    if not is_stdout(json_file):
+        _print_candidates(found)
+        _print_errors(found, obtained and obtained[1])
+        for sentence in summary(found):
+            print(sentence)
+        for path in (output, figure):
+            if path is not None:
+                print(path)
+
+
+def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bool) -> Model:
+    """Fit a model's rung to recordings, starting from it."""
+    from airpuck.identification.expected_errors import fit_settings
+    from airpuck.identification.fit import identify
+    from airpuck.model.presets import preset
+
+    trajectories = [load(path, craft.vehicle, topics) for path in recordings]
+    warn([w for t in trajectories for w in t.warnings], quiet)
+    fit = identify(
+        trajectories,
+        preset(craft.name),
+        vehicle=craft.vehicle,
+        initial=craft.parameters,
+        **fit_settings(craft),
+    )
+    warn(fit.warnings, quiet)
+    return fit.model
+
+
+@contextmanager
+def _progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar on a terminal; elsewhere nothing."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _done, _total: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def summary(found: Design) -> list[str]:
+    """Say in words what a proposal shrinks, and what it rests on."""
+    import numpy as np
+
+    usual, proposal = found.usual.relative, found.proposal.relative
+    before = found.known if np.isfinite(found.known).any() else usual
+    since = "now" if before is found.known else "with the usual excitation"
+    judged = np.array([np.isfinite(one.scale) for one in found.wanted])
+    worst = int(np.argmax(np.where(judged, before, -1)))
+    text = [
+        f"{found.wanted[worst].label}, the worst determined {since}: from {_percent(before[worst])}"
+        f" to {_percent(proposal[worst])}"
+    ]
+    worst = int(np.argmax(np.where(judged, proposal, -1)))
+    text.append(
+        f"worst after the proposed flight: {found.wanted[worst].label}, {_percent(proposal[worst])}"
+        f" ({_percent(usual[worst])} after the usual one)"
+    )
+    missing = [
+        one.label for one, error in zip(found.wanted, proposal, strict=True) if np.isinf(error)
+    ]
+    if missing:
+        text.append(f"stays undetermined: {', '.join(missing)}")
+    if found.level == 1.0:
+        text.append("residuals as on the twin; those of a real flight are larger (--after)")
+    else:
+        text.append(f"variance of the residuals: {found.level:.2g} times the twin's, as in the fit")
+    return text
+
+
+def _print_candidates(found: Design) -> None:
+    """Print the best candidates, and the usual one."""
+    table, show = _table(
+        f"Excitations of {found.proposal.plan.duration_s:g} s, by the "
+        + ("largest error" if found.criterion == "worst" else "mean error"),
+        ("", "amplitude", "hold s", "margin m", "from a rail mm", "error", "remark"),
+    )
+    shown = list(found.candidates[:_SHOWN])
+    if all(one.plan != found.usual.plan for one in shown):
+        shown.append(found.usual)
+    for one in shown:
+        name = "usual" if one.plan == found.usual.plan else ""
+        if one.plan == found.proposal.plan:
+            name = "proposal"
+        table.add_row(name, *_row(one))
+    show()
+
+
+def _row(one: Candidate) -> tuple[str, ...]:
+    """Return the texts of a candidate."""
+    plan = one.plan
+    amplitudes = plan.amplitude if isinstance(plan.amplitude, tuple) else (plan.amplitude,)
+    each = " ".join(f"{amplitude:g}" for amplitude in amplitudes)
+    return (
+        each,
+        f"{plan.hold_s:g}",
+        f"{plan.margin_m:g}",
+        f"{1e3 * one.clearance:.0f}",
+        _percent(one.score),
+        one.refused and f"refused: {one.refused}",
+    )
+
+
+def _print_errors(found: Design, obtained: Obtained | None) -> None:
+    """Print the standard errors of every quantity."""
+    table, show = _table(
+        "Standard errors, in shares of what each matters against",
+        ("", "100 % are", "now", "usual", "proposal", "alone", "obtained", "ratio")[
+            : 8 if obtained else 5
+        ],
+    )
+    for k, one in enumerate(found.wanted):
+        errors = [found.known[k], found.usual.relative[k], found.proposal.relative[k]]
+        row = [one.label, f"{one.scale:.3g} {one.unit}", *map(_percent, errors)]
+        if obtained is not None:
+            got, foreseen = float(obtained.typical[k]), float(obtained.predicted[k])
+            row += [_percent(foreseen), _percent(got), f"{got / foreseen:.2f}"]
+        table.add_row(*row)
+    show()
+
+
+def _table(title: str, headings: tuple[str, ...]) -> tuple[Table, Callable[[], None]]:
+    """Return an empty table, and what prints it."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        left = heading in ("", "amplitude", "100 % are", "remark")
+        table.add_column(heading, justify="left" if left else "right")
+    # What is not a terminal has no width: let rows be as long as they are.
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    return table, lambda: console.print(table)
+
+
+def _percent(share: float) -> str:
+    """Return a share as text."""
+    return f"{100 * share:.2g} %" if share < 1e3 else "–"

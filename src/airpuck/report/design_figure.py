@@ -1,0 +1,103 @@
+"""Standard errors that a proposed flight is expected to give, and gave on the twin."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from airpuck.files import replacing
+from airpuck.report.style import (
+    BLUE,
+    GREY,
+    PAGE_WIDTH,
+    VERMILLION,
+    new_figure,
+    png,
+    styled,
+    top_legend,
+)
+from airpuck.twin.design import Design
+from airpuck.twin.design_check import Obtained
+
+
+def write_design_figure(
+    found: Design, obtained: Obtained | None, path: str | os.PathLike[str]
+) -> None:
+    """Write `design_figure` as PNG.
+
+    Parameters
+    ----------
+    found : Design
+        The proposal.
+    obtained : Obtained or None
+        Its check.
+    path : path-like
+        The file.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(png(design_figure(found, obtained)))
+
+
+@styled
+def design_figure(found: Design, obtained: Obtained | None = None) -> Figure:
+    """Draw the relative standard errors of every quantity: now, usual, proposed, obtained.
+
+    Parameters
+    ----------
+    found : Design
+        The proposal.
+    obtained : Obtained or None
+        Flights of it on the twin. Their errors are those of a flight by itself, and so are then the
+        predicted ones.
+
+    Returns
+    -------
+    Figure
+        One axes with a logarithmic scale.
+    """
+    figure = new_figure(PAGE_WIDTH, 1.0 + 0.24 * len(found.wanted))
+    axes = figure.add_subplot()
+    rows = -np.arange(len(found.wanted), dtype=float)
+    by_itself = obtained is not None
+    usual, proposal = (
+        one.alone if by_itself else one.relative for one in (found.usual, found.proposal)
+    )
+    axes.hlines(rows, 100 * usual, 100 * proposal, color="#d9d9d9", lw=2.5)
+    handles: list[Line2D] = []
+
+    def dots(
+        errors: Float[np.ndarray, " K"], marker: str, color: str, filled: bool, label: str
+    ) -> None:
+        shown = 100 * np.where(np.isfinite(errors), errors, np.nan)
+        inside = color if filled else "white"
+        (line,) = axes.plot(shown, rows, ls="", marker=marker, color=color, mfc=inside, ms=5.5)
+        line.set_label(label)
+        handles.append(line)
+
+    if not by_itself and np.isfinite(found.known).any():
+        dots(found.known, "s", GREY, True, "now")
+    dots(usual, "o", GREY, False, "usual excitation, predicted")
+    dots(proposal, "o", BLUE, True, "proposal, predicted")
+    if obtained is not None:
+        marks = axes.plot(
+            100 * obtained.errors.T, rows, ls="", marker="|", color=VERMILLION, ms=9, mew=1.3
+        )
+        marks[0].set_label(f"proposal, obtained in {len(obtained.errors)} flights")
+        handles.append(marks[0])
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+    axes.grid(visible=True, axis="x", which="minor")
+    axes.set_yticks(rows, [one.label for one in found.wanted])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylim(rows[-1] - 0.6, 0.6)
+    axes.set_xlabel(
+        f"standard error after {found.proposal.plan.duration_s:g} s [% of what it matters against]"
+    )
+    top_legend(figure, handles)
+    return figure

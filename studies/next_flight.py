@@ -1,0 +1,68 @@
+"""How well flights keep what `airpuck design` predicts: standard errors, and the rails.
+
+    python studies/next_flight.py --flights 20 --duration 60
+
+Proposes an excitation for the published M3, as if nothing were known, flies it and the usual one on
+the twin with seeds that no rehearsal had, identifies each flight by itself, and compares the errors
+that the fits state with the predicted ones and with what is really missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from airpuck.model_file import published_model
+from airpuck.report.design_figure import write_design_figure
+from airpuck.twin.design import design
+from airpuck.twin.design_check import Obtained, check_design
+
+
+def told(done: int, total: int) -> None:
+    """Say how far it is."""
+    print(f"{done} of {total} flights", file=sys.stderr, flush=True)
+
+
+def report(name: str, one: Obtained, labels: list[str]) -> None:
+    """Print predicted and obtained errors [%], and root mean square misses in stated errors."""
+    ratio = one.typical / one.predicted
+    missed = np.sqrt(((one.misses / one.errors) ** 2).mean(axis=0))
+    print(f"{name}: predicted %, obtained %, ratio; missed, in stated errors")
+    for k, label in enumerate(labels):
+        print(
+            f"  {label:20s} {100 * one.predicted[k]:6.2f} {100 * one.typical[k]:6.2f} "
+            f"{ratio[k]:5.2f}   {missed[k]:5.2f}"
+        )
+    print(
+        f"  ratios from {ratio.min():.2f} to {ratio.max():.2f}; worst quantity "
+        f"{100 * one.predicted.max():.2f} % predicted, {100 * one.typical.max():.2f} % obtained; "
+        f"least distance to a rail {1e3 * one.clearance.min():.0f} mm, "
+        f"contacts in {int((one.clearance == 0).sum())} of {len(one.clearance)} flights"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--figure", default=None)
+    options = parser.parse_args()
+    model = replace(published_model("M3"), frame="body", indexing="start")
+    found = design(model, duration=options.duration, progress=told)
+    print("usual:", found.usual.plan)
+    print("proposal:", found.proposal.plan)
+    usual, proposal = check_design(found, options.flights, progress=told)
+    labels = [one.label for one in found.wanted]
+    report("usual", usual, labels)
+    report("proposal", proposal, labels)
+    if options.figure is not None:
+        write_design_figure(found, proposal, options.figure)
+
+
+if __name__ == "__main__":
+    from one_line import run
+
+    run(main)
