@@ -217,4 +217,7 @@ def _scalars(model: Model) -> Iterator[Interest]:
                 return np.ravel(getattr(m.parameters, name))[k]
 
             scale = against.get(quantity.name) or abs(float(value(model))) or np.inf
-            yield Interest(f"{quantity.symbol} {entry}".rstrip(), quantity.unit, scale, value)
+            label, unit = f"{quantity.symbol} {entry}".rstrip(), quantity.unit
+            if ", " in quantity.symbol:
+                label, unit = quantity.of_entry(k)
+            yield Interest(label, unit, scale, value)

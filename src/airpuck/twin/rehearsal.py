@@ -87,7 +87,13 @@ class Stage:
     tuning: Tuning
 
     def build(self) -> World:
-        """Compile what flights share."""
+        """Compile what flights share.
+
+        Returns
+        -------
+        World
+            Plant and controller.
+        """
         return World(
             plant=build_plant(self.model, self.settings),
             controller=excitation_controller(nominal_model(self.model.vehicle), tuning=self.tuning),
