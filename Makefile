@@ -17,7 +17,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev demo test lint format studies bench clean
+.PHONY: help install dev demo test test-browser lint format studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -36,6 +36,9 @@ demo: install  ## the whole way on a simulated recording, no download
 
 test: dev  ## all tests but the long studies
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+test-browser: dev  ## the live view in a real browser (Chromium of the distribution)
+	$(BIN)/python -m pytest -m browser -n 0 tests/live/test_view.py
 
 studies: dev  ## the long studies
 	$(BIN)/python -m pytest -m study -n $(WORKERS)

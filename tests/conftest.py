@@ -32,12 +32,13 @@ BLUE = "2024_03_05-16_12_50_sysid_h1_blue"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave long studies out unless they are asked for."""
-    if "study" in (config.option.markexpr or ""):
-        return
-    for item in items:
-        if item.get_closest_marker("study"):
-            item.add_marker(pytest.mark.skip(reason="long; runs with `make studies`"))
+    """Leave long studies, and what needs a browser, out unless they are asked for."""
+    for marker, target in (("study", "studies"), ("browser", "test-browser")):
+        if marker in (config.option.markexpr or ""):
+            continue
+        for item in items:
+            if item.get_closest_marker(marker):
+                item.add_marker(pytest.mark.skip(reason=f"runs with `make {target}`"))
 
 
 @pytest.fixture(scope="session")
