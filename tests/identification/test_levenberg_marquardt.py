@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
-from airpuck.model.presets import PRESETS
+from airpuck.model.presets import PRESETS, preset
 from airpuck.model.rollout import rollout
 from airpuck.model.thrust import is_monotone
 from airpuck.model_file import published_model
@@ -72,6 +72,18 @@ def test_bounds_hold():
     start = PRESETS["M2"].initial(VEHICLE)
     outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M2"].mask(start))
     assert 1e-4 <= outcome.parameters.motor_time_constant < 3e-3
+
+
+def test_a_bound_that_holds_is_met_exactly():
+    # A craft that something pushes along has less than no drag.
+    truth = published_model("M3")
+    pushed = replace(truth.parameters, drag=np.array([-0.5, 0.0, -0.5, 0.0]))
+    loss = noisy_loss(replace(truth, parameters=pushed), noise=1e-4)
+    rung = preset("M3+drag")
+    start = rung.initial(VEHICLE)
+    outcome = LevenbergMarquardt().minimize(loss, start, rung.mask(start))
+    assert outcome.parameters.drag[0] == 0.0
+    assert outcome.parameters.drag[2] == 0.0
 
 
 def test_fixed_entries_do_not_move():

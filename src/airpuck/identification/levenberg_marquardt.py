@@ -17,6 +17,8 @@ from airpuck.model.parameters import Parameters
 
 #: Damping, relative to the curvature, above which steps are too short to say anything.
 _OVERDAMPED = 1e6
+#: Distance from a bound that changes nothing, in units in which the Hessian has a unit diagonal.
+_TOUCHES = 1e-7
 
 
 @dataclass(frozen=True)
@@ -131,13 +133,24 @@ class LevenbergMarquardt:
                 (lower - point[free]) / scale,
                 (upper - point[free]) / scale,
             )
-            step = np.clip(step, lower - point[free], upper - point[free])
+            step = _onto(step, lower - point[free], upper - point[free], _TOUCHES * scale)
             if slopes is None:
                 return step
             thrust = point[:n_thrust].copy()
             thrust[free[:n_thrust]] += step[: free[:n_thrust].sum()]
             if not slopes.cut(thrust.reshape(thrust_shape)):
                 return step
+
+
+def _onto(
+    step: Float[np.ndarray, " F"],
+    lower: Float[np.ndarray, " F"],
+    upper: Float[np.ndarray, " F"],
+    reach: Float[np.ndarray, " F"],
+) -> Float[np.ndarray, " F"]:
+    """Put a step that comes within reach of a bound onto it: a solver stops just inside."""
+    step = np.where(step < lower + reach, lower, step)
+    return np.where(step > upper - reach, upper, step)
 
 
 def _solve(

@@ -156,7 +156,8 @@ QUANTITIES: tuple[Quantity, ...] = (
         "pair_interaction_1_N",
         "1/N",
         "cₚ",
-        0.0,
+        # Nothing to speak of, yet with a derivative: zero is a stationary point (see EFFECTS).
+        1e-2,
         1e3,
         "loss of thrust per thrust of the twin",
         _scalar,
