@@ -76,7 +76,10 @@ def test_iterations_go_on_after_the_faults_are_out(fit):
 
 def test_adam_leaves_them_out_too(faulty, fit):
     other = identify(faulty, "M3", method=Adam(epochs=1))
-    assert other.exclusion.faults == fit.exclusion.faults
+    # Its first fit takes the delay as it is: confidences differ a little.
+    assert [[(s.start, s.stop, s.cause) for s in spans] for spans in other.exclusion.faults] == [
+        [(s.start, s.stop, s.cause) for s in spans] for spans in fit.exclusion.faults
+    ]
     assert other.windows == fit.windows
     assert other.iterations == 1
 
