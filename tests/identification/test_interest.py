@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from airpuck.identification.interest import interests, relative_errors, scales_of, values_of
+from airpuck.model.presets import preset
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.model_file import published_model
+from airpuck.model_file import Model, published_model
+from airpuck.vehicle import default_vehicle
 
 
 def known(model, covariance, undetermined=()):
@@ -87,3 +89,14 @@ def test_what_is_not_determined_has_an_infinite_error():
     labels = [one.label for one in interests(model)]
     assert [label for label, error in zip(labels, errors, strict=True) if np.isinf(error)] == ["I"]
     assert np.isinf(relative_errors(model, interests(model))).all()
+
+
+def test_what_has_no_size_of_its_own_is_told_but_not_judged():
+    rung = preset("M3+inflow")
+    parameters = rung.initial(default_vehicle())
+    model = Model(rung.name, default_vehicle(), parameters, rung.mask(parameters))
+    covariance = np.eye(len(model.free)) * 1e-8
+    wanted = interests(model)
+    errors = relative_errors(replace(model, uncertainty=known(model, covariance)), wanted)
+    unknown = [one.label for one, error in zip(wanted, errors, strict=True) if np.isnan(error)]
+    assert unknown == ["cᵢ"]  # it begins at zero

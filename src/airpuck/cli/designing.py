@@ -219,7 +219,7 @@ def _print_errors(found: Design, obtained: Obtained | None) -> None:
     )
     for k, one in enumerate(found.wanted):
         errors = [found.known[k], found.usual.relative[k], found.proposal.relative[k]]
-        row = [one.label, f"{one.scale:.3g} {one.unit}", *map(_percent, errors)]
+        row = [one.label, _size(one.scale, one.unit), *map(_percent, errors)]
         if obtained is not None:
             got, foreseen = float(obtained.typical[k]), float(obtained.predicted[k])
             row += [_percent(foreseen), _percent(got), f"{got / foreseen:.2f}"]
@@ -239,6 +239,11 @@ def _table(title: str, headings: tuple[str, ...]) -> tuple[Table, Callable[[], N
     # What is not a terminal has no width: let rows be as long as they are.
     console = Console(width=None if sys.stdout.isatty() else 160)
     return table, lambda: console.print(table)
+
+
+def _size(scale: float, unit: str) -> str:
+    """Return what an error of 100 % is."""
+    return f"{scale:.3g} {unit}" if scale < 1e12 else "not judged"
 
 
 def _percent(share: float) -> str:

@@ -108,12 +108,13 @@ class RelativeErrors:
         -------
         array, shape (K,)
             In shares of the scale of each; infinite where the data do not determine one, or nothing
-            is known.
+            is known; nan for one without a size to be compared with.
         """
         if uncertainty is None or not np.array_equal(uncertainty.estimate, self._estimate):
             return np.full(len(self._scale), np.inf)
         errors = uncertainty.propagate(lambda v: (v - self._estimate) @ self._gradient)
-        return np.where(np.isfinite(errors), errors / self._scale, np.inf)
+        shares = np.where(np.isfinite(errors), errors / self._scale, np.inf)
+        return np.where(np.isfinite(self._scale), shares, np.nan)
 
 
 def relative_errors(model: Model, wanted: tuple[Interest, ...]) -> Float[np.ndarray, " K"]:
