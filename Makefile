@@ -17,7 +17,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev demo test test-browser lint format studies bench clean
+.PHONY: help install dev live demo test test-browser lint format studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -29,6 +29,11 @@ $(VENV)/.installed: pyproject.toml
 dev: $(VENV)/.installed-dev  ## the same with the tools for development
 $(VENV)/.installed-dev: pyproject.toml
 	$(call install,'.[dev]')
+	@touch $(VENV)/.installed
+
+live: $(VENV)/.installed-live  ## set up .venv with what live flights need
+$(VENV)/.installed-live: pyproject.toml
+	$(call install,'.[ros2,view]')
 	@touch $(VENV)/.installed
 
 demo: install  ## the whole way on a simulated recording, no download
