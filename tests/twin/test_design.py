@@ -19,7 +19,12 @@ from airpuck.twin.design import Candidate, Design, design
 from airpuck.twin.design_check import check_design
 from airpuck.twin.rehearsal import Crew, Rehearsal, Stage
 
-MODEL = published_model("M3")
+PUBLISHED = published_model("M3")
+#: As the next fit will learn it.
+MODEL = replace(
+    PUBLISHED,
+    free=PUBLISHED.free | PUBLISHED.parameters.mask(frozenset({"transport_delay"})),
+)
 SIZE = len(MODEL.free)
 
 
@@ -70,6 +75,13 @@ def test_the_best_of_all_combinations_is_found(found):
     assert found.proposal.score == found.proposal.relative.max()
     scores = [one.score for one in found.candidates]
     assert scores == sorted(scores)
+
+
+def test_the_delay_is_judged_where_the_next_fit_learns_it(rehearsed):
+    rehearsed()
+    for name, learned in (("M1", False), ("M3", True)):
+        found = design(published_model(name), processes=1)
+        assert found.model.delay_learned == learned
 
 
 def test_hold_times_between_those_of_the_grid_are_found(rehearsed):

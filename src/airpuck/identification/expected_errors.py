@@ -12,7 +12,7 @@ the number of blocks behind it asks for (Ledoit and Wolf 2004).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from airpuck.identification.uncertainty import (
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory
-from airpuck.windows import Windows, make_windows
+from airpuck.windows import make_windows
 
 #: Windows as `identify` cuts them, where the model does not say otherwise.
 _PAST, _AHEAD, _STRIDE = 40, 50, 7
@@ -111,10 +111,16 @@ def information_of(trajectory: Trajectory, model: Model, duration: float) -> Inf
     """
     how = fit_settings(model)
     encoder = how["encoder"]
-    windows = _whole_seconds(
-        make_windows(trajectory, encoder.length, how["prediction_length"], how["stride"])
+    trajectory = _whole_seconds(trajectory)
+    windows = make_windows(trajectory, encoder.length, how["prediction_length"], how["stride"])
+    loss = PredictionLoss(
+        windows,
+        model.vehicle,
+        encoder,
+        how["weights"],
+        how["frame"],
+        continuous_delay=model.delay_learned,
     )
-    loss = PredictionLoss(windows, model.vehicle, encoder, how["weights"], how["frame"])
     clusters = cluster_windows(windows)
     if clusters.max() < 1:
         raise InputError("is too short for two blocks of time", field="rehearsal")
@@ -131,24 +137,14 @@ def information_of(trajectory: Trajectory, model: Model, duration: float) -> Inf
     )
 
 
-def _whole_seconds(windows: Windows) -> Windows:
-    """Cut windows of one flight to whole seconds: flights of one length share a compiled program.
+def _whole_seconds(trajectory: Trajectory) -> Trajectory:
+    """Cut a flight to whole seconds: flights of one length share a compiled program.
 
     Their samples differ by a few, since a flight is cropped to where it is commanded.
     """
-    second = round(1 / float(np.median(np.diff(windows.time))))
-    length = windows.encoder_length + windows.prediction_length
-    kept = len(windows.time) // second * second
-    whole = windows.starts[windows.starts + length <= kept]
-    if not len(whole):
-        return windows
-    return replace(
-        windows,
-        time=windows.time[:kept],
-        state=windows.state[:kept],
-        input=windows.input[:kept],
-        starts=whole,
-    )
+    second = round(1 / trajectory.sample_period)
+    kept = len(trajectory) // second * second
+    return trajectory.slice(0.0, kept / len(trajectory)) if kept else trajectory
 
 
 def joined(flights: Sequence[Information]) -> Information:

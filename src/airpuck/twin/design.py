@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.errors import InputError
 from airpuck.identification.expected_errors import Forecast, Information, joined
 from airpuck.identification.interest import Interest, RelativeErrors, interests, scales_of
+from airpuck.model.presets import preset
 from airpuck.model_file import Model
 from airpuck.twin.rehearsal import Crew, Rehearsal, Stage
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -201,6 +202,7 @@ def design(
     """
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
     _check(model, duration, criterion, margin, rehearsal, seed)
+    model = _as_learned_next(model)
     stage = Stage(model, settings, tuning)
     usual = ExcitationPlan(duration_s=duration)
     grid = [
@@ -354,6 +356,13 @@ def _near(plan: ExcitationPlan, signals: int, period: float) -> list[ExcitationP
         scaled = each * np.where(np.arange(signals) == weak, _WEAKER, 1.0)
         found.append(plan.model_copy(update={"amplitude": tuple(np.round(scaled, 3).tolist())}))
     return found
+
+
+def _as_learned_next(model: Model) -> Model:
+    """Free the transport delay where the next fit will: on rungs with a motor lag."""
+    if not preset(model.name).lag:
+        return model
+    return replace(model, free=model.free | model.parameters.mask(frozenset({"transport_delay"})))
 
 
 def _check(

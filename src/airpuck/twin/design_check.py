@@ -125,6 +125,7 @@ def _identified(
         preset(truth.name),
         vehicle=truth.vehicle,
         initial=truth.parameters,
+        delay="fit" if truth.delay_learned else "fixed",
         **fit_settings(truth),
     )
     wanted = interests(truth)
