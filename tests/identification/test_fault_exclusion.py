@@ -38,7 +38,7 @@ def faulty():
 
 @pytest.fixture(scope="module")
 def fit(faulty):
-    return identify(faulty, "M3")
+    return identify(faulty, "M3", faults="exclude")
 
 
 def test_faults_do_not_move_the_estimate(fit, faulty):
@@ -52,7 +52,7 @@ def test_faults_do_not_move_the_estimate(fit, faulty):
 
 
 def test_a_clean_flight_loses_nothing(clean):
-    fit, kept = identify(clean, "M3"), identify(clean, "M3", faults="keep")
+    fit, kept = (identify(clean, "M3", faults=f) for f in ("exclude", "keep"))
     assert fit.exclusion.share == 0
     assert fit.exclusion.faults == ((),)
     assert fit.windows == kept.windows
@@ -75,7 +75,7 @@ def test_iterations_go_on_after_the_faults_are_out(fit):
 
 
 def test_adam_leaves_them_out_too(faulty, fit):
-    other = identify(faulty, "M3", method=Adam(epochs=1))
+    other = identify(faulty, "M3", method=Adam(epochs=1), faults="exclude")
     # Its first fit takes the delay as it is: confidences differ a little.
     assert [[(s.start, s.stop, s.cause) for s in spans] for spans in other.exclusion.faults] == [
         [(s.start, s.stop, s.cause) for s in spans] for spans in fit.exclusion.faults

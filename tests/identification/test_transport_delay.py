@@ -127,7 +127,7 @@ def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
 
 def test_shifted_commands_count_from_the_nominal_delay():
     """Where the author had shifted the commands already, nobody knows by how much."""
-    fit = identify(fly(TRUTH, duration=6.0), encoder=LONG, stride=3)
+    fit = identify(fly(TRUTH, duration=6.0), delay="fit", encoder=LONG, stride=3)
     assert fit.model.transport_delay == pytest.approx(VEHICLE.nominal.transport_delay_s, abs=2e-5)
 
 
