@@ -104,6 +104,7 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
     assert {file: json.loads(file.read_text()) for file in done} == done
 
 
+@pytest.mark.study
 def test_a_flight_is_the_tracking_studys():
     (row,) = Tracking(seed=3, controller="full", dwell_s=0.4).run()
     model = published_model("M4")
@@ -176,6 +177,7 @@ def flight(tmp_path_factory):
     return str(folder)
 
 
+@pytest.mark.study
 def test_fits_from_anywhere_end_at_the_same_place(flight):
     plain = identify(load_trajectory(flight), "M2").model.parameters.to_vector()
     for seed in (1, 2):
@@ -189,6 +191,7 @@ def test_fits_from_anywhere_end_at_the_same_place(flight):
         assert 0 < row["rmse_x_m"] < 0.02
 
 
+@pytest.mark.study
 def test_resampled_fits_surround_the_fit(flight):
     rows = Fitting(recordings=[flight], model="M2", resamplings=12, seed=4).run()
     fit = identify(load_trajectory(flight), "M2")

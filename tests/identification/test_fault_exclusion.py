@@ -74,6 +74,7 @@ def test_iterations_go_on_after_the_faults_are_out(fit):
     assert numbers == list(range(len(numbers)))
 
 
+@pytest.mark.study
 def test_adam_leaves_them_out_too(faulty, fit):
     other = identify(faulty, "M3", method=Adam(epochs=1), faults="exclude")
     # Its first fit takes the delay as it is: confidences differ a little.

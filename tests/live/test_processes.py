@@ -303,6 +303,7 @@ def test_a_killed_twin_idles_the_motors_and_a_bad_radio_does_not_stop_the_next(t
     assert (np.abs(here - (0.2, 0.1, 0.5)) < (0.05, 0.05, 0.3)).all()
 
 
+@pytest.mark.study
 def test_half_a_minute_of_excitation_gives_the_twins_parameters_back(table, tmp_path):
     watch = table.watch
     table.land()

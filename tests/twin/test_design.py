@@ -166,6 +166,7 @@ def test_numbers_out_of_range_are_refused(field, value):
     assert caught.value.field == field
 
 
+@pytest.mark.study
 def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     plan = ExcitationPlan(duration_s=8.0)
     with Crew(found.stage, 1) as crew:
