@@ -43,7 +43,7 @@ def design(
     ] = "worst",
     margin: Annotated[
         float, typer.Option(metavar="M", help=r"Least distance to the rails \[m].")
-    ] = 0.03,
+    ] = 0.08,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE", help="Plan to write, for excite --plan."),

@@ -33,7 +33,7 @@ _STRETCHES = (0.8, 1.25)
 _WEAKER = 0.6
 #: The best so many are flown at full length, so often each; if none of them keeps away from the
 #: rails, the next ones.
-_FINALISTS, _FLIGHTS = 3, 2
+_FINALISTS, _FLIGHTS = 3, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ def design(
     *,
     duration: float = 60.0,
     criterion: Criterion = "worst",
-    margin: float = 0.03,
+    margin: float = 0.08,
     rehearsal: float = 20.0,
     amplitudes: Sequence[float] = _AMPLITUDES,
     holds: Sequence[float] = _HOLDS,
@@ -166,7 +166,7 @@ def design(
         Length of the flight to propose [s].
     criterion : {"worst", "mean"}, default "worst"
         The largest relative standard error, or the geometric mean of all.
-    margin : float, default 0.03
+    margin : float, default 0.08
         Least distance of the craft to the rails in every rehearsal [m].
     rehearsal : float, default 20
         Length of the rehearsals of all candidates [s]. The best are then flown at full length.
