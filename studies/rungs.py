@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import one_line
 
 from airpuck import Model, evaluate, identify, load_trajectory
 from airpuck.evaluation.evaluate import ENCODERS
@@ -79,4 +78,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    one_line.run(main)
+    from one_line import run
+
+    run(main)

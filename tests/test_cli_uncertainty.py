@@ -25,7 +25,7 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
     assert "±" in process.stdout
     assert "F(0.5) motor_c_2" in process.stdout
     assert "10 resampled" in process.stdout
-    assert "column motor_a_1 of Π can only be determined as a product" in process.stdout
+    assert "scale is fixed by Newton's law" in process.stdout
     assert "resampled 10 of 10" in process.stderr
     figures = json.loads((tmp_path / "fit.json").read_text())
     lag = figures["parameters"]["motor_time_constant"]
@@ -38,7 +38,7 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
     assert figures["uncertainty"]["seed"] == 3
     assert read_model(tmp_path / "m.toml").uncertainty.bootstrap.seed == 3
     page = (tmp_path / "r" / "index.html").read_text()
-    assert "can only be determined as a product" in page
+    assert "fixed by Newton" in page
     assert " ± " in page
 
 

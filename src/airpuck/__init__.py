@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from airpuck.report.animation import animate
     from airpuck.report.reproduce import reproduce
     from airpuck.trajectory import Span, Trajectory, read_trajectory
+    from airpuck.twin.design import design
     from airpuck.twin.experiments import excite, track
     from airpuck.twin.fleet import fly_fleet
     from airpuck.twin.settings import TwinSettings, read_twin_settings
@@ -84,6 +85,7 @@ _HOME = {
     "check_layout": "airpuck.identification.layout_check",
     "compare": "airpuck.evaluation.evaluate",
     "default_vehicle": "airpuck.vehicle",
+    "design": "airpuck.twin.design",
     "drift": "airpuck.evaluation.drift",
     "evaluate": "airpuck.evaluation.evaluate",
     "excite": "airpuck.twin.experiments",
@@ -143,6 +145,7 @@ __all__ = [
     "check_layout",
     "compare",
     "default_vehicle",
+    "design",
     "drift",
     "evaluate",
     "excite",

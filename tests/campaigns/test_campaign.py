@@ -92,7 +92,7 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
         time.sleep(0.05)
     # As a terminal does: to the workers, too.
     os.killpg(process.pid, signal.SIGINT)
-    _, told = process.communicate(timeout=60)
+    _, told = process.communicate(timeout=180)
     assert process.returncode == 130
     assert told.splitlines()[-1] == "airpuck: interrupted; run it again for what is missing"
     assert "Traceback" not in told

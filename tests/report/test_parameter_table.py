@@ -32,4 +32,4 @@ def test_every_propeller_and_coefficient_has_its_row(study):
     n = study.models[0].vehicle.n_propellers
     assert len(coefficient_rows(study.models)) == 3 * n
     assert len(effect_rows(study.models)) == 3 * n
-    assert len(main_rows(study.models)) == 5 + n
+    assert len(main_rows(study.models)) == 6 + n

@@ -21,6 +21,8 @@ from airpuck.twin.tracking_study import SET_POINTS, tracking_study
 from airpuck.twin.twin import build_plant
 from airpuck.vehicle import Vehicle, default_vehicle
 
+from ..recovered import assert_recovered
+
 PUBLISHED = published_model("M3")
 TRUTH = replace(
     PUBLISHED,

@@ -71,7 +71,7 @@ class Plant:
         import jax.numpy as jnp
 
         def advanced(state: Any, command: Any, duration: Any, scale: Any) -> tuple[Any, Any]:
-            dynamics = scaled(self.dynamics, scale)
+            dynamics = scaled(self.dynamics, scale[:, None])
             free = step(jnp, dynamics, state, command, duration)
             state = rebound(jnp, dynamics, self.disc, self.table, free)
             return state, (state != free).any()
@@ -87,16 +87,15 @@ def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
     ----------
     dynamics : Dynamics
         Coefficients.
-    factor : float or array, shape () or (n,)
-        For example of a battery that sags, or of each motor.
+    factor : array
+        That broadcasts with the thrust curves: of each motor, shape (n, 1), or of each craft of a
+        batch, shape (B,).
 
     Returns
     -------
     Dynamics
         With scaled thrust curves.
     """
-    if getattr(factor, "ndim", 0) > 0:
-        factor = factor.reshape((-1,) + (1,) * (dynamics.thrust.ndim - 1))
     return replace(dynamics, thrust=dynamics.thrust * factor)
 
 

@@ -238,7 +238,7 @@ class Twin:
         cos, sin = math.cos(yaw), math.sin(yaw)
         if kind == "mouse":
             return np.array([cos * vx + sin * vy, cos * vy - sin * vx])
-        felt = scaled(self._felt, self._thrust_left(self._state_time))
+        felt = scaled(self._felt, self._thrust_left(self._state_time)[:, None])
         ax, ay, _ = acceleration(np, felt, self.state[2:6], self.state[6:])
         return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
 
