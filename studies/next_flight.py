@@ -49,13 +49,22 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=20)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--criterion", choices=("worst", "mean"), default="worst")
+    parser.add_argument("--processes", type=int, default=None)
     parser.add_argument("--figure", default=None)
     options = parser.parse_args()
     model = replace(published_model("M3"), frame="body", indexing="start")
-    found = design(model, duration=options.duration, criterion=options.criterion, progress=told)
+    found = design(
+        model,
+        duration=options.duration,
+        criterion=options.criterion,
+        processes=options.processes,
+        progress=told,
+    )
     print("usual:", found.usual.plan)
     print("proposal:", found.proposal.plan)
-    usual, proposal = check_design(found, options.flights, progress=told)
+    usual, proposal = check_design(
+        found, options.flights, processes=options.processes, progress=told
+    )
     labels = [one.label for one in found.wanted]
     report("usual", usual, labels)
     report("proposal", proposal, labels)
