@@ -23,7 +23,7 @@ from airpuck.model.presets import PRESETS
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.parameters_section import ParametersSection
-from airpuck.uncertainty_section import UncertaintySection, uncertainty_content
+from airpuck.uncertainty_section import DelayJitter, UncertaintySection, uncertainty_content
 from airpuck.vehicle import Vehicle, default_vehicle
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class Model:
         Where the numbers come from.
     uncertainty : Uncertainty or None
         How well the parameters are known, where they were learned here.
+    delay_jitter : DelayJitter or None
+        By how much the transport delay differs from packet to packet, where it was learned here.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Model:
     data: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
     uncertainty: Uncertainty | None = None
+    delay_jitter: DelayJitter | None = None
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -237,6 +240,7 @@ class Model:
             "fit": dict(self.fit),
             "data": dict(self.data),
             **uncertainty_content(self.uncertainty, self.parameters, self.vehicle),
+            **({"delay_jitter": self.delay_jitter.model_dump()} if self.delay_jitter else {}),
             "vehicle": self.vehicle.model_dump(mode="json"),
         }
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
@@ -254,6 +258,7 @@ class _ModelFile(Section):
     fit: dict[str, Any] = pydantic.Field(default_factory=dict)
     data: dict[str, str] = pydantic.Field(default_factory=dict)
     uncertainty: UncertaintySection | None = None
+    delay_jitter: DelayJitter | None = None
     vehicle: Vehicle
 
 
@@ -319,6 +324,7 @@ def _from_file(content: _ModelFile) -> Model:
         source=content.source,
         uncertainty=content.uncertainty
         and content.uncertainty.uncertainty(parameters, content.vehicle),
+        delay_jitter=content.delay_jitter,
     )
 
 

@@ -68,6 +68,24 @@ def uncertainty_content(
     return {"uncertainty": content}
 
 
+class DelayJitter(Section):
+    """The table ``[delay_jitter]``: by how much the transport delay differs from packet to packet.
+
+    Attributes
+    ----------
+    standard_deviation_s : float
+        Of the delay of single packets.
+    standard_error_s : float
+        Of that standard deviation.
+    packets : int
+        Packets behind it.
+    """
+
+    standard_deviation_s: float = pydantic.Field(ge=0)
+    standard_error_s: float = pydantic.Field(ge=0)
+    packets: int = pydantic.Field(ge=1)
+
+
 class _WithNan(Section):
     """A table where nan stands for what is not known."""
 

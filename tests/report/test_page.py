@@ -1,13 +1,17 @@
 """The page: one file, nothing from outside, whole or not there at all."""
 
+from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from airpuck.errors import InputError
+from airpuck.identification.packet_delays import PacketDelays
 from airpuck.report.fit_report import fit_report
 from airpuck.report.page import Picture, Section, Table, Text, write_page
 from airpuck.report.style import new_figure
+from airpuck.uncertainty_section import DelayJitter
 
 from .conftest import model_of
 
@@ -112,9 +116,25 @@ def test_fit_report_of_any_craft(study, tmp_path, judged):
         assert name in page.text
 
 
+def test_fit_report_shows_when_packets_arrived(study, tmp_path):
+    jitter = DelayJitter(standard_deviation_s=0.0063, standard_error_s=0.0002, packets=3)
+    delays = PacketDelays(np.array([20, 50, 90]), 1e-3 * np.array([-6.0, 1, 5]), np.full(3, 1e-3))
+    fit = replace(
+        study.fits[3],
+        model=replace(study.fits[3].model, delay_jitter=jitter),
+        packet_delays=(delays,),
+    )
+    page = check_self_contained(
+        fit_report(fit, (), study.training, tmp_path).read_text(encoding="utf-8")
+    )
+    assert {"delay", "figure-packet_delays"} <= page.ids
+    assert "jitter 6.3 ± 0.2 ms over 3 packets" in page.text
+
+
 def test_fit_report_of_one_fit_without_truth(study, tmp_path):
     path = fit_report(study.fits[3], study.fitted[3:4], study.training, tmp_path)
     page = check_self_contained(path.read_text(encoding="utf-8"))
     assert "figure-parameters" not in page.ids
+    assert "delay" not in page.ids
     with pytest.raises(InputError, match="no fit"):
         fit_report((), (), study.training, tmp_path)

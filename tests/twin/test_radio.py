@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from airpuck.twin.radio import RadioLink
+from airpuck.twin.radio import RadioLink, queued_delay
 from airpuck.twin.settings import Radio
 
 PERIOD = 0.01
@@ -49,6 +49,19 @@ def test_without_jitter_a_packet_acts_exactly_after_its_delay():
     assert radio.next_change(1.0) == 1.03
     assert radio.command(np.nextafter(1.03, 0)) == 0
     assert radio.command(1.03) == 7
+
+
+def test_queued_delays_are_those_of_the_link():
+    """Of the same random numbers; a packet that one saw nothing of came with the next one seen."""
+    settings = Radio(delay_s=0.02, jitter_s=0.008)
+    sent = PERIOD * np.arange(2000)
+    times, numbers = received(flown(link(jitter_s=0.008), 2000))
+    delay = times[np.searchsorted(numbers, np.arange(1, 2001))] - sent
+    mean, deviation = queued_delay(settings, PERIOD, packets=2000)
+    assert mean == pytest.approx(delay.mean(), abs=1e-12)
+    assert deviation == pytest.approx(delay.std(), abs=1e-12)
+    assert mean > 0.0205
+    assert queued_delay(Radio(delay_s=0.02), PERIOD) == pytest.approx((0.02, 0.0), abs=1e-9)
 
 
 def test_packets_in_flight_arrive_one_after_the_other():

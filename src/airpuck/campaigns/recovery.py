@@ -10,11 +10,13 @@ import pydantic
 from jaxtyping import Float
 
 from airpuck.campaigns.item import Item, Row, Spread, TwinTable, varied
+from airpuck.control.tuning import default_tuning
 from airpuck.identification.fit import identify
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model, read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
+from airpuck.twin.radio import queued_delay
 from airpuck.twin.settings import default_twin_settings
 
 #: Speeds over which thrust curves are compared.
@@ -70,11 +72,12 @@ class Recovery(Item):
         fit = identify(
             trajectory, self.model, vehicle=truth.vehicle, stride=self.stride, robust=self.robust
         )
-        delay = self.twin.with_delay(truth.transport_delay).radio.delay_s or 0.0
+        radio = self.twin.with_delay(truth.transport_delay).radio
+        delay, _ = queued_delay(radio, default_tuning().period_s)
         return [
             {
                 **recovery_errors(fit.model, truth),
-                "delay_s": float(trajectory.delay - delay),
+                "delay_s": fit.model.transport_delay - delay,
                 "loss": fit.loss,
                 "iterations": float(fit.iterations),
                 "converged": float(fit.converged),

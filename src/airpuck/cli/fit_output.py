@@ -29,6 +29,8 @@ def print_fit(fit: Fit) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from airpuck.evaluation.presentation import delay_words
+
     print(
         f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
         f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
@@ -54,6 +56,8 @@ def print_fit(fit: Fit) -> None:
     for row in _rows(fit.model):
         table.add_row(*row[: len(headings)])
     Console(width=None if sys.stdout.isatty() else 160).print(table)
+    if fit.model.delay_jitter is not None:
+        print(f"delay {delay_words(fit.model)}")
     print(
         f"{found.rank} of {found.free} free parameters determined, condition "
         f"{found.condition:.1e}; weakest: {', '.join(found.weakest)}"

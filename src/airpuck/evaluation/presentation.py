@@ -177,6 +177,33 @@ def _value(
     )
 
 
+def delay_words(model: Model) -> str:
+    """Say how long commands take, and by how much that differs from packet to packet.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    str
+        For example ``21.6 ± 0.1 ms, jitter 6.2 ± 0.4 ms over 140 packets``; what is not known is
+        left out.
+    """
+    error = float(model.standard_error(lambda m: m.transport_delay))
+    told = f"{1e3 * model.transport_delay:.2f} ms"
+    if np.isfinite(error):
+        told = f"{1e3 * model.transport_delay:.2f} ± {1e3 * error:.2f} ms"
+    jitter = model.delay_jitter
+    if jitter is None:
+        return told
+    return (
+        f"{told}, jitter {1e3 * jitter.standard_deviation_s:.1f} ± "
+        f"{1e3 * jitter.standard_error_s:.1f} ms over {jitter.packets} packets"
+    )
+
+
 def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
     """Compute how hard a craft at rest can be pushed each way, all motors together.
 
@@ -253,7 +280,7 @@ def _structure(model: Model) -> list[str]:
 def _conditions(model: Model) -> list[tuple[str, str]]:
     """Say how and from what a model was learned."""
     told = [("source", model.source)] if model.source else []
-    told.append(("transport delay", f"{1e3 * model.transport_delay:.2f} ms"))
+    told.append(("transport delay", delay_words(model)))
     told += [(key.replace("_", " "), _text(value)) for key, value in model.fit.items()]
     told += [(f"data {name}", digest) for name, digest in model.data.items()]
     if model.uncertainty is not None:

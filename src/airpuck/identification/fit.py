@@ -15,11 +15,13 @@ from airpuck import __version__
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.bootstrap import bootstrap as resample
+from airpuck.identification.delay_jitter import delay_jitter
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method, minimize_on
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.packet_delays import PacketDelays, packet_delays
 from airpuck.identification.robust import reweighted
 from airpuck.identification.transport_delay import (
     DelayChoice,
@@ -67,6 +69,8 @@ class Fit:
         What the data say about the parameters; `identify` always finds it.
     exclusion : Exclusion or None
         The faults that were found and kept out of the fit; None where none were searched.
+    packet_delays : tuple of PacketDelays
+        When single packets arrived, in each recording; empty where the delay was not learned.
     """
 
     model: Model
@@ -79,6 +83,7 @@ class Fit:
     warnings: tuple[str, ...]
     identifiability: Identifiability | None = None
     exclusion: Exclusion | None = None
+    packet_delays: tuple[PacketDelays, ...] = ()
 
     @property
     def uncertainty(self) -> Uncertainty | None:
@@ -97,7 +102,7 @@ class Fit:
         -------
         dict
             ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
-            uncertainty, identifiability, faults, history``.
+            uncertainty, identifiability, delay_jitter, faults, history``.
         """
         return {
             "model": self.model.name,
@@ -110,6 +115,7 @@ class Fit:
             "parameters": _parameters_json(self.model),
             "uncertainty": _uncertainty_json(self.uncertainty),
             "identifiability": self.identifiability and self.identifiability.to_json(),
+            "delay_jitter": self.model.delay_jitter and self.model.delay_jitter.model_dump(),
             "faults": self.exclusion and self.exclusion.to_json(),
             "history": [asdict(iteration) for iteration in self.history],
         }
@@ -278,6 +284,10 @@ def identify(
     known = identifiability_of(
         shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
     )
+    packets = ()
+    if continuous:
+        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
+        packets = tuple(packet_delays(trajectory, rough) for trajectory in trajectories)
     wall = time.perf_counter() - started
     if bootstrap:
         uncertainty = replace(
@@ -318,6 +328,7 @@ def identify(
         # The last two names of the path: a model file must not tell where its author's home is.
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in trajectories),
         uncertainty=uncertainty,
+        delay_jitter=delay_jitter(packets),
     )
     return Fit(
         model=identified,
@@ -336,6 +347,7 @@ def identify(
         ),
         identifiability=known,
         exclusion=exclusion,
+        packet_delays=packets,
     )
 
 

@@ -9,10 +9,12 @@ from pathlib import Path
 
 from airpuck.errors import InputError
 from airpuck.evaluation.evaluate import Evaluation
+from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.fit import Fit
 from airpuck.model_file import Model
 from airpuck.report.fault_report import fault_section
-from airpuck.report.page import Section, Table, write_page
+from airpuck.report.packet_delay_figure import packet_delay_figure
+from airpuck.report.page import Picture, Section, Table, write_page
 from airpuck.report.study import Study
 from airpuck.report.study_sections import (
     craft_section,
@@ -86,16 +88,38 @@ def fit_report(
         thrust_section(study),
         optimiser_section(study),
         parameter_section(study),
+        *_delay_sections(fits[-1], training),
         *_fault_sections(fits[-1], training),
         *more,
         sources_section(training),
     ]
     lead = (
         f"{names}: identified from {training.duration:.1f} s of flight, {len(training)} samples, "
-        f"{vehicle.n_propellers} propellers"
-        + (f", transport delay {1e3 * training.delay:.1f} ms." if training.delay_known else ".")
+        f"{vehicle.n_propellers} propellers" + f"{_delay(fits[-1].model, training)}."
     )
     return write_page(out, title or f"Identification of {vehicle.name}", lead, sections)
+
+
+def _delay(model: Model, training: Trajectory) -> str:
+    """Say what the transport delay is, where the recording tells it."""
+    if model.delay_learned:
+        return f", transport delay {delay_words(model)}"
+    return f", transport delay {1e3 * training.delay:.1f} ms" if training.delay_known else ""
+
+
+def _delay_sections(fit: Fit, training: Trajectory) -> list[Section]:
+    """Show when single packets arrived, where the delay was learned and some could be told."""
+    if not fit.packet_delays or not len(fit.packet_delays[0]):
+        return []
+    delays = fit.packet_delays[0]
+    caption = (
+        f"Delay of the {len(delays)} packets that changed the thrust enough to show in the poses, "
+        f"± two standard errors; transport delay {delay_words(fit.model)}. A packet that was lost "
+        "looks late by the time until the next one. The jitter is what the spread has beyond the "
+        "standard errors."
+    )
+    figure = packet_delay_figure(training.command_time, delays, fit.model)
+    return [Section("delay", "Transport delay", (Picture("packet_delays", figure, caption),))]
 
 
 def _fault_sections(fit: Fit, training: Trajectory) -> list[Section]:

@@ -1,0 +1,83 @@
+"""Excitation flights on the twin: how fast they really were, how long each packet really took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from airpuck.model_file import published_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.trajectory import Trajectory
+from airpuck.twin import experiments
+from airpuck.twin import twin as twin_module
+from airpuck.twin.plant import Plant
+from airpuck.twin.radio import RadioLink
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin, build_plant
+
+#: The craft: the published M3, its centre of mass fixed to the body.
+TRUTH = replace(published_model("M3"), frame="body", indexing="start")
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """A flight.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        As preprocessed.
+    delay : array, shape (K,)
+        How long each packet took [s].
+    rates : array, shape (N, 3)
+        True vx, vy [m/s], ω [rad/s].
+    """
+
+    trajectory: Trajectory
+    delay: Float[np.ndarray, " K"]
+    rates: Float[np.ndarray, "N 3"]
+
+
+@lru_cache(maxsize=1)
+def plant() -> Plant:
+    """Compile once for all flights."""
+    return build_plant(TRUTH)
+
+
+def settings(jitter: float) -> TwinSettings:
+    """The packaged twin with another jitter [s]."""
+    twin = default_twin_settings()
+    return twin.model_copy(update={"radio": twin.radio.model_copy(update={"jitter_s": jitter})})
+
+
+def flown(jitter: float, duration: float, seed: int = 0) -> Flown:
+    """Fly with a radio of a given jitter [s], and look into it."""
+    delay: list[float] = []
+    twins: list[Twin] = []
+
+    class WatchedRadio(RadioLink):
+        def send(self, time, command):
+            super().send(time, command)
+            delay.append(self._last_arrival - time)
+
+    class WatchedTwin(Twin):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            twins.append(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(twin_module, "RadioLink", WatchedRadio)
+        patch.setattr(experiments, "Twin", WatchedTwin)
+        recording = experiments.excite(
+            TRUTH, duration, seed, settings=settings(jitter), plant=plant()
+        )
+    trajectory = preprocess(recording)
+    assert len(trajectory.command_time) == len(delay)
+    # Commands are sent at whole hundredths of a second, the first at zero.
+    time, state = twins[0].truth
+    frame = np.searchsorted(time, trajectory.time - trajectory.command_time[0] - 1e-4)
+    return Flown(trajectory, np.array(delay), state[frame, 3:6])

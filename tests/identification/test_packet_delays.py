@@ -1,0 +1,76 @@
+"""Delays of single packets, against the twin's radio."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.identification.fit import identify
+from airpuck.identification.packet_delays import packet_delays
+from airpuck.model_file import read_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.recording.read import read_recording
+from airpuck.twin.radio import queued_delay
+
+from ..conftest import BLUE
+from .flown import TRUTH, flown, settings
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return flown(0.007, 40.0)
+
+
+@pytest.fixture(scope="module")
+def fit(flight):
+    return identify(flight.trajectory)
+
+
+def test_every_packet_is_found_within_its_error(flight):
+    """With the true model: what is left is the noise of the cameras."""
+    known = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
+    found = packet_delays(flight.trajectory, known)
+    assert len(found) > 100
+    wrong = TRUTH.transport_delay + found.deviation - flight.delay[found.packet]
+    assert np.median(found.standard_error) < 0.7e-3
+    score = wrong / found.standard_error
+    assert 0.8 < score.std() < 1.25
+    assert np.mean(np.abs(score) < 3) > 0.98
+
+
+def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):
+    jitter = fit.model.delay_jitter
+    own = flight.delay[fit.packet_delays[0].packet]
+    # That the spread of these packets is not that of all is no error of the estimate.
+    assert jitter.standard_deviation_s == pytest.approx(own.std(), rel=0.08)
+    mean, spread = queued_delay(settings(0.007).with_delay(TRUTH.transport_delay).radio, 0.01)
+    assert abs(jitter.standard_deviation_s - spread) < 3 * jitter.standard_error_s
+    assert jitter.standard_error_s < 0.1 * spread
+    assert fit.model.transport_delay == pytest.approx(mean, abs=2e-3)
+
+
+def test_without_jitter_there_is_none():
+    found = identify(flown(0.0, 20.0, seed=1).trajectory)
+    assert found.model.delay_jitter.standard_deviation_s < 0.7e-3
+
+
+def test_it_is_in_the_model_file_and_in_the_figures(fit, tmp_path):
+    fit.model.save(tmp_path / "model.toml")
+    again = read_model(tmp_path / "model.toml").delay_jitter
+    assert again == fit.model.delay_jitter
+    assert fit.to_json()["delay_jitter"] == again.model_dump()
+
+
+def test_a_delay_that_was_not_learned_has_none(flight):
+    found = identify(flight.trajectory, delay="fixed", faults="keep")
+    assert found.model.delay_jitter is None
+    assert found.packet_delays == ()
+
+
+@pytest.mark.data
+def test_jitter_of_a_real_flight(experiments):
+    """Median and quartiles of the delays were found by another method: 21, 15.7 and 25.2 ms."""
+    trajectory = preprocess(read_recording(experiments / BLUE / BLUE))
+    found = identify(trajectory)
+    jitter = found.model.delay_jitter
+    assert 6e-3 < jitter.standard_deviation_s < 9e-3
