@@ -31,6 +31,11 @@ VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"
 BLUE = "2024_03_05-16_12_50_sysid_h1_blue"
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let the test in the browser keep its picture."""
+    parser.addoption("--screenshot", metavar="FILE", help="where to keep that of the live view")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave long studies, and what needs a browser, out unless they are asked for."""
     for marker, target in (("study", "studies"), ("browser", "test-browser")):

@@ -114,6 +114,10 @@ class Watch:
         """The numbers of each message on a topic."""
         return [CODECS[topic].decode(message.data)[1] for message in self.heard[topic]]
 
+    def newest(self, topic: str):
+        """The numbers of the last message on a topic."""
+        return CODECS[topic].decode(self.heard[topic][-1].data)[1]
+
     def stamps(self, topic: str) -> list[float]:
         """The time in each message's header [s]."""
         return [CODECS[topic].decode(message.data)[0] / 1e9 for message in self.heard[topic]]

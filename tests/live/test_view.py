@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import math
 import shutil
+import signal
 import socket
 from collections.abc import Iterator
+from dataclasses import dataclass
+from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from airpuck.live.marker import on_table
+from airpuck.live.scene import EYE, FIELD_OF_VIEW, LOOKS_AT
 from airpuck.live.view import Wishes
 
-from .processes import POSES, Process, Watch
+from .processes import POSES, REFERENCES, Process, Watch
 
 REACH = (1.0, 0.5)
 
@@ -28,9 +36,29 @@ def test_wishes_stay_inside_the_rails_and_are_taken_once():
     assert wishes.take() is None
 
 
+def test_a_line_of_sight_meets_the_table():
+    np.testing.assert_allclose(on_table((0, -1, 2), (0.5, 0, 1)), (1.0, 1.0))
+    np.testing.assert_allclose(on_table((0.2, 0.3, 2), (0.2, 0.3, -5)), (0.2, 0.3))
+    assert on_table((0, -1, 2), (0, 0, 2)) is None
+    assert on_table((0, -1, 2), (0, 0, 3)) is None
+
+
+# In the browser -----------------------------------------------------------------------------------
+
+
 @pytest.fixture(scope="module")
-def flight(domain) -> Iterator[tuple[Watch, int]]:
-    """A twin, a controller that follows the graph, a view: who watches them, and the port."""
+def chromium() -> str:
+    """The distribution's Chromium."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next((found for name in names if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip("needs Chromium: install the distribution's package")
+    return path
+
+
+@pytest.fixture(scope="module")
+def flight(domain, chromium) -> Iterator[tuple[Watch, int, Process]]:
+    """A twin, a controller that follows the graph, a view: who watches, the port, the view."""
     pytest.importorskip("viser")
     watch = Watch(domain)
     with socket.socket() as free:
@@ -41,47 +69,189 @@ def flight(domain) -> Iterator[tuple[Watch, int]]:
     try:
         watch.until(lambda: "flying" in watch.events("fly"), timeout=90)
         watch.until(lambda: any("at http" in said for said in watch.events("view")), timeout=90)
-        yield watch, port
+        yield watch, port, processes[-1]
     finally:
         for process in processes:
             process.kill()
         watch.close()
 
 
-@pytest.fixture
-def page(flight):
-    """The page in headless Chromium, painted."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("needs Chromium: install the distribution's package")
+@dataclass
+class Page:
+    """The page in headless Chromium, beside who watches the graph."""
+
+    page: Any
+    watch: Watch
+    asked: list[str]
+
+    def picture(self) -> np.ndarray:
+        """What is on the screen now, red, green, blue."""
+        image = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
+        return np.array(image).astype(int)
+
+    def pixel(self, point) -> tuple[float, float]:
+        """Where a point of the table is on the screen, by the camera that the page begins with."""
+        box = self.page.locator("canvas").first.bounding_box()
+        eye, target = np.array(EYE), np.array(LOOKS_AT)
+        forward = (target - eye) / np.linalg.norm(target - eye)
+        right = np.array([1.0, 0.0, 0.0])
+        ray = np.array([point[0], point[1], 0.0]) - eye
+        scale = box["height"] / 2 / math.tan(FIELD_OF_VIEW / 2) / float(ray @ forward)
+        return (
+            box["x"] + box["width"] / 2 + scale * float(ray @ right),
+            box["y"] + box["height"] / 2 - scale * float(ray @ np.cross(right, forward)),
+        )
+
+    def around(self, picture: np.ndarray, point, size: int = 6) -> np.ndarray:
+        """The part of a picture around a point of the table."""
+        x, y = map(round, self.pixel(point))
+        return picture[y - size : y + size, x - size : x + size]
+
+    def shows_set_point(self, pose) -> bool:
+        """Whether its colour is where its ring shows around the craft."""
+        red, _, blue = self.around(self.picture(), (pose[0], pose[1] - 0.085)).mean(axis=(0, 1))
+        return bool(red - blue > 25)
+
+    def drag(self, begin, end) -> None:
+        """Drag from one point of the table to another."""
+        self.page.mouse.move(*self.pixel(begin))
+        self.watch.run(0.3)
+        self.page.mouse.down()
+        for share in np.linspace(0.1, 1.0, 10):
+            self.page.mouse.move(*self.pixel(np.add(begin, share * np.subtract(end, begin))))
+            self.watch.run(0.1)
+        self.watch.run(0.3)
+        self.page.mouse.up()
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Where the craft is."""
+        return self.watch.newest(POSES)
+
+    @property
+    def wish(self) -> np.ndarray:
+        """What the page asks for."""
+        return self.watch.newest(REFERENCES)
+
+    def ask(self, **numbers: float) -> None:
+        """Enter numbers of a set point."""
+        labels = {"yaw": "yaw [rad]", "y": "y [m]", "x": "x [m]"}
+        for name, value in numbers.items():
+            box = self.page.get_by_label(labels[name])
+            box.fill(f"{value:g}")
+            box.press("Enter")
+
+    def enter(self, x: float, y: float, yaw: float) -> None:
+        """Enter a set point as numbers, and wait until the craft is there."""
+        self.ask(x=x, y=y, yaw=yaw)
+        self.arrives((x, y), yaw)
+
+    def arrives(self, place, yaw: float | None = None) -> None:
+        """Wait until the craft rests somewhere."""
+
+        def there() -> bool:
+            poses = np.array(self.watch.values(POSES)[-60:])
+            if len(poses) < 60:
+                return False
+            off = np.hypot(*(poses[:, :2] - place).T).max()
+            turned = 0.0 if yaw is None else np.abs(poses[:, 2] - yaw).max()
+            return bool(off < 0.03 and turned < 0.25)
+
+        self.watch.forget()
+        self.watch.until(there, timeout=60)
+
+
+@pytest.fixture(scope="module")
+def page(flight, chromium) -> Iterator[Page]:
+    """The page, painted."""
     sync_api = pytest.importorskip("playwright.sync_api")
+    watch, port, _ = flight
     software = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=chromium, args=[*software, "--no-sandbox"]
         )
-        page = browser.new_page(viewport={"width": 1200, "height": 700})
-        page.asked = []
-        page.on("request", lambda request: page.asked.append(request.url))
-        page.goto(f"http://127.0.0.1:{flight[1]}", timeout=60_000)
-        page.get_by_label("x [m]").wait_for(timeout=60_000)
-        yield page
+        tab = browser.new_page(viewport={"width": 1280, "height": 720})
+        asked: list[str] = []
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto(f"http://127.0.0.1:{port}", timeout=60_000)
+        tab.get_by_label("x [m]").wait_for(timeout=60_000)
+        # It says that there is no graphics card.
+        notice = tab.locator(".mantine-Notification-closeButton")
+        notice.first.wait_for(timeout=60_000)
+        notice.first.click()
+        shown = Page(tab, watch, asked)
+        watch.until(lambda: shown.shows_set_point(shown.pose), timeout=60)
+        yield shown
         browser.close()
 
 
-def reaches(watch: Watch, x: float, y: float) -> bool:
-    """Whether the craft is where it should be."""
-    poses = watch.values(POSES)[-1:]
-    return bool(poses) and math.hypot(poses[0][0] - x, poses[0][1] - y) < 0.05
+@pytest.mark.browser
+def test_entering_a_set_point_moves_the_craft_on_the_page(page, flight):
+    left, right = (-0.6, -0.2), (0.4, 0.1)
+    page.enter(*left, 0.0)
+    page.watch.until(lambda: page.shows_set_point(left), timeout=60)
+    before = page.picture()
+    page.enter(*right, 0.0)
+    page.watch.until(lambda: not page.shows_set_point(left), timeout=60)
+    after = page.picture()
+    for place in (left, right):
+        changed = np.abs(page.around(after, place) - page.around(before, place))
+        assert changed.mean() > 20  # from grey craft to white table, and back
+    unchanged = np.abs(page.around(after, (0.9, -0.4)) - page.around(before, (0.9, -0.4)))
+    assert unchanged.mean() < 5
+    # Nothing is fetched from elsewhere.
+    _, port, _ = flight
+    ours = (f"http://127.0.0.1:{port}", f"ws://127.0.0.1:{port}", "data:", "blob:")
+    assert [url for url in page.asked if not url.startswith(ours)] == []
 
 
 @pytest.mark.browser
-def test_entering_a_set_point_moves_the_craft(page, flight):
-    watch, port = flight
-    number = page.get_by_label("x [m]")
-    number.fill("0.4")
-    number.press("Enter")
-    watch.until(lambda: reaches(watch, 0.4, 0.0), timeout=60)
-    # Nothing is fetched from elsewhere.
-    ours = (f"http://127.0.0.1:{port}", f"ws://127.0.0.1:{port}", "data:", "blob:")
-    assert [url for url in page.asked if not url.startswith(ours)] == []
+def test_dragging_the_set_point_moves_the_craft(page):
+    start, goal = np.array([-0.6, -0.2]), np.array([0.4, 0.15])
+    page.enter(*start, 0.0)
+    # Not in the middle: what is grabbed stays under the pointer.
+    grip = np.array([-0.03, -0.08])
+    page.drag(start + grip, goal + grip)
+    page.watch.run(0.5)
+    np.testing.assert_allclose(page.wish[:3], (*goal, 0.0), atol=0.02)
+    page.arrives(page.wish[:2], 0.0)
+
+
+@pytest.mark.browser
+def test_dragging_the_knob_turns_the_craft(page):
+    place, radius = np.array([0.1, 0.0]), 1.95 * 0.07
+    page.enter(*place, 0.0)
+    page.drag(np.add(place, (radius, 0.0)), np.add(place, (0.0, 0.25)))
+    page.watch.run(0.5)
+    np.testing.assert_allclose(page.wish[:3], (*place, math.pi / 2), atol=0.1)
+    page.arrives(place, page.wish[2])
+
+
+@pytest.mark.browser
+def test_a_picture_for_the_documents(page, flight, request):
+    """In flight, with the set point ahead; kept where ``--screenshot FILE`` says."""
+    view = flight[2]
+
+    def stop_on_the_way() -> None:
+        page.watch.until(lambda: page.pose[0] > -0.3, timeout=30)
+        view.signal(signal.SIGSTOP)
+
+    page.enter(-0.7, -0.25, 0.0)
+    page.watch.forget()
+    page.watch.until(lambda: page.watch.heard[POSES])
+    # Entering and taking a picture take longer than the craft: what is shown stands still.
+    stopping = Thread(target=stop_on_the_way)
+    stopping.start()
+    try:
+        page.ask(yaw=0.8, y=0.22, x=0.6)
+        stopping.join()
+        page.watch.run(1.0)
+        picture = page.picture()
+    finally:
+        view.signal(signal.SIGCONT)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 200  # painted
+    path = request.config.getoption("--screenshot")
+    if path is not None:
+        image = Image.fromarray(picture.astype(np.uint8)).quantize(128, dither=Image.Dither.NONE)
+        image.save(path, optimize=True)

@@ -68,14 +68,16 @@ def view(
     interface: Interface = None,
     topics: TopicsFile = None,
     duration: Duration = None,
+    json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
     one_thread()
     from airpuck.live.view import view_live
 
+    check_destinations(json=json_file)
     check_network(domain, interface)
-    view_live(
+    figures = view_live(
         read_belief(model),
         host=host,
         port=port,
@@ -85,3 +87,4 @@ def view(
         duration=run_length(duration),
         quiet=quiet,
     )
+    write_json(json_file, figures)

@@ -34,6 +34,8 @@ _JUMP = (0.05, 0.05, 0.5)
 #: Deviations are told from four standard deviations on, and from these sizes on [1, s]: jitter of
 #: the radio that is not white makes a few milliseconds of delay come and go.
 _CERTAIN, _LOSS, _LATE = 4.0, 0.05, 0.006
+#: Shares of the squared error that are told.
+_NOTABLE = 0.1
 #: As many predictions are needed to tell.
 _ENOUGH = 20
 #: Predictions are forgotten after as many times the memory.
@@ -91,10 +93,13 @@ class Health:
         if not self.found.predictions:
             return "no prediction judged yet"
         x, y, yaw = self.found.error.tolist()
-        return (
+        told = (
             f"after {self.horizon:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad; "
             + (", ".join(self.findings) or "motors and delay as the model says")
         )
+        causes = zip((*self.motors, "delay"), self.found.share, strict=True)
+        largest = [f"{name} {100 * share:.0f} %" for name, share in causes if share > _NOTABLE]
+        return told + (f"; shares of the error: {', '.join(largest)}" if largest else "")
 
     def to_json(self) -> Mapping[str, Any]:
         """Return the figures for ``--json``.

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -138,6 +139,16 @@ class Observer:
     def health(self) -> Health:
         """How the craft fares."""
         return self._monitor.health()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``duration_s``, and how the craft fares.
+        """
+        return {"duration_s": self.clock.now, **self.health.to_json()}
 
     def look(self) -> list[Float[np.ndarray, " 3"]]:
         """Take in what has come.

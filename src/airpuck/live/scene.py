@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.live.marker import SetPointMarker, turned
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model
 from airpuck.table import Table
@@ -24,11 +25,12 @@ _TABLE, _RAIL, _CRAFT, _NOSE, _TRAIL = (
     (84, 98, 111),
     (120, 130, 140),
     (40, 40, 40),
-    (86, 180, 233),
+    (20, 110, 190),
 )
-_WISH = (240, 200, 20)
+#: Where the page's camera is at first, what it looks at [m], and its vertical field of view [rad].
+EYE, LOOKS_AT, FIELD_OF_VIEW = (0.0, -1.75, 2.25), (0.0, -0.03, 0.0), math.radians(40)
 #: Sizes [m]; an arrow's length for a newton of thrust [m/N].
-_THICK, _RAIL_HEIGHT, _RAIL_WIDTH, _PROPELLER, _PER_NEWTON = 0.02, 0.03, 0.03, 0.014, 0.25
+_THICK, _RAIL_HEIGHT, _RAIL_WIDTH, _PROPELLER, _PER_NEWTON = 0.02, 0.03, 0.03, 0.014, 0.8
 #: Points of the trail, and the least distance between them [m].
 _TRAIL_POINTS, _TRAIL_STEP = 200, 0.005
 
@@ -57,30 +59,38 @@ class Scene:
     ) -> None:
         self._model, self._scene = model, server.scene
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_POINTS)
-        self.dragging = False
-        server.initial_camera.position = (0.0, -0.85, 1.4)
-        server.initial_camera.look_at = (0.0, -0.06, 0.0)
+        server.initial_camera.position = EYE
+        server.initial_camera.look_at = LOOKS_AT
+        server.initial_camera.fov = FIELD_OF_VIEW
         # viser's default surroundings would be fetched from elsewhere.
         self._scene.configure_environment_map(None)
+        # Shadows would cost a browser without a graphics card most of its time.
+        self._scene.configure_default_lights(cast_shadow=False)
         self._scene.add_light_hemisphere("/light", intensity=1.5)
         self._draw_table(table)
         self._craft = self._scene.add_frame("/craft", show_axes=False, visible=False)
-        self._draw_craft("/craft", None)
+        self._draw_craft()
         n = model.vehicle.n_propellers
         self._colors = np.array([_PAIRS[k % len(_PAIRS)] for k in self._pair_of()], np.uint8)
         self._arrows = self._scene.add_arrows(
             "/craft/thrusts",
             np.zeros((n, 2, 3)),
             self._colors,
-            shaft_radius=0.004,
-            head_radius=0.009,
-            head_length=0.018,
+            shaft_radius=0.006,
+            head_radius=0.014,
+            head_length=0.024,
         )
         points = np.zeros((_TRAIL_POINTS - 1, 2, 3))
+        # The trail fades into the table.
+        fade = np.linspace(_TABLE, _TRAIL, _TRAIL_POINTS)
         self._line = self._scene.add_line_segments(
-            "/trail", points, _TRAIL, thickness=3.0, thickness_units="screen"
+            "/trail",
+            points,
+            np.stack([fade[:-1], fade[1:]], axis=1).astype(np.uint8),
+            thickness=3.0,
+            thickness_units="screen",
         )
-        self._handle = self._draw_handle(table, wish)
+        self._marker = SetPointMarker(self._scene, model.vehicle.radius_m, wish)
 
     def add_pose(self, pose: Float[np.ndarray, " 3"]) -> None:
         """Lengthen the trail.
@@ -109,7 +119,7 @@ class Scene:
             Motor commands; their thrusts are drawn, as in the steady state.
         """
         self._craft.position = (float(pose[0]), float(pose[1]), 0.0)
-        self._craft.wxyz = _turned(float(pose[2]))
+        self._craft.wxyz = turned(float(pose[2]))
         self._craft.visible = True
         vehicle = self._model.vehicle
         forces = np.zeros(vehicle.n_propellers)
@@ -126,17 +136,14 @@ class Scene:
             self._line.points = np.stack([filled[:-1], filled[1:]], axis=1).astype(np.float32)
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Move the handle, unless somebody is dragging it.
+        """Move the set point.
 
         Parameters
         ----------
         pose : array, shape (k,)
             x, y [m], yaw [rad]; more is left aside.
         """
-        if not self.dragging:
-            self._handle.position = (float(pose[0]), float(pose[1]), 0.0)
-            self._handle.wxyz = _turned(float(pose[2]))
-        self._handle.visible = True
+        self._marker.show(pose)
 
     def _draw_table(self, table: Table) -> None:
         """Draw table and rails."""
@@ -155,73 +162,31 @@ class Scene:
         for axis, at in (("x", (0.12, 0, 0)), ("y", (0, 0.12, 0))):
             self._scene.add_label(f"/origin/{axis}", axis, position=at, anchor="center-center")
 
-    def _draw_craft(self, parent: str, ghost: tuple[int, int, int] | None) -> None:
-        """Draw a disc with its propellers and its nose; or its ghost."""
-        vehicle, opacity = self._model.vehicle, None if ghost is None else 0.35
+    def _draw_craft(self) -> None:
+        """Draw a disc with its propellers and its nose."""
+        vehicle = self._model.vehicle
         self._scene.add_cylinder(
-            f"{parent}/disc",
-            vehicle.radius_m,
-            _THICK if ghost is None else _THICK / 4,
-            ghost or _CRAFT,
-            position=(0, 0, _THICK / 2),
-            opacity=opacity,
+            "/craft/disc", vehicle.radius_m, _THICK, _CRAFT, position=(0, 0, _THICK / 2)
         )
         self._scene.add_box(
-            f"{parent}/nose",
-            ghost or _NOSE,
+            "/craft/nose",
+            _NOSE,
             (0.4 * vehicle.radius_m, 0.008, 0.006),
             position=(0.8 * vehicle.radius_m, 0, _THICK + 0.003),
         )
-        if ghost is not None:
-            return
         for name, at, pair in zip(
             vehicle.propeller_names, vehicle.positions, self._pair_of(), strict=True
         ):
             self._scene.add_cylinder(
-                f"{parent}/{name}",
+                f"/craft/{name}",
                 _PROPELLER,
                 0.012,
                 _PAIRS[pair % len(_PAIRS)],
                 position=(float(at[0]), float(at[1]), _THICK + 0.006),
             )
 
-    def _draw_handle(self, table: Table, wish: Callable[..., Any]) -> Any:
-        """Draw the set point, to be dragged in the plane and turned about the vertical."""
-        reach = table.reach(self._model.vehicle.radius_m)
-        handle = self._scene.add_transform_controls(
-            "/setpoint",
-            scale=0.22,
-            line_width=4.0,
-            active_axes=(True, True, False),
-            translation_limits=((-reach[0], reach[0]), (-reach[1], reach[1]), (0.0, 0.0)),
-            depth_test=False,
-            visible=False,
-        )
-        self._draw_craft("/setpoint", _WISH)
-
-        def moved(event: Any) -> None:
-            self.dragging = event.phase != "end"
-            x, y, _ = handle.position
-            wish(float(x), float(y), _yaw(handle.wxyz))
-
-        handle.on_drag_start(moved)
-        handle.on_update(moved)
-        handle.on_drag_end(moved)
-        return handle
-
     def _pair_of(self) -> list[int]:
         """Return the pair of each propeller; those without one have a number of their own."""
         vehicle = self._model.vehicle
         pairs = {i: k for k, pair in enumerate(vehicle.pair_indices) for i in pair}
         return [pairs.get(i, len(vehicle.pair_indices) + i) for i in range(vehicle.n_propellers)]
-
-
-def _turned(yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion w, x, y, z of a turn about the vertical."""
-    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
-
-
-def _yaw(wxyz: Any) -> float:
-    """Turn about the vertical, between -π and π, of a quaternion [rad]."""
-    w, x, y, z = (float(part) for part in wxyz)
-    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -87,7 +87,7 @@ def view_live(
     interface: str | None = None,
     duration: float = float("inf"),
     quiet: bool = False,
-) -> None:
+) -> dict[str, Any]:
     """Serve a page that shows the craft as it flies, until SIGINT or SIGTERM.
 
     Parameters
@@ -111,6 +111,11 @@ def view_live(
     quiet : bool, default False
         Whether to print nothing.
 
+    Returns
+    -------
+    dict
+        Figures of the last second; see `airpuck.flight.health.Health.to_json`.
+
     Raises
     ------
     InputError
@@ -132,7 +137,7 @@ def view_live(
                 page = _Page(server, graph, model, table or Table(), topics or Topics())
                 settle_memory()
                 events.tell("info", f"on domain {graph.domain}, at http://{host}:{port}")
-                page.run(duration, ending)
+                return page.run(duration, ending)
             finally:
                 server.stop()
     finally:
@@ -162,8 +167,8 @@ class _Page:
         self._panel = Panel(server, reach, self._wishes.put)
         self._said = self._told = 0.0
 
-    def run(self, duration: float, ending: Ending) -> None:
-        """Show what is, until the end."""
+    def run(self, duration: float, ending: Ending) -> dict[str, Any]:
+        """Show what is, until the end; return the last figures."""
         clock = self._observer.clock
         while not ending.asked and clock.now < duration:
             clock.sleep_until(clock.now + _PICTURE)
@@ -171,6 +176,7 @@ class _Page:
                 self._scene.add_pose(pose)
             self._speak(clock.now)
             self._draw(clock.now)
+        return self._observer.to_json()
 
     def _speak(self, now: float) -> None:
         """Publish what the user wants."""
@@ -198,10 +204,11 @@ class _Page:
                 self._scene.show(sight.pose, sight.command if commanded else None)
             if wanted is not None:
                 self._scene.show_set_point(wanted)
-                if not self._scene.dragging:
-                    self._panel.show_set_point(wanted)
             if now - self._told >= _GAUGES:
                 self._told = now
+                # No more often: a slow browser would write over what is being entered.
+                if wanted is not None:
+                    self._panel.show_set_point(wanted)
                 self._panel.show(self._observer, self._observer.health, _hint(planned))
 
 
@@ -209,7 +216,7 @@ def _hint(planned: bool) -> str:
     """Say whether dragging helps."""
     if planned:
         return "The controller follows a plan of its own; airpuck fly --topic follows this one."
-    return "Drag the yellow disc, or enter numbers."
+    return "Drag the yellow ring, turn it by its knob, or enter numbers."
 
 
 def _check_free(host: str, port: int) -> None:

@@ -77,6 +77,6 @@ def watch_live(
                     text = ", ".join(health.findings) or "motors and delay as the model says"
                     events.tell("warning" if named else "info", text)
                 events.heartbeat("warning" if named else "info", str(health), {})
-            return {"duration_s": clock.now, **observer.health.to_json()}
+            return observer.to_json()
     finally:
         graph.close()
