@@ -11,14 +11,6 @@ from airpuck.recording.message import StreamCodec
 POSE = StreamCodec("pose")
 
 
-@pytest.fixture
-def pair(domain):
-    first, second = Graph("first", domain=domain), Graph("second", domain=domain)
-    yield first, second
-    first.close()
-    second.close()
-
-
 def until(condition, timeout=10.0):
     """Wait for something to become true."""
     stop = time.monotonic() + timeout

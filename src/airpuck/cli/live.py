@@ -177,10 +177,12 @@ def fly(
     points = _points(setpoints, dwell) if setpoints_file is None else read_setpoints(setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
-    if excite:
-        pilot: Pilot = Excitation(craft, tuning=settings, seed=seed)
-    else:
-        pilot = TrackingController(craft, reference, settings)
+
+    def pilot() -> Pilot:
+        if excite:
+            return Excitation(craft, tuning=settings, seed=seed)
+        return TrackingController(craft, reference, settings)
+
     report = fly_live(
         pilot,
         craft.vehicle,

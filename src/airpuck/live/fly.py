@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,14 @@ from airpuck.live.inbox import Inbox
 from airpuck.live.keyboard import Keyboard, keyboard
 from airpuck.live.link import GraphLink
 from airpuck.live.monitor import LoopTiming
-from airpuck.live.process import Ending, hurry, orderly, refuse_second, settle_memory
+from airpuck.live.process import (
+    Ending,
+    hurry,
+    orderly,
+    refuse_second,
+    settle_memory,
+    unhurried,
+)
 from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.recording.message import StreamCodec
@@ -78,7 +85,7 @@ class FlightReport:
 
 
 def fly_live(
-    pilot: Pilot,
+    make_pilot: Callable[[], Pilot],
     vehicle: Vehicle,
     limits: Limits,
     *,
@@ -97,8 +104,9 @@ def fly_live(
 
     Parameters
     ----------
-    pilot : Pilot
-        Computes the commands.
+    make_pilot : callable
+        Returns the `Pilot` that computes the commands; called when nobody else is found to fly,
+        since what it compiles takes a while.
     vehicle : Vehicle
         The craft.
     limits : Limits
@@ -135,13 +143,18 @@ def fly_live(
         If another process publishes commands already, or something given cannot be used.
     """
     topics = topics or Topics()
-    if warm_up:
-        _warm_up(pilot, period)
+    motors = StreamCodec("command", vehicle.propeller_names)
     hurry()
     graph = Graph(name, domain=domain, interface=interface)
     try:
+        refuse_second(graph, topics.command, motors, "controller")
+        with unhurried():
+            pilot = make_pilot()
+            if warm_up:
+                _warm_up(pilot, period)
+        # Somebody else may have begun meanwhile.
+        refuse_second(graph, topics.command, motors, "controller")
         with orderly() as ending, keyboard() as keys:
-            refuse_second(graph, topics.command, "controller")
             events = EventLog(graph, name, quiet=quiet)
             flight = _Flight(
                 graph, topics, vehicle, limits, period, reference, keys, events, on_board
@@ -223,6 +236,7 @@ class _Flight:
         finally:
             self._idle()
         inbox = self._link.inboxes["pose"]
+        self._events.tell_held()
         self._events.tell("info", "landed: motors idle")
         return FlightReport(
             self._clock.now - start,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -183,6 +184,7 @@ class Graph:
                 "in it?",
                 field="--domain",
             ) from error
+        self._entered = time.monotonic()
         self._waitset = WaitSet(self._participant)
         self._kinds: dict[str, Any] = {}
         self._structs: dict[str, Any] = {}
@@ -265,25 +267,32 @@ class Graph:
         if seconds > 0:
             self._waitset.wait(int(seconds * _SECOND_NS))
 
-    def publishers(self, topic: str | None = None) -> list[Endpoint]:
-        """Return who publishes in other processes, as far as discovery has got.
+    def publishers(self, topic: str | None = None, *, own: bool = False) -> list[Endpoint]:
+        """Return who publishes, as far as discovery has got.
 
         Parameters
         ----------
         topic : str, optional
             Only those of this ROS topic.
+        own : bool, default False
+            Whether this one counts, too.
 
         Returns
         -------
         list of Endpoint
             Alive ones.
         """
-        own = self._participant.get_guid()
+        left_out = None if own else self._participant.get_guid()
         return [
             endpoint
             for endpoint in self._discovery.publishers()
-            if endpoint.participant != own and topic in (None, endpoint.topic)
+            if endpoint.participant != left_out and topic in (None, endpoint.topic)
         ]
+
+    @property
+    def age(self) -> float:
+        """For how long it has been looking for others [s]."""
+        return time.monotonic() - self._entered
 
     def describe(self, endpoint: Endpoint) -> str:
         """Say whose an endpoint is.

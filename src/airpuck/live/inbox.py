@@ -126,11 +126,11 @@ class Inbox:
         for endpoint in self._graph.publishers(self._topic):
             if endpoint.msgtype != self._codec.msgtype and endpoint not in self._strangers:
                 self._strangers.add(endpoint)
-                self._events.tell(
-                    "warning",
+                text = (
                     f"{self._graph.describe(endpoint)} publishes {endpoint.msgtype} on "
-                    f"{self._topic}, which should be {self._codec.msgtype}; it is not heard",
+                    f"{self._topic}, which should be {self._codec.msgtype}; it is not heard"
                 )
+                self._events.tell("warning", text, kind=text)
 
     def _refuse(self, kind: str, text: str) -> None:
         """Count a message that cannot be used, and tell."""

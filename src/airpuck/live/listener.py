@@ -46,6 +46,8 @@ class Listener:
         Where.
     motors : tuple of str, optional
         Names of the propellers, for commands of a craft that has not the authors' six.
+    own : bool, default False
+        Whether to listen to this process itself, too.
 
     Attributes
     ----------
@@ -55,8 +57,8 @@ class Listener:
         What cannot be listened to, and why; the caller may empty it.
     """
 
-    def __init__(self, graph: Graph, motors: tuple[str, ...] = ()) -> None:
-        self._graph = graph
+    def __init__(self, graph: Graph, motors: tuple[str, ...] = (), *, own: bool = False) -> None:
+        self._graph, self._own = graph, own
         self.types: Types = command_type(motors)[1] if motors else definitions("")
         self.notes: list[str] = []
         self._subscriptions: dict[str, tuple[Endpoint, Subscription]] = {}
@@ -103,7 +105,7 @@ class Listener:
 
     def _subscribe(self) -> None:
         """Subscribe to topics that are new."""
-        for endpoint in self._graph.publishers():
+        for endpoint in self._graph.publishers(own=self._own):
             name, msgtype = endpoint.topic, endpoint.msgtype
             known = self._subscriptions.get(name)
             if known is not None and known[0].msgtype == msgtype:

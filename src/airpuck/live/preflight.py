@@ -57,7 +57,7 @@ def preflight_live(
     # The frame may be wrong, and the units: what ends the test near a rail is the pilot.
     anywhere = Limits(geofence=(float("inf"), float("inf")))
     fly_live(
-        pilot,
+        lambda: pilot,
         model.vehicle,
         anywhere,
         topics=topics,

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 
 from airpuck.errors import InputError
 from airpuck.live.domain import LEASE
-from airpuck.live.graph import Graph
+from airpuck.live.graph import SENSOR, Graph
+from airpuck.recording.message import StreamCodec
 
 #: Time for discovery to find who is there, before one may say that nobody is [s].
 _LOOK_AROUND = 0.6
@@ -56,13 +57,35 @@ def hurry() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
 
 
+@contextlib.contextmanager
+def unhurried() -> Iterator[None]:
+    """Let others run first for a while: what is compiled meanwhile must not keep them waiting.
+
+    Yields
+    ------
+    None
+        Threads made before keep their priority.
+    """
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    except (OSError, AttributeError):
+        yield
+        return
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, *before)
+
+
 def settle_memory() -> None:
     """Keep the garbage collector from looking through everything that was made so far."""
     gc.collect()
     gc.freeze()
 
 
-def refuse_second(graph: Graph, topic: str, what: str) -> None:
+def refuse_second(graph: Graph, topic: str, codec: StreamCodec, what: str) -> None:
     """See that nobody else publishes on a topic.
 
     Parameters
@@ -71,23 +94,25 @@ def refuse_second(graph: Graph, topic: str, what: str) -> None:
         Where; this process does not publish on the topic yet.
     topic : str
         ROS name.
+    codec : StreamCodec
+        Of what is published there.
     what : str
         Who publishes there, for the message.
 
     Raises
     ------
     InputError
-        If somebody does. One that was killed is waited for until DDS takes it off the graph.
+        If somebody does: at once where messages come. One that says nothing may have been killed,
+        and is waited for until DDS takes it off the graph.
     """
+    heard = graph.subscription(topic, codec.msgtype, codec.types, SENSOR)
     start = time.monotonic()
-    while time.monotonic() - start < _LOOK_AROUND:
-        time.sleep(0.05)
-        graph.publishers(topic)
-    while others := graph.publishers(topic):
-        if time.monotonic() - start > LEASE + 1.0:
+    while (others := graph.publishers(topic)) or graph.age < _LOOK_AROUND:
+        silent = time.monotonic() - start
+        if others and (heard.take() or silent > LEASE + 1.0):
             raise InputError(
                 f"there is another {what} already: {graph.describe(others[0])}; end it first, or "
                 "take another --domain",
                 field=topic,
             )
-        time.sleep(0.1)
+        time.sleep(0.02)

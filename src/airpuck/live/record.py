@@ -106,7 +106,7 @@ def record(
             raise InputError(f"cannot be written ({error.strerror})", file=folder) from error
         with orderly() as ending:
             events = EventLog(graph, NAME, quiet=quiet)
-            listener = Listener(graph, motors)
+            listener = Listener(graph, motors, own=True)
             start = flushed = beat = time.monotonic()
             events.tell("info", f"on domain {graph.domain}, into {folder}")
             notes: list[str] = []
@@ -115,7 +115,7 @@ def record(
                 _take(listener, bag, places)
                 notes += listener.notes
                 for note in listener.notes:
-                    events.tell("warning", note)
+                    events.tell("warning", note, kind=note)
                 listener.notes.clear()
                 now = time.monotonic()
                 if now - flushed >= _FLUSH:
@@ -124,6 +124,9 @@ def record(
                 if now - beat >= _HEARTBEAT:
                     beat = now
                     events.heartbeat("info", "recording", bag.counts)
+            events.tell_held()
+            events.tell("info", f"ends after {time.monotonic() - start:.1f} s")
+            _take(listener, bag, places)
             bag.close()
             return RecordingReport(time.monotonic() - start, bag.counts, tuple(notes))
     finally:

@@ -112,7 +112,7 @@ def serve_twin(
     graph = Graph(NAME, domain=domain, interface=interface)
     try:
         with orderly() as ending:
-            refuse_second(graph, topics.pose, "motion capture")
+            refuse_second(graph, topics.pose, StreamCodec("pose"), "motion capture")
             table = _Table(twin, graph, topics, EventLog(graph, NAME, quiet=quiet))
             while not ending.asked and table.clock.now < duration:
                 table.turn()
