@@ -45,8 +45,9 @@ test: dev  ## all tests but the long studies
 test-browser: dev  ## the live view in a real browser (Chromium of the distribution)
 	$(BIN)/python -m pytest -m browser -n 0 tests/live/test_view.py
 
-studies: dev  ## the long studies
+studies: dev  ## the long studies; then ten minutes of the live loop, with nothing beside it
 	$(BIN)/python -m pytest -m study -n $(WORKERS)
+	$(BIN)/python studies/live_loop.py --duration 600
 
 bench: dev  ## measure speed on the real recordings (minutes); see benchmarks/
 	$(BIN)/python -m benchmarks
