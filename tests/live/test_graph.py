@@ -5,7 +5,7 @@ import time
 import pytest
 
 from airpuck.errors import InputError
-from airpuck.live.graph import SENSOR, STATE, Graph
+from airpuck.live.graph import SENSOR, STATE
 from airpuck.recording.message import StreamCodec
 
 POSE = StreamCodec("pose")
