@@ -1,10 +1,6 @@
-"""The batched multi-step prediction loss and its Gauss-Newton approximation.
+"""The batched multi-step prediction loss, its gradient and its Gauss-Newton approximation.
 
-Sensitivities of the prediction are propagated forward beside the state and summed up inside the
-time loop: what leaves it is the loss, its gradient and one small matrix, whatever the number of
-windows. The equations of motion are not differentiated by hand: at each Runge-Kutta stage JAX
-gives the local Jacobian of the accelerations, in reverse mode, since there are three of them and
-many parameters.
+Windows are handled in batches, on all cores; see `airpuck.identification.normal_equations`.
 """
 
 from __future__ import annotations
@@ -13,7 +9,6 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -22,12 +17,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from airpuck.estimate.encoder import StateEncoder
-from airpuck.model.motor import motor_step
+from airpuck.identification.normal_equations import normal_equations
 from airpuck.model.parameters import Parameters
 from airpuck.model.pytrees import register_pytrees
-from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
+from airpuck.model.rigid_body import CenterOfMassFrame
 from airpuck.vehicle import Vehicle
-from airpuck.windows import Windows, gather_past
+from airpuck.windows import Windows
 
 #: Weights of the x, y and yaw errors before squaring, as in the published fits.
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
@@ -211,7 +206,7 @@ class PredictionLoss:
         def sums(batch: _Batch) -> Any:
             with jax.enable_x64(True):
                 return jax.block_until_ready(
-                    _normal_equations(
+                    normal_equations(
                         dynamics,
                         basis,
                         *data,
@@ -287,7 +282,7 @@ def _linear_basis(
 def _local_coordinates(
     parameters: Parameters, moved_by: Int[np.ndarray, " K"]
 ) -> Float[np.ndarray, "L P"]:
-    """Return d(local)/dθ for the coordinates that `_normal_equations` differentiates by.
+    """Return d(local)/dθ for the coordinates that `normal_equations` differentiates by.
 
     These are the thrust coefficients, the K directions of Π and the effects, the centre of mass
     where it acts beside Π, the time constant, and the transport delay.
@@ -302,118 +297,3 @@ def _local_coordinates(
             entry[parameters.mask(frozenset({"transport_delay"}))],
         ]
     )
-
-
-@partial(jax.jit, static_argnames=("encoder", "horizon", "frame"))
-def _normal_equations(
-    dynamics: tuple[Any, tuple[Any, Any], Any, Any],
-    basis: tuple[Any, Any],
-    time: Any,
-    state: Any,
-    command: Any,
-    command_slope: Any,
-    starts: Any,
-    weight: Any,
-    channel_weights: Any,
-    *,
-    encoder: StateEncoder,
-    horizon: int,
-    frame: CenterOfMassFrame,
-) -> tuple[Any, Any, Any]:
-    """Sum r², Jᵀr and JᵀJ over a batch of B windows.
-
-    Motor speeds depend on two local coordinates, the last ones: τ, and the transport delay, by way
-    of the commands; their sensitivities have the shape (2, n, B).
-    """
-    coefficients, linear, center, tau = dynamics
-    n, batch = command.shape[1], starts.shape[0]
-    by_tau = jnp.array([1.0, 0.0])
-
-    def encode(tau: Any, command: Any) -> Any:
-        model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
-        past = gather_past(jnp, time, state, command, starts, encoder.length)
-        return encoder.encode(jnp, model, past)
-
-    def accelerate(coefficients: Any, direction: Any, center: Any, motion: Any, speed: Any) -> Any:
-        """Accelerations of one window, with Π and the effects moved by `direction` in the basis."""
-        matrix, effects = jax.tree.map(
-            lambda value, slopes: value + jnp.tensordot(direction, slopes, 1), linear, basis
-        )
-        model = Dynamics(coefficients, matrix, center, tau, frame, effects)
-        return jnp.stack(acceleration(jnp, model, motion, speed))
-
-    origin = (coefficients, jnp.zeros(len(basis[0])), center)
-    over_batch = {"in_axes": (None, None, None, -1, -1), "out_axes": -1}
-    value = jax.vmap(accelerate, **over_batch)
-    jacobian = jax.vmap(jax.jacrev(accelerate, argnums=(0, 1, 2, 3, 4)), **over_batch)
-
-    def rates(motion: Any, d_motion: Any, speed: Any, d_speed: Any) -> tuple[Any, Any]:
-        """Time derivative of (γ, vx, vy, ω) and of its sensitivities, shape (4, L, B)."""
-        by_thrust, by_direction, by_center, by_motion, by_speed = jacobian(*origin, motion, speed)
-        d_acceleration = jnp.concatenate(
-            [
-                by_thrust.reshape(3, -1, batch),
-                by_direction,
-                by_center,
-                jnp.einsum("anb,cnb->acb", by_speed, d_speed),
-            ],
-            axis=1,
-        )
-        for k in range(4):
-            d_acceleration += by_motion[:, k, None] * d_motion[k]
-        return (
-            jnp.concatenate([motion[3:], value(*origin, motion, speed)]),
-            jnp.concatenate([d_motion[3:], d_acceleration]),
-        )
-
-    def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
-        end, push = jax.linearize(
-            lambda speed, held, tau: motor_step(jnp, speed, held, duration, tau), speed, held, tau
-        )
-        return end, jax.vmap(push)(d_speed, d_held, by_tau)
-
-    def step(carry: Any, k: Any) -> tuple[Any, None]:
-        position, motion, speed, d_position, d_motion, d_speed, sums = carry
-        now = starts + encoder.length - 1 + k
-        held, h = command[now].T, time[now + 1] - time[now]
-        d_held = jnp.stack([jnp.zeros_like(held), command_slope[now].T])
-        # As in `airpuck.model.rollout.step`, with every quantity beside its sensitivities.
-        begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
-        middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
-        k1, d1 = rates(motion, d_motion, *begin)
-        k2, d2 = rates(motion + h / 2 * k1, d_motion + h / 2 * d1, *middle)
-        k3, d3 = rates(motion + h / 2 * k2, d_motion + h / 2 * d2, *middle)
-        k4, d4 = rates(motion + h * k3, d_motion + h * d3, *end)
-        position += h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
-        d_position += h * d_motion[1:3] + h**2 / 6 * (d1 + d2 + d3)[1:3]
-        motion += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        d_motion += h / 6 * (d1 + 2 * d2 + 2 * d3 + d4)
-
-        scale = channel_weights[:, None] * jnp.sqrt(weight)
-        predicted = jnp.concatenate([position, motion[:1]])
-        residual = scale * (predicted - state[now + 1, :3].T)
-        jacobian = scale[:, None] * jnp.concatenate([d_position, d_motion[:1]])
-        flat = jnp.moveaxis(jacobian, 1, 0).reshape(jacobian.shape[1], -1)
-        square, slope, curvature = sums
-        sums = (
-            square + jnp.sum(residual**2),
-            slope + flat @ residual.reshape(-1),
-            curvature + flat @ flat.T,
-        )
-        return (position, motion, end[0], d_position, d_motion, end[1], sums), None
-
-    encoded, push = jax.linearize(encode, tau, command)
-    d_encoded = jax.vmap(push)(by_tau, jnp.stack([jnp.zeros_like(command), command_slope]))
-    size = coefficients.size + len(basis[0]) + 4
-    # Only the last two local coordinates move the encoder's estimate.
-    d_state = jnp.zeros((6, size, batch)).at[:, -2:].set(jnp.moveaxis(d_encoded[:, :6], 0, 1))
-    carry = (
-        encoded[:2],
-        encoded[2:6],
-        encoded[6:],
-        d_state[:2],
-        d_state[2:],
-        d_encoded[:, 6 : 6 + n],
-        (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
-    )
-    return jax.lax.scan(step, carry, jnp.arange(horizon))[0][-1]

@@ -1,0 +1,172 @@
+"""The Gauss-Newton approximation of the prediction loss: r'r, J'r and J'J of a batch of windows.
+
+Sensitivities of the prediction are propagated forward beside the state and summed up inside the
+time loop: what leaves it is a number, a vector and a small matrix, whatever the number of windows.
+The equations of motion are not differentiated by hand: at each Runge-Kutta stage JAX gives the
+local Jacobian of the accelerations, in reverse mode, since there are three of them and many
+parameters.
+
+How arrays are put together decides the time: XLA does not vectorise a loop that joins them. So
+the sensitivities of yaw and velocities are kept apart, and what the local coordinates do directly
+is added in place, each kind to its own part.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import accumulate, pairwise
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from airpuck.estimate.encoder import StateEncoder
+from airpuck.model.motor import motor_step
+from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
+from airpuck.windows import gather_past
+
+
+@partial(jax.jit, static_argnames=("encoder", "horizon", "frame"))
+def normal_equations(
+    dynamics: tuple[Any, tuple[Any, Any], Any, Any],
+    basis: tuple[Any, Any],
+    time: Any,
+    state: Any,
+    command: Any,
+    command_slope: Any,
+    starts: Any,
+    multiplicity: Any,
+    channel_weights: Any,
+    *,
+    encoder: StateEncoder,
+    horizon: int,
+    frame: CenterOfMassFrame,
+) -> tuple[Any, Any, Any]:
+    """Sum r², Jᵀr and JᵀJ over a batch of B windows.
+
+    Local coordinates are the thrust coefficients, K directions of Π and the effects, the centre of
+    mass where it acts beside Π, τ, and the transport delay.
+
+    Parameters
+    ----------
+    dynamics : tuple
+        Thrust coefficients (n, degree); Π and the effects; centre of mass; τ.
+    basis : tuple
+        The directions: derivatives of Π and the effects by each, K first.
+    time, state, command : array, shape (N,), (N, 6), (N, n)
+        Samples.
+    command_slope : array, shape (N, n)
+        Derivative of `command` by the transport delay.
+    starts : array of int, shape (B,)
+        First samples of the windows.
+    multiplicity : array, shape (B,)
+        How often each window counts.
+    channel_weights : array, shape (3,)
+        Weights of x, y, γ.
+    encoder : StateEncoder
+        Where predictions start from.
+    horizon : int
+        Steps T.
+    frame : {"body", "world"}
+        Where the offset of the centre of mass is constant.
+
+    Returns
+    -------
+    square, score, curvature : array, shape (), (L,), (L, L)
+        Sums over windows, steps and channels.
+    """
+    coefficients, linear, center, tau = dynamics
+    n, batch = command.shape[1], starts.shape[0]
+    by_tau = jnp.array([1.0, 0.0])
+
+    def encode(tau: Any, command: Any) -> Any:
+        model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
+        past = gather_past(jnp, time, state, command, starts, encoder.length)
+        return encoder.encode(jnp, model, past)
+
+    def accelerate(coefficients: Any, direction: Any, center: Any, motion: Any, speed: Any) -> Any:
+        """Accelerations of one window, with Π and the effects moved by `direction` in the basis."""
+        matrix, effects = jax.tree.map(
+            lambda value, slopes: value + jnp.tensordot(direction, slopes, 1), linear, basis
+        )
+        model = Dynamics(coefficients, matrix, center, tau, frame, effects)
+        return jnp.stack(acceleration(jnp, model, motion, speed))
+
+    origin = (coefficients, jnp.zeros(len(basis[0])), center)
+    over_batch = {"in_axes": (None, None, None, -1, -1), "out_axes": -1}
+    value = jax.vmap(accelerate, **over_batch)
+    jacobian = jax.vmap(jax.jacrev(accelerate, argnums=(0, 1, 2, 3, 4)), **over_batch)
+
+    # Without effects nothing depends on the velocity.
+    felt = range(4) if linear[1] else (0, 3)
+    sizes = (coefficients.size, len(basis[0]), 2, 2)
+    edges = list(accumulate(sizes, initial=0))
+
+    def rates(
+        motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any
+    ) -> tuple[Any, Any]:
+        """Time derivative of (γ, vx, vy, ω), and of the sensitivities of (vx, vy, ω)."""
+        by_thrust, by_direction, by_center, by_motion, by_speed = jacobian(*origin, motion, speed)
+        by_motor = sum(by_speed[:, None, i] * d_speed[:, i] for i in range(n))
+        d_motion = (d_yaw, *d_velocity)
+        d_acceleration: Any = sum(by_motion[:, k, None] * d_motion[k] for k in felt)
+        directly = (by_thrust.reshape(3, -1, batch), by_direction, by_center, by_motor)
+        for part, (first, last) in zip(directly, pairwise(edges), strict=True):
+            d_acceleration = d_acceleration.at[:, first:last].add(part)
+        return jnp.concatenate([motion[3:], value(*origin, motion, speed)]), d_acceleration
+
+    def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
+        end, push = jax.linearize(
+            lambda speed, held, tau: motor_step(jnp, speed, held, duration, tau), speed, held, tau
+        )
+        return end, jax.vmap(push)(d_speed, d_held, by_tau)
+
+    def step(carry: Any, k: Any) -> tuple[Any, None]:
+        position, motion, speed, d_position, d_yaw, d_velocity, d_speed, sums = carry
+        now = starts + encoder.length - 1 + k
+        held, h = command[now].T, time[now + 1] - time[now]
+        d_held = jnp.stack([jnp.zeros_like(held), command_slope[now].T])
+        # As in `airpuck.model.rollout.step`, with every quantity beside its sensitivities.
+        begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
+        middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
+        k1, a1 = rates(motion, d_yaw, d_velocity, *begin)
+        d2 = d_velocity + h / 2 * a1
+        k2, a2 = rates(motion + h / 2 * k1, d_yaw + h / 2 * d_velocity[2], d2, *middle)
+        d3 = d_velocity + h / 2 * a2
+        k3, a3 = rates(motion + h / 2 * k2, d_yaw + h / 2 * d2[2], d3, *middle)
+        d4 = d_velocity + h * a3
+        k4, a4 = rates(motion + h * k3, d_yaw + h * d3[2], d4, *end)
+        position += h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
+        motion += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        d_pose = h * d_velocity + h**2 / 6 * (a1 + a2 + a3)
+        d_position, d_yaw = d_position + d_pose[:2], d_yaw + d_pose[2]
+        d_velocity += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+
+        scale = channel_weights[:, None] * jnp.sqrt(multiplicity)
+        predicted = jnp.concatenate([position, motion[:1]])
+        residual = scale * (predicted - state[now + 1, :3].T)
+        square, score, curvature = sums
+        square += jnp.sum(residual**2)
+        for c, row in enumerate((*d_position, d_yaw)):
+            row = scale[c] * row
+            score += row @ residual[c]
+            curvature += row @ row.T
+        sums = square, score, curvature
+        return (position, motion, end[0], d_position, d_yaw, d_velocity, end[1], sums), None
+
+    encoded, push = jax.linearize(encode, tau, command)
+    d_encoded = jax.vmap(push)(by_tau, jnp.stack([jnp.zeros_like(command), command_slope]))
+    size = edges[-1]
+    # Only the last two local coordinates move the encoder's estimate.
+    d_state = jnp.zeros((6, size, batch)).at[:, -2:].set(jnp.moveaxis(d_encoded[:, :6], 0, 1))
+    carry = (
+        encoded[:2],
+        encoded[2:6],
+        encoded[6:],
+        d_state[:2],
+        d_state[2],
+        d_state[3:],
+        d_encoded[:, 6 : 6 + n],
+        (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
+    )
+    return jax.lax.scan(step, carry, jnp.arange(horizon))[0][-1]
