@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from airpuck.errors import InputError
+from airpuck.live.discovery import Discovery, Endpoint
 from airpuck.live.domain import domain_config, domain_id
-from airpuck.live.idl import dds_topic, idl_struct, raw_type, ros_topic, ros_type
+from airpuck.live.idl import dds_topic, idl_struct, raw_type
 from airpuck.recording.cdr import Types
 
 if TYPE_CHECKING:
@@ -65,30 +65,6 @@ class Sample:
 
     sent_ns: int
     data: bytes
-
-
-@dataclass(frozen=True)
-class Endpoint:
-    """Somebody who publishes on a topic.
-
-    Attributes
-    ----------
-    key : UUID
-        Its own.
-    participant : UUID
-        That of its process.
-    topic, msgtype : str
-        ROS names.
-    reliable, transient_local : bool
-        What it offers.
-    """
-
-    key: UUID
-    participant: UUID
-    topic: str
-    msgtype: str
-    reliable: bool
-    transient_local: bool
 
 
 class Publisher:
@@ -190,7 +166,7 @@ class Graph:
         self._structs: dict[str, Any] = {}
         self._topics: dict[str, tuple[str, Any]] = {}
         self._kept: list[Any] = []
-        self._discovery = _Discovery(self._participant)
+        self._discovery = Discovery(self._participant)
 
     def publisher(self, topic: str, msgtype: str, types: Types, quality: Quality) -> Publisher:
         """Publish on a topic.
@@ -330,62 +306,6 @@ class Graph:
         made = Topic(self._participant, dds_topic(topic), self._kinds[msgtype])
         self._topics[topic] = msgtype, made
         return made
-
-
-class _Discovery:
-    """What DDS tells about other participants and their writers, kept up to date."""
-
-    def __init__(self, participant: Any) -> None:
-        from cyclonedds import builtin
-
-        self._participants = builtin.BuiltinDataReader(
-            participant, builtin.BuiltinTopicDcpsParticipant
-        )
-        self._publications = builtin.BuiltinDataReader(
-            participant, builtin.BuiltinTopicDcpsPublication
-        )
-        self._owners: dict[UUID, str] = {}
-        self._endpoints: dict[UUID, Endpoint] = {}
-
-    def publishers(self) -> Iterable[Endpoint]:
-        from cyclonedds.core import InstanceState, Policy
-
-        for item in self._publications.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                self._endpoints.pop(item.key, None)
-                continue
-            topic = ros_topic(item.topic_name)
-            if topic is None:
-                continue
-            self._endpoints[item.key] = Endpoint(
-                item.key,
-                item.participant_key,
-                topic,
-                ros_type(item.type_name),
-                isinstance(item.qos[Policy.Reliability], Policy.Reliability.Reliable),
-                item.qos[Policy.Durability] != Policy.Durability.Volatile,
-            )
-        return self._endpoints.values()
-
-    def owner(self, participant: UUID) -> str:
-        from cyclonedds.core import InstanceState, Policy
-
-        for item in self._participants.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                continue
-            told = {policy.key: policy.value for policy in item.qos if _is_property(policy)}
-            name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
-            # A process that is none of ours: what Cyclone tells of it, if it is Cyclone's.
-            self._owners[item.key] = name or (
-                f"{told.get('__ProcessName', 'an unknown program')} "
-                f"(process {told.get('__Pid', '?')} on {told.get('__Hostname', '?')})"
-            )
-        return self._owners.get(participant, f"an unknown program (participant {participant})")
-
-
-def _is_property(policy: Any) -> bool:
-    """Say whether a policy is one of the properties that a participant tells."""
-    return type(policy).__name__ == "Property"
 
 
 def _qos(quality: Quality) -> Any:

@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.live.clock import Clock, StampClock
+from airpuck.live.discovery import Endpoint
 from airpuck.live.events import EventLog
-from airpuck.live.graph import Endpoint, Graph, Quality
+from airpuck.live.graph import Graph, Quality
 from airpuck.recording.message import StreamCodec
 
 _SECOND_NS = 10**9

@@ -6,7 +6,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from airpuck.live.graph import Endpoint, Graph, Quality, Subscription
+from airpuck.live.discovery import Endpoint
+from airpuck.live.graph import Graph, Quality, Subscription
 from airpuck.recording.cdr import Types, flatten
 from airpuck.recording.message_types import command_type, definitions
 
@@ -98,9 +99,11 @@ class Listener:
             self._looked = now
             self._subscribe()
         self._graph.wait(min(seconds, _LOOK))
-        received = time.time_ns()
         for name, (endpoint, subscription) in self._subscriptions.items():
-            for sample in subscription.take():
+            taken = subscription.take()
+            # After they were taken: nothing is received before it was sent, whatever takes long.
+            received = time.time_ns()
+            for sample in taken:
                 yield Heard(name, endpoint.msgtype, received, sample.sent_ns, sample.data)
 
     def _subscribe(self) -> None:
