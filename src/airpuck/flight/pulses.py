@@ -104,6 +104,11 @@ class PulseTest:
         """How long the test takes, from the first pose on [s]."""
         return self.plan.rest + len(self._order) * (self.plan.length + self.plan.rest)
 
+    @property
+    def over(self) -> bool:
+        """Whether every motor has had its turns."""
+        return self._stepped - self._begun >= self.duration
+
     def pose(self, time: float, pose: Numbers) -> None:
         """Take note of a pose; see `Pilot`."""
         values = np.array(pose, dtype=float)

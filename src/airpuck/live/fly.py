@@ -95,6 +95,7 @@ def fly_live(
     domain: int | None = None,
     interface: str | None = None,
     duration: float = float("inf"),
+    over: Callable[[float], bool] = lambda time: False,
     on_board: bool = False,
     quiet: bool = False,
     name: str = NAME,
@@ -123,6 +124,8 @@ def fly_live(
         Network interface; by default loopback.
     duration : float, default infinite
         How long [s].
+    over : callable, optional
+        Is asked in every period, with the time [s], whether the flight is at its end.
     on_board : bool, default False
         Whether the pilot is told what the sensors on the craft say.
     quiet : bool, default False
@@ -159,7 +162,7 @@ def fly_live(
             flight = _Flight(
                 graph, topics, vehicle, limits, period, reference, keys, events, on_board
             )
-            return flight.run(pilot, duration, ending)
+            return flight.run(pilot, duration, over, ending)
     finally:
         graph.close()
 
@@ -204,7 +207,9 @@ class _Flight:
         self._beat = 0.0
         self._quit = False
 
-    def run(self, pilot: Pilot, duration: float, ending: Ending) -> FlightReport:
+    def run(
+        self, pilot: Pilot, duration: float, over: Callable[[float], bool], ending: Ending
+    ) -> FlightReport:
         """Fly."""
         guarded = GuardedPilot(
             pilot,
@@ -231,7 +236,7 @@ class _Flight:
                 early=_EARLY,
             ):
                 self._after(action)
-                if ending.asked or self._quit:
+                if ending.asked or self._quit or over(action.time):
                     break
         finally:
             self._idle()

@@ -110,9 +110,10 @@ class Observer:
 
     def __init__(self, graph: Graph, model: Model, topics: Topics) -> None:
         self._graph = graph
+        # What takes long comes before time begins.
+        self._monitor = HealthMonitor(model)
         self.clock = Clock()
         self.sight = Sight()
-        self._monitor = HealthMonitor(model)
         motors = model.vehicle.propeller_names
         # Commands before poses: a pose may show what a command that came with it has done.
         streams = {

@@ -56,6 +56,10 @@ def preflight_live(
     pilot = PulseTest(model.vehicle, plan, table)
     # The frame may be wrong, and the units: what ends the test near a rail is the pilot.
     anywhere = Limits(geofence=(float("inf"), float("inf")))
+
+    def over(time: float) -> bool:
+        return pilot.over or (not pilot.poses and time > _PATIENCE)
+
     fly_live(
         lambda: pilot,
         model.vehicle,
@@ -64,6 +68,7 @@ def preflight_live(
         domain=domain,
         interface=interface,
         duration=pilot.duration + _PATIENCE,
+        over=over,
         quiet=quiet,
         name="airpuck preflight",
         warm_up=False,

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
+from collections.abc import Iterator
+from importlib.util import find_spec
 from threading import Lock
 from typing import Any
 
@@ -122,24 +126,19 @@ def view_live(
         If viser is not installed, the address cannot be served at, or something given cannot be
         used.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise InputError("the live view needs viser: pip install 'airpuck[view]'") from error
+    if find_spec("viser") is None:
+        raise InputError("the live view needs viser: pip install 'airpuck[view]'")
     _check_free(host, port)
     graph = Graph(NAME, domain=domain, interface=interface)
     try:
         with orderly() as ending:
             os.nice(_NICE)
             events = EventLog(graph, NAME, quiet=quiet)
-            server = viser.ViserServer(host, port, label="airpuck", verbose=False)
-            try:
+            with _served(host, port) as server:
                 page = _Page(server, graph, model, table or Table(), topics or Topics())
                 settle_memory()
                 events.tell("info", f"on domain {graph.domain}, at http://{host}:{port}")
                 return page.run(duration, ending)
-            finally:
-                server.stop()
     finally:
         graph.close()
 
@@ -210,6 +209,20 @@ class _Page:
                 if wanted is not None:
                     self._panel.show_set_point(wanted)
                 self._panel.show(self._observer, self._observer.health, _hint(planned))
+
+
+@contextlib.contextmanager
+def _served(host: str, port: int) -> Iterator[Any]:
+    """Serve a page; what viser would say on standard output has no place among figures."""
+    import viser
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host, port, label="airpuck", verbose=False)
+    try:
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 def _hint(planned: bool) -> str:
