@@ -1,4 +1,4 @@
-"""Shared fixtures; and while the tests run, every jaxtyping signature is checked."""
+"""Shared fixtures; and while the tests run, jaxtyping signatures are checked."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import tempfile
 from pathlib import Path
 
 import hypothesis
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
 
-from . import typechecker  # noqa: F401  (the hook names it)
+from . import typechecker
 
 # Compiled programs are kept from test to test and from process to process; they are found again by
 # their content, so an old one is never used for new code.
@@ -24,7 +24,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-_hook = install_import_hook("airpuck", "tests.typechecker.check")
+jaxtyping.jaxtyped = typechecker.jaxtyped
+_hook = jaxtyping.install_import_hook("airpuck", "tests.typechecker.check")
 
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"
@@ -44,6 +45,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker(marker):
                 item.add_marker(pytest.mark.skip(reason=f"runs with `make {target}`"))
+
+
+def pytest_runtest_setup() -> None:
+    """Check the first calls in each test."""
+    typechecker.start_again()
 
 
 @pytest.fixture(scope="session")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.model.pytrees import register_pytrees
+from airpuck.model.rigid_body import Dynamics
 from airpuck.model.rollout import rollout
 from airpuck.model_file import Model
 from airpuck.recording.stream import COLUMNS, Recording, Stream
@@ -19,6 +23,46 @@ HOLD = 0.1
 _CANDIDATES = 6
 #: Time stamp of the first pose [ns since 1970].
 _EPOCH_NS = 1_700_000_001_000_000_000
+
+
+@cache
+def _program() -> Any:
+    """`rollout`, compiled, since most tests need flights and a loop in Python takes seconds."""
+    import jax
+    import jax.numpy as jnp
+
+    register_pytrees()
+    return jax.jit(lambda *arguments: rollout(jnp, *arguments))
+
+
+def fast_rollout(
+    dynamics: Dynamics,
+    state: Float[np.ndarray, "z *batch"],
+    commands: Float[np.ndarray, "T n *batch"],
+    durations: Float[np.ndarray, "T *batch"],
+) -> Float[np.ndarray, "T z *batch"]:
+    """Do what `airpuck.model.rollout.rollout` does, to rounding errors.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Coefficients.
+    state : array, shape (6 + n, ...)
+        Extended states to start from.
+    commands : array, shape (T, n, ...)
+        Command in force over each step.
+    durations : array, shape (T, ...)
+        Length of each step [s].
+
+    Returns
+    -------
+    array, shape (T, 6 + n, ...)
+        Extended state at the end of each step.
+    """
+    import jax
+
+    with jax.enable_x64(True):
+        return np.asarray(_program()(dynamics, state, commands, durations))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +114,7 @@ def random_flight(model: Model, duration: float, seed: int) -> RandomFlight:
         signal = rng.uniform(-1, 1, ((n + 1) // 2, _CANDIDATES))
         both = np.stack([signal, -signal], axis=1).reshape(-1, _CANDIDATES)[:n]
         commands = np.clip(both, vehicle.command_min, vehicle.command_max)
-        ahead = rollout(
-            np,
+        ahead = fast_rollout(
             model.dynamics,
             np.repeat(state[:, None], _CANDIDATES, axis=1),
             np.repeat(commands[None], steps, axis=0),

@@ -1,9 +1,8 @@
-"""The command line, as a user meets it: in a process of its own."""
+"""The command line, as a user meets it."""
 
 import json
 import os
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,34 +11,14 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import airpuck as package
+from airpuck import demo
 from airpuck.cli.app import app
 from airpuck.model_file import read_model
 from airpuck.recording import write_bag, write_csv
 
+from .command_line import airpuck, airpuck_process, refused
 from .conftest import TRAINING, VALIDATION
 from .synthetic import record
-
-
-def airpuck(*arguments, cwd=None, env=None):
-    """Run the command; returns the finished process."""
-    return subprocess.run(
-        [sys.executable, "-c", "from airpuck.cli import main; main()", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env=env,
-        check=False,
-    )
-
-
-def refused(process, *words):
-    """Bad input: status 2, one line, no traceback, the words in it."""
-    assert process.returncode == 2, process.stderr
-    lines = process.stderr.strip().splitlines()
-    assert len(lines) == 1, process.stderr
-    for word in words:
-        assert word in lines[0]
-    return True
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +37,7 @@ def identified(bag) -> Path:
 
 
 def test_help_lists_the_commands():
-    process = airpuck("--help")
+    process = airpuck_process()
     assert process.returncode == 0
     for command in ("fetch", "preprocess", "identify", "evaluate", "compare", "reproduce", "demo"):
         assert command in process.stdout
@@ -92,7 +71,7 @@ def test_the_folder_of_a_study_may_be_called_as_elsewhere(tmp_path, name, option
 
 
 def test_version():
-    assert airpuck("--version").stdout.strip().startswith("airpuck 0.")
+    assert airpuck_process("--version").stdout.strip().startswith("airpuck 0.")
 
 
 def test_identify_writes_a_model_and_figures(bag, identified):
@@ -112,7 +91,8 @@ def test_preprocess_writes_the_arrays(bag, tmp_path):
 
 
 def test_evaluate_prints_json_and_nothing_else(bag, identified):
-    process = airpuck("evaluate", identified, bag, "--json", "-")
+    process = airpuck_process("evaluate", identified, bag, "--json", "-")
+    assert process.stderr == ""
     figures = json.loads(process.stdout)
     assert {"protocol", "horizon_s", "windows", "rmse", "median_abs"} <= set(figures)
     assert set(figures["rmse"]) == {"x_m", "y_m", "yaw_rad"}
@@ -299,6 +279,10 @@ def test_a_hostile_pickle_runs_nothing(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
+def test_bad_input_ends_a_process_alike(tmp_path):
+    assert refused(airpuck_process("evaluate", "none.toml", tmp_path), "none.toml", "no such file")
+
+
 @pytest.mark.data
 def test_table_2_from_the_command_line(experiments):
     process = airpuck("evaluate", "paper:M3", experiments / VALIDATION / "data.pt", "--json", "-")
@@ -315,7 +299,9 @@ def test_identify_on_the_training_experiment(experiments, tmp_path):
     assert read_model(tmp_path / "m.toml").data
 
 
-def test_the_demo_walks_the_whole_way(tmp_path):
+def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
+    # Flights of 90 s are for the reader of its report.
+    monkeypatch.setattr("airpuck.demo.demo", partial(demo.demo, duration=25.0))
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr
     page = Path(process.stdout.strip())

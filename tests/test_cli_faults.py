@@ -8,18 +8,18 @@ import pytest
 from airpuck.recording import write_bag
 from airpuck.recording.stream import Recording, Stream
 
+from .command_line import airpuck, refused
 from .synthetic import record
-from .test_cli import airpuck, refused
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     """A flight whose log says for 0.4 s what the craft never heard, and whose poses leap."""
-    recording = record(duration=14.0, noise=5e-5)
+    recording = record(duration=8.0, noise=5e-5)
     command, pose = recording["command"], recording["pose"]
     said, seen = command.values.copy(), pose.values.copy()
-    said[600:640] = np.array([0.9, 0.03, 0.03, 0.9, 0.9, 0.03])
-    seen[2400, 0] += 0.03
+    said[300:340] = np.array([0.9, 0.03, 0.03, 0.9, 0.9, 0.03])
+    seen[1440, 0] += 0.03
     streams = {
         "command": Stream(command.stamp_ns, command.received_ns, said, command.columns),
         "pose": Stream(pose.stamp_ns, pose.received_ns, seen, pose.columns),
@@ -37,8 +37,8 @@ def test_faults_are_printed_written_and_drawn(bag, tmp_path):
     figures = json.loads((tmp_path / "f.json").read_text())
     spans = {span["cause"]: span for span in figures["spans"]}
     assert spans.pop("jumping pose")["confidence"] == 1
-    # 6.0 s of commands, less what precedes the first one that moves, and the delay.
-    assert any(5.7 < span["start_s"] < 6.3 for span in spans.values())
+    # 3.0 s of commands, less what precedes the first one that moves, and the delay.
+    assert any(2.7 < span["start_s"] < 3.3 for span in spans.values())
     assert all(0 < span["confidence"] < 1 for span in spans.values())
     assert 0.9 < figures["usable"] < 1
     assert "jumping pose" in (tmp_path / "r" / "index.html").read_text()

@@ -8,8 +8,8 @@ import pytest
 
 from airpuck.recording import write_bag
 
+from .command_line import airpuck, airpuck_process, refused
 from .synthetic import record
-from .test_cli import airpuck, refused
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,6 @@ def with_nan(values):
     [
         ("state", with_nan, "not finite"),
         ("t", lambda t: t[::-1], "must increase"),
-        ("state", lambda x: x[:-5], "shape"),
         ("command", lambda u: 100 * u, "[0, 1]"),
         ("command_time", lambda t: t[::-1], "must not decrease"),
         ("state", lambda x: x.astype(np.float32), "float64"),
@@ -56,6 +55,12 @@ def with_nan(values):
 def test_a_damaged_trajectory(archive, tmp_path, name, change, word):
     path = damaged(archive, tmp_path / "bad.npz", name, change)
     assert refused(airpuck("evaluate", "paper:M3", path), "bad.npz", name, word)
+
+
+def test_lengths_that_differ_are_told_where_nothing_checks_shapes(archive, tmp_path):
+    path = damaged(archive, tmp_path / "bad.npz", "state", lambda x: x[:-5])
+    process = airpuck_process("evaluate", "paper:M3", path)
+    assert refused(process, "bad.npz", "state", "shape")
 
 
 def test_a_trajectory_with_flipped_bytes(archive, tmp_path):

@@ -7,8 +7,8 @@ import pytest
 from airpuck.model_file import read_model
 from airpuck.recording import write_bag
 
+from .command_line import airpuck, refused
 from .synthetic import record
-from .test_cli import airpuck, refused
 
 
 @pytest.fixture(scope="module")

@@ -4,34 +4,43 @@ import os
 
 import pytest
 
-from .test_cli import airpuck
+from airpuck.cli import main
+
+from .command_line import airpuck_process
+
+FOLDER = "JAX_COMPILATION_CACHE_DIR"
 
 
-def environment(tmp_path, **more):
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XDG_"))}
-    return kept | {"XDG_CACHE_HOME": str(tmp_path / "cache")} | more
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """The folder of a user who has decided nothing."""
+    for name in [name for name in os.environ if name.startswith(("JAX_", "XDG_"))]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
 
 
-def excite(tmp_path, env):
-    process = airpuck("excite", "--duration", "0.5", "-o", tmp_path / "bag", env=env)
+def test_commands_keep_what_they_compile(cache, tmp_path):
+    process = airpuck_process("excite", "--duration", "0.5", "-o", tmp_path / "bag")
     assert process.returncode == 0, process.stderr
     assert process.stderr == ""
+    assert list((cache / "airpuck" / "compiled").iterdir())
 
 
-def test_commands_keep_what_they_compile(tmp_path):
-    excite(tmp_path, environment(tmp_path))
-    assert list((tmp_path / "cache" / "airpuck" / "compiled").iterdir())
+def settings(monkeypatch):
+    """What a command leaves in the environment, where JAX reads its settings."""
+    monkeypatch.setattr("sys.argv", ["airpuck", "--version"])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    return {name: value for name, value in os.environ.items() if name.startswith("JAX_")}
 
 
-@pytest.mark.parametrize("where", ["elsewhere", "nowhere", "no folder"])
-def test_a_user_decides_otherwise(tmp_path, where):
-    more = {}
-    if where == "elsewhere":
-        more = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "mine")}
-    elif where == "nowhere":
-        more = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-    else:
-        (tmp_path / "cache").write_text("a file")
-    excite(tmp_path, environment(tmp_path, **more))
-    kept = tmp_path / "cache" / "airpuck" / "compiled"
-    assert not kept.exists() or not list(kept.iterdir())
+def test_a_user_decides_otherwise(cache, monkeypatch):
+    monkeypatch.setenv(FOLDER, "mine")
+    assert settings(monkeypatch) == {FOLDER: "mine"}
+    assert not cache.exists()
+
+
+def test_without_a_folder_nothing_is_kept(cache, monkeypatch):
+    cache.write_text("a file")
+    assert not settings(monkeypatch)

@@ -1,5 +1,55 @@
-"""How signatures are checked while the tests run: by beartype, where an int is also a float."""
+"""How signatures are checked while the tests run: by beartype, where an int is also a float.
+
+In each test, the first calls of each function are checked. A check takes longer than most short
+functions; loops that step through a flight make a million of them, of the same shapes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections import Counter
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any
 
 from beartype import BeartypeConf, beartype
+from jaxtyping import jaxtyped as always_checked
 
 check = beartype(conf=BeartypeConf(is_pep484_tower=True))
+
+#: Calls that are checked of each function in each test.
+CHECKED = 20
+_calls: Counter[tuple[str, str]] = Counter()
+
+
+def start_again() -> None:
+    """Count anew: the next calls are those of another test."""
+    _calls.clear()
+
+
+def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
+    """Stand in for `jaxtyping.jaxtyped`, with which the import hook decorates all functions.
+
+    Checks are built when they are first needed, since that takes long, too, and a nested function
+    is decorated whenever the outer one runs.
+    """
+    if fn is None:
+        return partial(jaxtyped, typechecker=typechecker)
+    if inspect.isclass(fn):
+        if dataclasses.is_dataclass(fn) and "__init__" in vars(fn):
+            fn.__init__ = jaxtyped(fn.__init__, typechecker=typechecker)
+        return fn
+    place, checked = (fn.__module__, fn.__qualname__), None
+
+    @wraps(fn)
+    def call(*arguments: Any, **named: Any) -> Any:
+        nonlocal checked
+        __tracebackhide__ = True
+        if _calls[place] >= CHECKED:
+            return fn(*arguments, **named)
+        _calls[place] += 1
+        checked = checked or always_checked(fn, typechecker=typechecker)
+        return checked(*arguments, **named)
+
+    return call

@@ -19,7 +19,7 @@ from airpuck.vehicle import default_vehicle
 from airpuck.windows import make_windows
 from airpuck.zero_order_hold import mean_hold
 
-from ..random_flight import random_flight
+from ..random_flight import fast_rollout, random_flight
 from ..synthetic import fly
 
 VEHICLE = default_vehicle()
@@ -41,7 +41,7 @@ def flown(truth: Model = TRUTH, applied: float = 5 / 240, seed: int = 0) -> Traj
     acting = np.concatenate([np.repeat(command[:1], late, axis=0), command])[: len(command)]
     n = truth.vehicle.n_propellers
     start = np.concatenate([np.zeros(6), np.full(n, truth.vehicle.command_min)])
-    states = rollout(np, truth.dynamics, start, acting, np.full(len(acting), 1 / rate))
+    states = fast_rollout(truth.dynamics, start, acting, np.full(len(acting), 1 / rate))
     state = np.concatenate([start[None], states[:-1]])[::fine, :6]
     return Trajectory(
         time=flight.time,

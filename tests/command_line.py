@@ -1,0 +1,57 @@
+"""Run the command line: in this process, or as a user does, in one of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import subprocess
+import sys
+from subprocess import CompletedProcess
+from unittest import mock
+
+
+def airpuck(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
+    """Run a command here: what it needs is imported and compiled once for all tests.
+
+    What is no `InputError` comes out as it is, instead of a traceback on standard error.
+    """
+    from airpuck.cli import main
+
+    words = ["airpuck", *map(str, arguments)]
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with (
+        mock.patch.object(sys, "argv", words),
+        mock.patch.dict(os.environ, env or {}, clear=env is not None),
+        contextlib.chdir(cwd or "."),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as end:
+            assert isinstance(end.code, int)
+            status = end.code
+    return CompletedProcess(words, status, out.getvalue(), err.getvalue())
+
+
+def airpuck_process(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
+    """Run a command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", "from airpuck.cli import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env=env,
+        check=False,
+    )
+
+
+def refused(process: CompletedProcess[str], *words: str) -> bool:
+    """Bad input: status 2, one line, no traceback, the words in it."""
+    assert process.returncode == 2, process.stderr
+    lines = process.stderr.strip().splitlines()
+    assert len(lines) == 1, process.stderr
+    for word in words:
+        assert word in lines[0]
+    return True

@@ -1,0 +1,46 @@
+"""Signatures are checked in the first calls of each test, and in the next test again."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from jaxtyping import Float, TypeCheckError
+
+from . import typechecker
+
+
+@typechecker.jaxtyped(typechecker=typechecker.check)
+def total(one: Float[np.ndarray, " N"], other: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    return (one + other)[: 2 if one[0] < 0 else None]
+
+
+@typechecker.jaxtyped(typechecker=typechecker.check)
+@dataclass
+class Pair:
+    one: Float[np.ndarray, " N"]
+    other: Float[np.ndarray, " N"]
+
+
+@pytest.mark.parametrize("kind", [total, Pair])
+def test_shapes_are_checked_together(kind):
+    kind(np.ones(3), np.ones(3))
+    with pytest.raises(TypeCheckError):
+        kind(np.ones(3), np.ones(1))
+    with pytest.raises(TypeCheckError):
+        kind(np.ones(3, dtype=int), np.ones(3))
+
+
+@pytest.mark.parametrize("time", [1, 2])
+def test_of_many_calls_the_first_are_checked(time):
+    with pytest.raises(TypeCheckError):
+        total(-np.ones(3), np.ones(3))
+    for _ in range(typechecker.CHECKED):
+        total(np.ones(3), np.ones(3))
+    assert len(total(-np.ones(3), np.ones(3))) == 2
+
+
+def test_the_package_is_checked():
+    from airpuck.model.thrust import is_monotone
+
+    with pytest.raises(TypeCheckError):
+        is_monotone(np.ones(3))
