@@ -60,7 +60,7 @@ def dense_jacobian(loss, parameters, free):
 
 
 def test_equals_a_dense_computation():
-    windows = make_windows(noisy(duration=16.0), 40, 50, 29)
+    windows = make_windows(noisy(), 40, 50, 29)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
     parameters = TRUTH.parameters
     free = PRESETS["M3"].mask(parameters)
@@ -150,7 +150,7 @@ def test_clusters_are_blocks_of_time():
 
 
 def test_the_order_of_trajectories_does_not_matter():
-    flights = [noisy(seed, duration=8.0) for seed in (1, 2)]
+    flights = [noisy(seed, duration=7.0) for seed in (1, 2)]
     first, second = identify(flights), identify(flights[::-1])
     np.testing.assert_allclose(
         first.uncertainty.standard_errors, second.uncertainty.standard_errors, rtol=1e-3
@@ -314,10 +314,11 @@ def test_says_why_there_are_no_standard_errors(count, value, told):
 
 
 def test_few_blocks_are_warned_of():
-    short = identify(noisy(duration=7.0))
+    flight = noisy(duration=7.0)
+    short = identify(flight)
     assert any("blocks of time" in warning for warning in short.warnings)
     with pytest.raises(InputError, match="blocks"):
-        identify(noisy(duration=5.0), bootstrap=10)
+        identify(flight, bootstrap=10)
 
 
 def test_the_file_reads_back_bit_equal(tmp_path, fit):
@@ -373,7 +374,7 @@ def test_bootstrap_agrees_with_the_sandwich(tmp_path, fit):
 
 
 def test_a_weighted_window_counts_as_often():
-    windows = make_windows(noisy(duration=5.0), 40, 50, 29)
+    windows = make_windows(noisy(), 40, 50, 29)
     counted = np.arange(len(windows)) % 3.0
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
     repeated = replace(
