@@ -143,7 +143,12 @@ class Page:
 
     def enter(self, x: float, y: float, yaw: float) -> None:
         """Enter a set point as numbers, and wait until the craft is there."""
-        self.ask(x=x, y=y, yaw=yaw)
+        # A page that lags by seconds, on a busy machine, writes an older set point over a newer.
+        for _ in range(5):
+            self.ask(x=x, y=y, yaw=yaw)
+            self.watch.run(1.5)
+            if self.watch.heard[REFERENCES] and np.allclose(self.wish[:3], (x, y, yaw)):
+                break
         self.arrives((x, y), yaw)
 
     def arrives(self, place, yaw: float | None = None) -> None:
