@@ -26,7 +26,7 @@ def loss():
 def test_approaches_the_minimum(loss):
     start = PRESETS["M3"].initial(VEHICLE)
     free = PRESETS["M3"].mask(start)
-    adam = Adam(learning_rate=3e-3, inertia_factor=3e-4, epochs=60, batch_size=64)
+    adam = Adam(learning_rate=3e-3, inertia_factor=3e-4, epochs=40, batch_size=64)
     outcome = adam.minimize(loss, start, free)
     best = LevenbergMarquardt().minimize(loss, start, free)
     initial = outcome.history[0].loss
@@ -69,5 +69,5 @@ def test_the_regulariser_keeps_curves_rising(loss):
     vector[0] = -0.02  # the first curve falls at zero
     start = start.with_vector(vector)
     free = PRESETS["M3"].mask(start)
-    adam = Adam(learning_rate=1e-3, epochs=40, batch_size=64)
+    adam = Adam(learning_rate=1e-3, epochs=10, batch_size=64)
     assert adam.minimize(loss, start, free).parameters.thrust[0, 0] > -1e-3
