@@ -19,6 +19,10 @@ os.environ.setdefault(
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
+# Threads of linear algebra wait for each other in busy loops. Workers and other processes that the
+# tests start inherit this; in the first process a plugin has imported NumPy already.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # The same examples in every run, so that a failure is always somebody's change; HYPOTHESIS_PROFILE
 # =default looks for new ones.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
