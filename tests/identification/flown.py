@@ -48,13 +48,17 @@ def plant() -> Plant:
     return build_plant(TRUTH)
 
 
-def settings(jitter: float) -> TwinSettings:
-    """The packaged twin with another jitter [s]."""
+def settings(jitter: float, noise: bool = True) -> TwinSettings:
+    """The packaged twin with another jitter [s], or with perfect cameras."""
     twin = default_twin_settings()
-    return twin.model_copy(update={"radio": twin.radio.model_copy(update={"jitter_s": jitter})})
+    changed: dict = {"radio": twin.radio.model_copy(update={"jitter_s": jitter})}
+    if not noise:
+        perfect = {"position_noise_m": 0.0, "yaw_noise_rad": 0.0}
+        changed["motion_capture"] = twin.motion_capture.model_copy(update=perfect)
+    return twin.model_copy(update=changed)
 
 
-def flown(jitter: float, duration: float, seed: int = 0) -> Flown:
+def flown(jitter: float, duration: float, seed: int = 0, noise: bool = True) -> Flown:
     """Fly with a radio of a given jitter [s], and look into it."""
     delay: list[float] = []
     twins: list[Twin] = []
@@ -73,7 +77,7 @@ def flown(jitter: float, duration: float, seed: int = 0) -> Flown:
         patch.setattr(twin_module, "RadioLink", WatchedRadio)
         patch.setattr(experiments, "Twin", WatchedTwin)
         recording = experiments.excite(
-            TRUTH, duration, seed, settings=settings(jitter), plant=plant()
+            TRUTH, duration, seed, settings=settings(jitter, noise), plant=plant()
         )
     trajectory = preprocess(recording)
     assert len(trajectory.command_time) == len(delay)

@@ -21,7 +21,8 @@ from airpuck.identification.identifiability import Identifiability, identifiabil
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method, minimize_on
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
-from airpuck.identification.packet_delays import PacketDelays, packet_delays
+from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.refinement import refined
 from airpuck.identification.robust import reweighted
 from airpuck.identification.transport_delay import (
     DelayChoice,
@@ -52,7 +53,8 @@ class Fit:
         The identified model.
     loss : float
         Mean squared weighted prediction error over windows, steps and channels, without any
-        regulariser; see `PredictionLoss`.
+        regulariser; see `PredictionLoss`. Where the delay was learned, with packets at the times
+        at which they arrived.
     history : tuple of Iteration
         The optimiser's way.
     converged : bool
@@ -152,6 +154,8 @@ def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
 
 #: A motor whose command stays within this range says nothing about its thrust.
 _HARDLY = 0.02
+#: Fits to data that were prepared anew with the last one.
+_REFINEMENTS = 2
 #: Samples of the past from which a fit's encoder estimates the present.
 _PAST = 40
 
@@ -211,7 +215,9 @@ def identify(
         Whether the transport delay is learned, as a continuous parameter for all recordings; or
         the delay of each recording is taken as it is, in whole samples. By default it is learned
         by `LevenbergMarquardt` on rungs with a motor lag, unless a recording was prepared by
-        others (`Trajectory.delay_known`): each of those was shifted by a delay of its own.
+        others (`Trajectory.delay_known`): each of those was shifted by a delay of its own. Where it
+        is learned, so are the delays of single packets, and the fit goes on with commands at the
+        times of their arrival (`airpuck.identification.refinement`).
     robust : bool, default False
         Whether windows that the model predicts badly count less (`reweighted`): faults that nobody
         has marked then hardly move the estimate.
@@ -274,6 +280,13 @@ def identify(
             outcome = minimize_on(first, loss, outcome, free, progress)
     if outcome is None or not isinstance(method, LevenbergMarquardt):
         outcome = method.minimize(loss, start, free, progress)
+    packets = ()
+    if continuous and rung.lag:
+        for _ in range(_REFINEMENTS):
+            rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
+            prepared, packets = refined(trajectories, rough)
+            loss = loss_on(prepared)
+            outcome = minimize_on(method, loss, outcome, free, progress)
     windows = loss.windows
     if robust:
         loss, outcome = reweighted(method, loss, outcome, free, progress)
@@ -284,10 +297,6 @@ def identify(
     known = identifiability_of(
         shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
     )
-    packets = ()
-    if continuous:
-        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
-        packets = tuple(packet_delays(trajectory, rough) for trajectory in trajectories)
     wall = time.perf_counter() - started
     if bootstrap:
         uncertainty = replace(

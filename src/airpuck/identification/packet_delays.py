@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from airpuck.estimate.actuation import twice_integrated
 from airpuck.model.motor import lag_decay, motor_speeds
-from airpuck.model.rigid_body import acceleration
+from airpuck.model.rigid_body import acceleration, motor_accelerations
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory
 from airpuck.zero_order_hold import mean_hold
@@ -29,6 +29,8 @@ _LOST = 0.06
 #: How much other packets nearby are thought to be off, in standard deviations [s]; how long before
 #: the window they still matter [s], and how many at most on either side.
 _USUAL, _BEFORE, _MOST = 0.01, 0.03, 16
+#: By how much each motor's thrust, and the inertia, may be wrong in a window, standard deviation.
+_SHARE = 0.03
 #: Times the typical misfit from which something else than a late packet was going on.
 _MISFIT = 9.0
 #: Step of the difference quotients of speed, and passes of Gauss-Newton.
@@ -165,7 +167,10 @@ class _Surroundings:
     def linearised(
         self, late: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "E 3 B"], Float[np.ndarray, "E 3 m B"]]:
-        """Return poses less predicted ones, up to a line, and accelerations by each δ."""
+        """Return poses less predicted ones, up to a line, and accelerations by each unknown.
+
+        These are each δ, the share by which each motor is stronger, and that of all moments.
+        """
         since = self._since - late[self.packet]
         moved = self._answer(since) - self._answer(self._since)
         speed = self._speed + np.einsum("nmb,emb->neb", self._change, moved)
@@ -179,7 +184,11 @@ class _Surroundings:
             by_speed = self._accelerations(speed + apart) - self._accelerations(speed - apart)
             moves = self._change[motor] * gain
             slope += by_speed[:, :, None] / (2 * _STEP) * moves[:, None]
-        return self._state[:, :3] - predicted, slope
+        motion = np.moveaxis(self._state[:, 2:], 1, 0)
+        by_motor = np.moveaxis(motor_accelerations(np, self._dynamics, motion, speed)[0], 2, 0)
+        turning = np.zeros_like(by_motor[:, :, :1])
+        turning[:, 2, 0] = by_motor[:, 2].sum(axis=1)
+        return self._state[:, :3] - predicted, np.concatenate([slope, by_motor, turning], axis=2)
 
     def best_known(
         self, spread: Float[np.ndarray, "m B"]
@@ -230,7 +239,7 @@ def _variances(
 
 def _regress(
     residual: Float[np.ndarray, "k 3 B"],
-    slope: Float[np.ndarray, "k 3 m B"],
+    slope: Float[np.ndarray, "k 3 u B"],
     variance: Float[np.ndarray, "k 3"],
     late: Float[np.ndarray, "m B"],
 ) -> tuple[Float[np.ndarray, "m B"], Float[np.ndarray, "m B"], Float[np.ndarray, "k 3 B"]]:
@@ -242,9 +251,11 @@ def _regress(
     rows = np.moveaxis(slope * weight[..., None, None], -1, 0).transpose(0, 3, 1, 2)
     rows = rows.reshape(*rows.shape[:2], -1)
     aim = np.moveaxis(residual * weight[..., None], -1, 0).reshape(len(rows), -1)
-    precision = _USUAL**-2
-    covariance = np.linalg.inv(rows @ rows.transpose(0, 2, 1) + precision * np.eye(len(late)))
-    score = np.einsum("bjr,br->bj", rows, aim) - precision * late.T
+    m, others = len(late), rows.shape[1] - len(late)
+    precision = np.repeat([_USUAL**-2, _SHARE**-2], [m, others])
+    covariance = np.linalg.inv(rows @ rows.transpose(0, 2, 1) + np.diag(precision))
+    score = np.einsum("bjr,br->bj", rows, aim)
+    score[:, :m] -= _USUAL**-2 * late.T
     step = np.einsum("bij,bj->ib", covariance, score)
     rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
-    return late + step, np.diagonal(covariance, axis1=1, axis2=2).T, rest
+    return late + step[:m], np.diagonal(covariance, axis1=1, axis2=2).T[:m], rest

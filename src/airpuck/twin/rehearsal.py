@@ -18,11 +18,13 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.errors import InputError
 from airpuck.identification.expected_errors import Information, information_of
+from airpuck.identification.refinement import refined
 from airpuck.model_file import Model, nominal_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.trajectory import Trajectory
 from airpuck.twin.experiments import fly_excitation
 from airpuck.twin.plant import Plant
+from airpuck.twin.radio import queued_delay
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import build_plant
 
@@ -141,7 +143,13 @@ class Stage:
         trajectory, flown = self.fly(plan, seed, world)
         if not flown.clearance:
             return flown
-        information = information_of(trajectory, self.model, plan.duration_s)
+        model = self.model
+        if model.delay_learned:
+            # As `identify` will: with the mean delay of this radio, and packets where they arrived.
+            radio = self.settings.with_delay(model.transport_delay).radio
+            model = model.with_delay(queued_delay(radio, self.tuning.period_s)[0])
+            (trajectory,), _ = refined((trajectory,), model)
+        information = information_of(trajectory, model, plan.duration_s)
         return Rehearsal(plan, seed, flown.clearance, flown.paused, information)
 
 

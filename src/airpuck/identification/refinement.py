@@ -1,0 +1,134 @@
+"""Data prepared anew with what a first fit knows: when packets arrived, and how fast the craft was.
+
+Two things are wrong in the same way in all data that are prepared without a model. Commands are
+taken to arrive after the mean delay; where a controller flies, it answers to what a late packet
+did, so that commands and residuals are not independent, and parameters are biased (Ljung, System
+Identification, 2nd ed. 1999, ch. 13). And velocities are smoothed across the kinks that switching
+motors leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.identification.delay_jitter import delay_jitter
+from airpuck.identification.packet_delays import PacketDelays, packet_delays
+from airpuck.model.motor import motor_speeds
+from airpuck.model.rigid_body import acceleration
+from airpuck.model_file import Model
+from airpuck.preprocessing.derivative import velocity
+from airpuck.preprocessing.quality import find_gaps
+from airpuck.trajectory import Trajectory
+
+
+def refined(
+    trajectories: Sequence[Trajectory], model: Model
+) -> tuple[tuple[Trajectory, ...], tuple[PacketDelays, ...]]:
+    """Prepare recordings anew: commands at the times of arrival, velocities along the model.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        Recordings, as preprocessed.
+    model : Model
+        The craft, with a transport delay that was learned.
+
+    Returns
+    -------
+    trajectories : tuple of Trajectory
+        For the next fit; as they were for a model without a motor lag, which cannot tell.
+    delays : tuple of PacketDelays
+        Of each recording.
+    """
+    delays = tuple(packet_delays(trajectory, model) for trajectory in trajectories)
+    if not float(model.dynamics.motor_time_constant) > 0:
+        return tuple(trajectories), delays
+    jitter = delay_jitter(delays)
+    spread = jitter.standard_deviation_s if jitter else 0.0
+    again = (
+        smoothed_along(retimed(trajectory, own, spread), model)
+        for trajectory, own in zip(trajectories, delays, strict=True)
+    )
+    return tuple(again), delays
+
+
+def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Trajectory:
+    """Move packets to when they arrived, as far as is known.
+
+    The mean of δ given its estimate δ̂ of variance v is σ²/(σ² + v) δ̂ for packets whose delays have
+    the standard deviation σ. All other packets keep the mean delay, but overtake none.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A recording.
+    delays : PacketDelays
+        Of some of its packets.
+    jitter : float
+        σ [s].
+
+    Returns
+    -------
+    Trajectory
+        With other times of the commands; the mean over the known packets is as before.
+    """
+    if not len(delays) or jitter == 0:
+        return trajectory
+    weight = 1 / (jitter**2 + delays.standard_error**2)
+    late = jitter**2 * weight * (delays.deviation - np.average(delays.deviation, weights=weight))
+    time = trajectory.command_time.copy()
+    time[delays.packet] += late
+    earliest, latest = np.full_like(time, -np.inf), np.full_like(time, np.inf)
+    earliest[delays.packet] = latest[delays.packet] = time[delays.packet]
+    earliest = np.maximum.accumulate(earliest)
+    latest = np.minimum.accumulate(latest[::-1])[::-1]
+    return replace(trajectory, command_time=np.maximum.accumulate(np.clip(time, earliest, latest)))
+
+
+def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
+    """Smooth what the model leaves, rather than the poses.
+
+    v = ∫ a + D(y - ∬ a), a the modelled accelerations along the measured yaw and D the derivative
+    of preprocessing: linear, and exact for cubics. Where a is the true acceleration the kinks that
+    switching motors leave are all in ∫ a, and are not smoothed away.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A recording.
+    model : Model
+        The craft.
+
+    Returns
+    -------
+    Trajectory
+        With other velocities.
+    """
+    time, state = trajectory.time, trajectory.state.copy()
+    assumed = model.vehicle.nominal.transport_delay_s
+    held, _ = trajectory.delayed_input(model.transport_delay, assumed)
+    speed = motor_speeds(time, held, float(model.dynamics.motor_time_constant))
+    modelled = np.stack(acceleration(np, model.dynamics, state[:, 2:].T, speed.T), axis=1)
+    edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]), len(time)]
+    for first, last in pairwise(edges):
+        part = slice(first, last)
+        gained, moved = _integrated(time[part], modelled[part])
+        state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)
+    return replace(trajectory, state=state)
+
+
+def _integrated(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k"]]:
+    """Integrate once and twice from the first sample, linear between samples."""
+    h = np.diff(time)[:, None]
+    once = np.zeros_like(values)
+    once[1:] = np.cumsum(h / 2 * (values[:-1] + values[1:]), axis=0)
+    twice = np.zeros_like(values)
+    twice[1:] = np.cumsum(h * once[:-1] + h**2 / 6 * (2 * values[:-1] + values[1:]), axis=0)
+    return once, twice
