@@ -19,7 +19,7 @@ from airpuck.identification.delay_jitter import delay_jitter
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.method import Iteration, Method, minimize_on
+from airpuck.identification.method import Iteration, Method, Outcome, minimize_on
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.refinement import refined
@@ -264,29 +264,31 @@ def identify(
             continuous_delay=continuous,
         )
 
-    loss = loss_on(trajectories)
-    start, free = _start(trajectories, vehicle, rung, initial, degree, continuous)
-    outcome, exclusion = None, None
     if faults is None:
         faults = "exclude" if all(t.delay_known for t in trajectories) else "keep"
+    loss, exclusion, packets = loss_on(trajectories), None, ()
+    start, free = _start(trajectories, vehicle, rung, initial, degree, continuous)
+    first = method if isinstance(method, LevenbergMarquardt) else LevenbergMarquardt()
+    outcome = None
+
+    def lowered(loss: PredictionLoss) -> Outcome:
+        if outcome is None:
+            return first.minimize(loss, start, free, progress)
+        return minimize_on(first, loss, outcome, free, progress)
+
+    # Where a fit only serves to prepare the data, a part of the windows will do.
     if faults == "exclude" and prediction_length is not None:
-        first = method if isinstance(method, LevenbergMarquardt) else LevenbergMarquardt()
-        outcome = first.minimize(loss, start, free, progress)
+        outcome = lowered(loss.thinned)
         rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
         exclusion = exclude_faults(trajectories, rough, encoder.length + prediction_length, stride)
-        if exclusion.share > 0:
-            trajectories = exclusion.trajectories
-            loss = loss_on(trajectories)
-            outcome = minimize_on(first, loss, outcome, free, progress)
-    if outcome is None or not isinstance(method, LevenbergMarquardt):
-        outcome = method.minimize(loss, start, free, progress)
-    packets = ()
-    if continuous and rung.lag:
-        for _ in range(_REFINEMENTS):
-            rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
-            prepared, packets = refined(trajectories, rough)
-            loss = loss_on(prepared)
-            outcome = minimize_on(method, loss, outcome, free, progress)
+        trajectories = exclusion.trajectories
+        loss = loss_on(trajectories)
+    for _ in range(_REFINEMENTS if continuous and rung.lag else 0):
+        outcome = lowered(loss.thinned)
+        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
+        prepared, packets = refined(trajectories, rough)
+        loss = loss_on(prepared)
+    outcome = lowered(loss) if first is method else method.minimize(loss, start, free, progress)
     windows = loss.windows
     if robust:
         loss, outcome = reweighted(method, loss, outcome, free, progress)
