@@ -212,12 +212,8 @@ class PredictionLoss:
                     float(parameters.motor_time_constant),
                 ),
             )
-            data = (
-                jnp.asarray(windows.time),
-                jnp.asarray(windows.state),
-                jnp.asarray(windows.input),
-                jnp.asarray(slope),
-            )
+            samples = (windows.time, windows.state, windows.input, slope)
+            data = tuple(jnp.asarray(_lengthened(values)) for values in samples)
             basis, weights = jax.tree.map(jnp.asarray, slopes), jnp.asarray(self.weights)
 
         def sums(batch: _Batch) -> Any:
@@ -246,6 +242,12 @@ class PredictionLoss:
             gradient=2 * scale * _summed(score, owner) @ local,
             hessian=2 * scale * (local.T @ _summed(curvature, owner) @ local),
         )
+
+
+def _lengthened(values: Float[np.ndarray, "N *shape"]) -> Float[np.ndarray, "M *shape"]:
+    """Repeat the last sample up to a power of two, so that one program serves many recordings."""
+    missing = (1 << (len(values) - 1).bit_length()) - len(values)
+    return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
 def _summed(parts: Sequence[Any], owner: Int[np.ndarray, " N"]) -> Float[np.ndarray, "G *shape"]:
