@@ -1,9 +1,8 @@
 """Data prepared anew with what a first fit knows: when packets arrived, and how fast the craft was.
 
 Two things are wrong in the same way in all data that are prepared without a model. Commands are
-taken to arrive after the mean delay; where a controller flies, it answers to what a late packet
-did, so that commands and residuals are not independent, and parameters are biased (Ljung, System
-Identification, 2nd ed. 1999, ch. 13). And velocities are smoothed across the kinks that switching
+taken to arrive after the mean delay, so that every packet that is late or early leaves an error
+that lasts to the end of its windows. And velocities are smoothed across the kinks that switching
 motors leave.
 """
 
