@@ -13,7 +13,7 @@ ROOT = Path(airpuck.__file__).parent
 
 #: Rooms from the ground up: each may import itself and the ones before it.
 ORDER = (
-    ("errors", "files"),
+    ("cores", "errors", "files"),
     ("vehicle", "table"),
     ("model",),
     ("parameters_section", "uncertainty_section"),

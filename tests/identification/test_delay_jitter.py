@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from airpuck.identification.delay_jitter import delay_jitter
 from airpuck.identification.packet_delays import PacketDelays
@@ -58,6 +59,22 @@ def test_means_of_recordings_are_no_jitter(first, second):
     assert moved.standard_deviation_s == pytest.approx(plain.standard_deviation_s, rel=1e-9)
 
 
+def test_the_weighted_sum_of_squares_is_its_expectation():
+    """Paule and Mandel's equation, mean and all, for errors that differ by a factor of twenty."""
+    rng = np.random.default_rng(4)
+    error = rng.uniform(0.2e-3, 4e-3, 40)
+    deviation = rng.normal(0, np.hypot(3e-3, error))
+
+    def excess(variance):
+        weight = 1 / (variance + error**2)
+        return weight @ (deviation - np.average(deviation, weights=weight)) ** 2 - 39
+
+    jitter = delay_jitter([packets(deviation, error)])
+    expected = np.sqrt(brentq(excess, 1e-9, 1e-3, xtol=1e-18))
+    assert jitter.standard_deviation_s == pytest.approx(expected, rel=1e-6)
+
+
 def test_few_packets_say_nothing():
+    assert delay_jitter([packets([1e-3], 1e-3)] * 12) is None
     assert delay_jitter([]) is None
     assert delay_jitter([packets(np.zeros(9), 1e-3)]) is None

@@ -124,6 +124,22 @@ def test_other_motors_are_refused():
         identify(fly(four_propellers(), duration=2.0))
 
 
+def test_a_motor_that_idles_in_the_span_that_is_used_is_named():
+    flight = fly(published_model("M3"), duration=6.0)
+    command = flight.command.copy()
+    command[flight.command_time > 3.0, 2] = 0.3
+    part = replace(flight, command=command).slice(0.6, 1.0)
+    name = flight.propellers[2]
+    assert any(f"command of {name} hardly changes" in w for w in identify(part).warnings)
+
+
+def test_what_was_minimised_is_told():
+    fit = identify(fly(published_model("M3"), duration=3.0))
+    found = fit.objective.quadratic(fit.model.parameters)
+    assert found.loss == pytest.approx(fit.loss, rel=1e-9)
+    assert len(fit.objective.windows) == fit.windows
+
+
 def test_warns_when_not_converged():
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 

@@ -104,6 +104,36 @@ def test_gradient_by_finite_differences(windows, name, indexing):
         assert gradient[entry] == pytest.approx(difference, rel=1e-5, abs=1e-9)
 
 
+def test_shares_of_clusters_add_up(windows):
+    parameters = moved("M3")
+    plain = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS)
+    clusters = np.arange(len(windows)) // 20
+    result = replace(plain, clusters=clusters).quadratic(parameters)
+    expected = plain.quadratic(parameters)
+    assert expected.shares is None
+    assert result.shares.loss.shape == (clusters.max() + 1,)
+    assert result.loss == pytest.approx(expected.loss, rel=1e-12)
+    np.testing.assert_allclose(result.gradient, expected.gradient, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        result.shares.hessian.sum(axis=0), expected.hessian, rtol=1e-9, atol=1e-12
+    )
+
+
+def test_thinned_where_there_are_many(windows):
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder())
+    assert loss.thinned is loss
+    starts = np.resize(windows.starts, 1001)
+    many = replace(
+        loss,
+        windows=replace(windows, starts=starts),
+        multiplicity=np.arange(1001.0),
+        clusters=np.zeros(1001, dtype=int),
+    ).thinned
+    np.testing.assert_array_equal(many.windows.starts, starts[::4])
+    np.testing.assert_array_equal(many.multiplicity, np.arange(0.0, 1001.0, 4))
+    assert many.clusters is None
+
+
 @pytest.mark.parametrize("count", [1, 3, 255, 257])
 def test_padding_of_batches_does_not_count(windows, count):
     starts = np.resize(windows.starts, count)

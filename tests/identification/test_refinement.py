@@ -62,6 +62,25 @@ def test_without_jitter_nothing_moves():
     assert retimed(trajectory, nothing, 0.01) is trajectory
 
 
+def test_stretches_too_short_to_smooth_are_left_alone():
+    """Two frames lost, five samples apart: preprocessing has left what lies between out."""
+    time = np.delete(np.arange(120), [60, 66]) / 240
+    state = np.zeros((118, 6))
+    state[60:65, 3:] = 7.0
+    trajectory = Trajectory(
+        time=time,
+        state=state,
+        acceleration=np.zeros((118, 3)),
+        command_time=np.zeros(1),
+        command=np.zeros((1, 6)),
+        propellers=TRUTH.vehicle.propeller_names,
+    )
+    smoothed = smoothed_along(trajectory, TRUTH)
+    assert (smoothed.state[60:65, 3:] == 7.0).all()
+    assert (smoothed.state[:60, 3:] == 0.0).all()
+    assert (smoothed.state[65:, 3:] == 0.0).all()
+
+
 def test_velocities_are_not_smoothed_across_switches():
     """With perfect cameras smoothing is all that is wrong; along the true model hardly any is."""
     flight = flown(0.0, 10.0, noise=False)

@@ -1,14 +1,16 @@
 """The check before flight, of a twin in another process."""
 
-from .processes import Process
+from .processes import Process, Watch
 
 
 def test_a_twin_is_ready(domain):
-    twin = Process("twin", "--quiet", domain=domain)
+    twin, watch = Process("twin", "--quiet", domain=domain), Watch(domain)
     try:
+        watch.until(lambda: watch.heard["/optitrack/drone/pose"], 60.0)
         status, out, err = Process("preflight", "--model", "paper:M3", domain=domain).end(90)
     finally:
         twin.kill()
+        watch.close()
     assert status == 0, out + err
     assert "as expected" in out
     assert out.count("order and sign agree") == 6

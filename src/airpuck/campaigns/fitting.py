@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,14 +14,13 @@ from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import bootstrap
 from airpuck.identification.fit import Fit, identify
-from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.transport_delay import mean_delay
 from airpuck.identification.uncertainty import cluster_windows
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import preset
 from airpuck.preprocessing.load import load_trajectory
 from airpuck.trajectory import Trajectory
 from airpuck.vehicle import Vehicle, default_vehicle, read_vehicle
-from airpuck.windows import make_windows
 
 #: Of every fit, as in `identify`.
 ENCODER = PaperEncoder(length=40)
@@ -81,7 +81,7 @@ class Fitting(Item):
         """Fit; see `Item.run`."""
         craft, trajectories = self.data()
         if self.resamplings:
-            return self._resampled(craft, trajectories)
+            return self._resampled(craft)
         fit = self.fit(craft, trajectories)
         row = {
             "loss": fit.loss,
@@ -132,33 +132,33 @@ class Fitting(Item):
         Fit
             The fit.
         """
-        rung = preset(self.model)
-        start = rung.initial(craft, self.degree)
+        rung, start = preset(self.model), None
         if self.start_spread:
-            elsewhere = moved(start, self.start_spread, self.seed).to_vector()
-            nominal = start.to_vector()
-            start = start.with_vector(np.where(rung.mask(start), elsewhere, nominal))
+            nominal = rung.initial(craft, self.degree)
+            nominal = replace(nominal, transport_delay=mean_delay(trajectories, craft))
+            elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
+            vector = np.where(rung.mask(nominal), elsewhere, nominal.to_vector())
+            start = nominal.with_vector(vector)
         return identify(
             trajectories,
             rung,
             vehicle=craft,
             initial=start,
+            degree=self.degree,
             encoder=ENCODER,
             stride=self.stride,
             frame=self.frame,
             robust=self.robust,
         )
 
-    def _resampled(self, craft: Vehicle, trajectories: list[Trajectory]) -> list[Row]:
+    def _resampled(self, craft: Vehicle) -> list[Row]:
         """Return the parameters of each fit to resampled data, from the fit to all."""
         # A frozen pydantic model has a hash, which the type checker does not see.
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
-        model = _fit_to_all(whole, whole.key(fingerprint)).model
-        windows = make_windows(trajectories, ENCODER.length, 50, self.stride)
-        loss = PredictionLoss(
-            windows, craft, ENCODER, frame=self.frame, continuous_delay=model.delay_learned
-        )
-        clusters = cluster_windows(windows)
+        fit = _fit_to_all(whole, whole.key(fingerprint))
+        model, loss = fit.model, fit.objective
+        assert loss is not None
+        clusters = cluster_windows(loss.windows)
         _, estimates = bootstrap(
             loss, model.parameters, model.free, clusters, self.resamplings, seed=self.seed
         )

@@ -23,6 +23,9 @@ def main() -> None:
     from airpuck.errors import InputError
 
     _keep_compiled_programs()
+    # Matrices here are small: threads of linear algebra would only wait for each other, and keep
+    # XLA's from working.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except InputError as error:

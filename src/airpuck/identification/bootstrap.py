@@ -6,7 +6,6 @@ constraints that begin to bind and curves that bend, which the sandwich estimato
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -14,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from airpuck.cores import usable_cores
 from airpuck.errors import InputError
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
@@ -85,7 +85,7 @@ def bootstrap(
     counted = np.ones(len(clusters)) if loss.multiplicity is None else loss.multiplicity
 
     def fit(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
-        resampled = replace(loss, multiplicity=counted * draw[clusters])
+        resampled = replace(loss, multiplicity=counted * draw[clusters], clusters=None)
         try:
             found = method.minimize(resampled, parameters, free).parameters
             return fix_gauge(found, loss.vehicle, free).to_vector()
@@ -93,7 +93,7 @@ def bootstrap(
             return None  # this draw does not determine the parameters
 
     found = []
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         for number, vector in enumerate(pool.map(fit, draws), start=1):
             if vector is not None and np.isfinite(vector).all():
                 found.append(vector)

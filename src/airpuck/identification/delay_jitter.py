@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.uncertainty_section import DelayJitter
 
-#: Fewer packets than this have no spread to speak of.
-_FEWEST = 10
+#: Fewer degrees of freedom than this have no spread to speak of.
+_FEWEST = 9
 
 
 def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     """Estimate the standard deviation of the packets' delays by a random-effects model.
 
     The deviations of a recording are normal about their mean with variance σ² + v, v the variance
-    of each estimate. σ² is the one at which Σ (δ - mean)²/(σ² + v) is its expectation, the degrees
-    of freedom (Paule and Mandel, Journal of Research of the NBS 87, 1982); zero where the noise
-    explains the spread. The standard error is that of a sample variance, by the fourth moment.
+    of each estimate. σ² is the one at which Σ (δ - mean)²/(σ² + v), with the mean weighted by
+    1/(σ² + v), is its expectation, the degrees of freedom (Paule and Mandel, Journal of Research
+    of the NBS 87, 1982); zero where the noise explains the spread. The standard error is that of a
+    sample variance, by the fourth moment.
 
     Parameters
     ----------
@@ -29,22 +31,22 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     Returns
     -------
     DelayJitter or None
-        None where fewer than ten packets switched a motor.
+        None where fewer than ten packets switched a motor, beside one for the mean of each
+        recording.
     """
     delays = [found for found in delays if len(found)]
-    if sum(map(len, delays)) < _FEWEST:
+    degrees = sum(len(found) - 1 for found in delays)
+    if degrees < _FEWEST:
         return None
-    # Each recording has a mean of its own.
-    deviation = np.concatenate([d.deviation - np.mean(d.deviation) for d in delays])
     noise = np.concatenate([d.standard_error**2 for d in delays])
-    degrees = len(deviation) - len(delays)
-    low, high = 0.0, float(np.sum(deviation**2))
+    low, high = 0.0, sum(float(np.sum((d.deviation - np.mean(d.deviation)) ** 2)) for d in delays)
     for _ in range(100):
         middle = (low + high) / 2
-        if np.sum(deviation**2 / (middle + noise)) > degrees:
+        if np.sum(_centred(delays, middle) ** 2 / (middle + noise)) > degrees:
             low = middle
         else:
             high = middle
+    deviation = _centred(delays, high)
     jitter, square = float(np.sqrt(high)), deviation**2
     error = float(np.sqrt(np.var(square) / len(square)))
     return DelayJitter(
@@ -53,3 +55,9 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
         standard_error_s=error / max(2 * jitter, error**0.5),
         packets=len(deviation),
     )
+
+
+def _centred(delays: Sequence[PacketDelays], variance: float) -> Float[np.ndarray, " B"]:
+    """Return deviations from the weighted mean of their recording: each has one of its own."""
+    means = [np.average(d.deviation, weights=1 / (variance + d.standard_error**2)) for d in delays]
+    return np.concatenate([d.deviation - m for d, m in zip(delays, means, strict=True)])

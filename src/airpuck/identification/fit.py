@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.bootstrap import bootstrap as resample
 from airpuck.identification.delay_jitter import delay_jitter
+from airpuck.identification.doubts import doubts, idle_motors
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
@@ -35,7 +36,6 @@ from airpuck.model.gauge import fix_gauge
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
 from airpuck.model.rigid_body import CenterOfMassFrame
-from airpuck.model.thrust import lowest_slope
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.model_file import Model
 from airpuck.trajectory import Trajectory, check_propellers
@@ -73,6 +73,9 @@ class Fit:
         The faults that were found and kept out of the fit; None where none were searched.
     packet_delays : tuple of PacketDelays
         When single packets arrived, in each recording; empty where the delay was not learned.
+    objective : PredictionLoss or None
+        What was minimised last: the windows, as prepared, and how much each counts. `identify`
+        always tells it.
     """
 
     model: Model
@@ -86,6 +89,7 @@ class Fit:
     identifiability: Identifiability | None = None
     exclusion: Exclusion | None = None
     packet_delays: tuple[PacketDelays, ...] = ()
+    objective: PredictionLoss | None = field(default=None, repr=False)
 
     @property
     def uncertainty(self) -> Uncertainty | None:
@@ -152,8 +156,6 @@ def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
     return found
 
 
-#: A motor whose command stays within this range says nothing about its thrust.
-_HARDLY = 0.02
 #: Fits to data that were prepared anew with the last one.
 _REFINEMENTS = 2
 #: Samples of the past from which a fit's encoder estimates the present.
@@ -250,6 +252,12 @@ def identify(
     if isinstance(trajectories, Trajectory):
         trajectories = [trajectories]
     method = method or LevenbergMarquardt()
+    for name, choice, choices in (
+        ("delay", delay, ("fit", "fixed")),
+        ("faults", faults, ("exclude", "keep")),
+    ):
+        if choice not in (None, *choices):
+            raise InputError(f"is {' or '.join(choices)}, not {choice!r}", field=name)
     for name, asked in (("bootstrap", bootstrap), ("robust", robust)):
         if asked and not isinstance(method, LevenbergMarquardt):
             raise InputError("is of Levenberg-Marquardt only", field=name)
@@ -292,9 +300,11 @@ def identify(
     windows = loss.windows
     if robust:
         loss, outcome = reweighted(method, loss, outcome, free, progress)
-    outcome = replace(outcome, parameters=fix_gauge(outcome.parameters, vehicle, free))
-    clusters = cluster_windows(windows)
-    shares = loss.by_cluster(outcome.parameters, clusters)
+    clusters, found = cluster_windows(windows), outcome.parameters
+    outcome = replace(outcome, parameters=fix_gauge(found, vehicle, free))
+    shares = outcome.shares if outcome.parameters is found else None
+    if shares is None:
+        shares = loss.by_cluster(outcome.parameters, clusters)
     uncertainty = sandwich(shares, outcome.parameters, free)
     known = identifiability_of(
         shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
@@ -350,15 +360,16 @@ def identify(
         windows=len(windows),
         wall_s=wall,
         warnings=(
-            *_idle_motors(trajectories),
+            *idle_motors(trajectories),
             *(exclusion.warnings if exclusion else ()),
-            *_warnings(identified, outcome.converged, outcome.message),
+            *doubts(identified, outcome.converged, outcome.message),
             *delay_warnings(identified, trajectories),
             *(note for note in uncertainty.notes if "rough" in note or "no standard" in note),
         ),
         identifiability=known,
         exclusion=exclusion,
         packet_delays=packets,
+        objective=loss,
     )
 
 
@@ -435,7 +446,8 @@ def _loss(
         check_propellers(vehicle, trajectory)
     _refuse_twins(trajectories)
     windows = make_windows(trajectories, encoder.length, prediction_length, stride)
-    return PredictionLoss(windows, vehicle, encoder, weights, frame)
+    clusters = cluster_windows(windows)
+    return PredictionLoss(windows, vehicle, encoder, weights, frame, clusters=clusters)
 
 
 def _hashes(trajectories: Sequence[Trajectory]) -> dict[str, str]:
@@ -462,34 +474,3 @@ def _refuse_twins(trajectories: Sequence[Trajectory]) -> None:
         if digest and digest in seen:
             raise InputError("is given twice; give each recording once", file=trajectory.source)
         seen.add(digest)
-
-
-def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
-    """Name the motors of which the data can say nothing."""
-    ranges = np.max([np.ptp(t.command, axis=0) for t in trajectories], axis=0)
-    return [
-        f"the command of {name} hardly changes: these data do not determine its thrust"
-        for name, extent in zip(trajectories[0].propellers, ranges, strict=True)
-        if extent < _HARDLY
-    ]
-
-
-def _warnings(model: Model, converged: bool, message: str) -> list[str]:
-    """Say what to look at before trusting a model."""
-    warnings = [] if converged else [f"the optimiser has not converged: {message}"]
-    vector = model.parameters.to_vector()
-    lower, upper = model.parameters.bounds()
-    labels = model.parameters.labels(model.vehicle.propeller_names)
-    at_bound = model.free & ((vector <= lower) | (vector >= upper))
-    warnings += [f"{labels[entry]} is at its bound" for entry in np.flatnonzero(at_bound)]
-    nominal = model.vehicle.nominal.inertia_kg_m2
-    if not 0.05 < float(model.parameters.inertia) / nominal < 20:
-        warnings.append(
-            f"the inertia, {float(model.parameters.inertia):.3g} kg m², is far from the nominal "
-            f"{nominal:.3g}: do the data excite the yaw?"
-        )
-    slopes, speeds = lowest_slope(model.parameters.thrust)
-    for name, slope, speed in zip(model.vehicle.propeller_names, slopes, speeds, strict=True):
-        if slope < 0:
-            warnings.append(f"thrust of {name} falls at φ = {speed:.2f}: it cannot be inverted")
-    return warnings

@@ -102,6 +102,7 @@ class LevenbergMarquardt:
             history=tuple(history),
             converged=reason == "converged",
             message=reason,
+            shares=here.shares,
         )
 
     def _step(

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool
 
-from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.objective import PredictionLoss, Shares
 from airpuck.model.parameters import Parameters
 
 
@@ -48,6 +48,9 @@ class Outcome:
         Whether the optimiser stopped by its own criterion.
     message : str
         Why it stopped.
+    shares : Shares or None
+        What each cluster contributes to the loss at `parameters`, where it has clusters and the
+        optimiser knows.
     """
 
     parameters: Parameters
@@ -55,6 +58,7 @@ class Outcome:
     history: tuple[Iteration, ...]
     converged: bool
     message: str
+    shares: Shares | None = None
 
 
 @runtime_checkable

@@ -5,7 +5,6 @@ Windows are handled in batches, on all cores; see `airpuck.identification.normal
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from airpuck.cores import usable_cores
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.normal_equations import normal_equations
 from airpuck.model.parameters import Parameters
@@ -35,27 +35,8 @@ _MANY, _THINNED = 1000, 4
 
 
 @dataclass(frozen=True)
-class Quadratic:
-    """A loss and its quadratic approximation at a point.
-
-    Attributes
-    ----------
-    loss : float
-        Mean square of the weighted errors.
-    gradient : array, shape (P,)
-        Its gradient.
-    hessian : array, shape (P, P)
-        Its Gauss-Newton Hessian, 2 JᵀJ / M for M residuals.
-    """
-
-    loss: float
-    gradient: Float[np.ndarray, " P"]
-    hessian: Float[np.ndarray, "P P"]
-
-
-@dataclass(frozen=True)
 class Shares:
-    """What each of G clusters of windows contributes to a `Quadratic`: sums over them give it.
+    """What each of G clusters of windows contributes to a `Quadratic`; they add up to it.
 
     Attributes
     ----------
@@ -70,6 +51,28 @@ class Shares:
     loss: Float[np.ndarray, " G"]
     gradient: Float[np.ndarray, "G P"]
     hessian: Float[np.ndarray, "G P P"]
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A loss and its quadratic approximation at a point.
+
+    Attributes
+    ----------
+    loss : float
+        Mean square of the weighted errors.
+    gradient : array, shape (P,)
+        Its gradient.
+    hessian : array, shape (P, P)
+        Its Gauss-Newton Hessian, 2 JᵀJ / M for M residuals.
+    shares : Shares or None
+        What each cluster of windows contributes, where the loss has clusters.
+    """
+
+    loss: float
+    gradient: Float[np.ndarray, " P"]
+    hessian: Float[np.ndarray, "P P"]
+    shares: Shares | None = None
 
 
 #: First samples of B windows, and how often each counts.
@@ -100,6 +103,8 @@ class PredictionLoss:
         Whether commands act after the transport delay in θ, each step under their mean
         (`Windows.delayed`); or as the windows hold them, by whole samples, whatever θ says. Adam
         does not know it.
+    clusters : array of int, shape (W,), or None
+        The cluster that each window belongs to, 0 … G-1: `quadratic` then tells shares.
     """
 
     windows: Windows
@@ -109,6 +114,7 @@ class PredictionLoss:
     frame: CenterOfMassFrame = "body"
     multiplicity: Float[np.ndarray, " W"] | None = None
     continuous_delay: bool = False
+    clusters: Int[np.ndarray, " W"] | None = None
 
     @property
     def thinned(self) -> PredictionLoss:
@@ -123,6 +129,7 @@ class PredictionLoss:
             self,
             windows=replace(self.windows, starts=self.windows.starts[::_THINNED]),
             multiplicity=None if counted is None else counted[::_THINNED],
+            clusters=None,
         )
 
     def windows_at(self, parameters: Parameters) -> Windows:
@@ -156,6 +163,14 @@ class PredictionLoss:
         Quadratic
             With respect to ``parameters.to_vector()``.
         """
+        if self.clusters is not None:
+            shares = self.by_cluster(parameters, self.clusters)
+            return Quadratic(
+                loss=float(shares.loss.sum()),
+                gradient=shares.gradient.sum(axis=0),
+                hessian=shares.hessian.sum(axis=0),
+                shares=shares,
+            )
         counted = self._counted
         present = np.flatnonzero(counted)
         parts = _split(present, self.windows.starts, counted)
@@ -233,7 +248,7 @@ class PredictionLoss:
 
         # JAX releases the interpreter lock while it computes: threads use all cores without the
         # process-wide settings that several JAX devices would need.
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(usable_cores()) as pool:
             square, score, curvature = zip(*pool.map(sums, parts), strict=True)
         local = _local_coordinates(parameters, moved_by)
         scale = 1 / (3 * windows.prediction_length * self._counted.sum())

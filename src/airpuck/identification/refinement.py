@@ -20,7 +20,7 @@ from airpuck.identification.packet_delays import PacketDelays, packet_delays
 from airpuck.model.motor import motor_speeds
 from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import Model
-from airpuck.preprocessing.derivative import velocity
+from airpuck.preprocessing.derivative import ACCELERATION_WINDOW, velocity
 from airpuck.preprocessing.quality import find_gaps
 from airpuck.trajectory import Trajectory
 
@@ -106,7 +106,7 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     Returns
     -------
     Trajectory
-        With other velocities.
+        With other velocities, but for stretches between gaps that are too short to smooth.
     """
     time, state = trajectory.time, trajectory.state.copy()
     assumed = model.vehicle.nominal.transport_delay_s
@@ -115,6 +115,8 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     modelled = np.stack(acceleration(np, model.dynamics, state[:, 2:].T, speed.T), axis=1)
     edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]), len(time)]
     for first, last in pairwise(edges):
+        if last - first < ACCELERATION_WINDOW:
+            continue  # left out by preprocessing, which has no velocities there either
         part = slice(first, last)
         gained, moved = _integrated(time[part], modelled[part])
         state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)

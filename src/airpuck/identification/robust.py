@@ -71,6 +71,7 @@ def reweighted(
         history=outcome.history,
         converged=settled and outcome.converged,
         message=outcome.message if settled else "the weights of the windows have not settled",
+        shares=outcome.shares,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from airpuck.control.excitation import excitation_controller
 from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
+from airpuck.cores import usable_cores
 from airpuck.errors import InputError
 from airpuck.identification.expected_errors import Information, information_of
 from airpuck.identification.refinement import refined
@@ -193,7 +193,7 @@ class Crew:
         if processes is not None and processes < 1:
             raise InputError("must be at least 1", field="processes")
         self._stage = stage
-        self._count = processes or len(os.sched_getaffinity(0))
+        self._count = processes or usable_cores()
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Crew:

@@ -1,0 +1,18 @@
+"""How many cores there are to use."""
+
+from __future__ import annotations
+
+import os
+
+
+def usable_cores() -> int:
+    """Count the cores that this process may use.
+
+    Returns
+    -------
+    int
+        Those that it was given, where the system tells (Linux); otherwise all of the machine.
+    """
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
