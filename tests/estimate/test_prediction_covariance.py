@@ -12,6 +12,7 @@ from airpuck.model.motor import motor_step
 from airpuck.model.rollout import rollout
 
 from ..noisy import POSE_NOISE, TRUTH, noisy
+from ..predicted import predicted
 
 STARTS, STEPS, LEAD = np.array([200, 300]), 48, 40
 NOISE = Noise(POSE_NOISE, (0.05, 0.04, 1.0), (0.1, 0.2, 3.0))
@@ -68,6 +69,21 @@ def test_predictions_and_sensitivities_are_those_of_moved_parameters(flight, fil
         slope = (moved[0] - moved[1]) / (2e-4 * abs(vector[entry]))
         scale = np.abs(slope).max(axis=(0, 2), keepdims=True)
         assert (np.abs(slopes[..., k] - slope) < 1e-4 * scale).all()
+
+
+@pytest.mark.parametrize("late", [0.0, 3e-3])
+def test_the_sensitivity_to_the_delay_is_that_of_commands_cut_elsewhere(flight, filtered, late):
+    # Without delay the commands of this flight are at samples, where pieces begin and end.
+    delay = TRUTH.parameters.mask(frozenset({"transport_delay"}))
+    model = replace(TRUTH, free=TRUTH.free | delay).with_delay(TRUTH.transport_delay + late)
+    _, _, slopes = predict_with_errors(model, flight, filtered, STARTS, STEPS, delay)
+    step = 1e-6
+    moved = [
+        predicted(TRUTH, flight, filtered, STARTS, STEPS, late + sign * step) for sign in (1, -1)
+    ]
+    slope = (moved[0] - moved[1]) / (2 * step)
+    scale = np.abs(slope).max(axis=(0, 2), keepdims=True)
+    assert (np.abs(slopes[..., 0] - slope) < 1e-3 * scale).all()
 
 
 def test_yaw_spreads_as_double_integrals_of_its_noises(flight, filtered):

@@ -9,10 +9,12 @@ from airpuck.errors import InputError
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.innovations import innovations
 from airpuck.evaluation.prediction_bands import BAND, prediction_bands
+from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 
 from ..noisy import POSE_NOISE, TRUTH, noisy
+from ..predicted import predicted
 
 
 def in_deviations(bands):
@@ -42,6 +44,38 @@ def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
     # What is not known of the parameters counts beside the noise.
     assert (np.median(bands.by_parameters[-1], axis=1) > 0.5 * np.array(POSE_NOISE)).all()
     assert np.abs(in_deviations(bands)).mean() > 0.3
+
+
+def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance():
+    learned = TRUTH.parameters.mask(frozenset({"motor_time_constant", "transport_delay"}))
+    estimate, size = TRUTH.parameters.to_vector(), len(learned)
+    # As a fit knows them: what one has too much the other has too little.
+    covariance = np.zeros((size, size))
+    covariance[np.ix_(learned, learned)] = 1e-8 * np.array([[1.0, -0.95], [-0.95, 1.0]])
+    model = replace(
+        TRUTH,
+        free=learned,
+        uncertainty=Uncertainty(
+            estimate, covariance, np.sqrt(np.diag(covariance)), np.zeros((0, size)), 30, 2.0
+        ),
+    )
+    flight = noisy(duration=2.0, seed=5)
+    known = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 2.0), (0.0, 0.0, 0.0)))
+    starts = np.array([150, 220])
+    bands = prediction_bands(model, flight, known=known, starts=starts)
+
+    def moved(direction):
+        parameters = TRUTH.parameters.with_vector(estimate + direction)
+        late = float(parameters.transport_delay) - TRUTH.transport_delay
+        one = replace(TRUTH, parameters=parameters)
+        return predicted(one, flight, known, starts, len(bands.time), late)
+
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(size), covariance, 60)
+    # With its mirror image each: what is not linear cancels.
+    halves = [(moved(one) - moved(-one)) / 2 for one in drawn]
+    expected = 2.0 * np.sqrt(np.mean(np.square(halves), axis=0))
+    # 60 draws: a standard error of 9 %.
+    np.testing.assert_allclose(bands.by_parameters[-1], expected[-1], rtol=0.3)
 
 
 def test_without_any_error_the_band_is_that_of_the_pose(fits):

@@ -4,7 +4,8 @@ Beside the state z of a prediction run, by the chain rule through every Runge-Ku
 sensitivity to the parameters, S' = F S + G, and the covariance of what the model does not explain,
 C' = A C Aᵀ + Q (Ljung 1999, ch. 4 and 7; the covariance is that of an extended Kalman filter that
 hears nothing). In A yaw moves the directions of the thrusts, so that what is not known of yaw
-spreads to x and y.
+spreads to x and y. A learned transport delay is a parameter, too: it moves the moments at which
+commands change, so that one piece of a step grows by as much as the next one shrinks.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ def predict_with_errors(
 
     acts = trajectory.command_time + delay_for(model, trajectory)
     durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
+    later = _growth(commands)
     # The first sample has pieces of no length, so it may stand for those before.
     lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)
     ahead = starts[:, None] + np.arange(1, steps + 1)
@@ -78,8 +80,8 @@ def predict_with_errors(
             mean[:, :, 2],
             known.covariance[starts],
             known.motor_speed[np.maximum(starts - _LEAD, 0)],
-            (commands[lead], durations[lead]),
-            (commands[ahead], durations[ahead]),
+            (commands[lead], durations[lead], later[lead]),
+            (commands[ahead], durations[ahead], later[ahead]),
         )
     predicted, variance, sensitivity = (np.array(part) for part in found)
     return (
@@ -87,6 +89,16 @@ def predict_with_errors(
         np.moveaxis(variance, 0, 2),
         np.moveaxis(sensitivity, 0, 2),
     )
+
+
+def _growth(commands: Float[np.ndarray, "N S n"]) -> Float[np.ndarray, "N S"]:
+    """Return the derivatives of the lengths of pieces with respect to the transport delay.
+
+    A piece ends at a command, which moves with the delay, or at a sample, which does not. Where the
+    command stays the same it does not matter which.
+    """
+    changes = (commands[:, 1:] != commands[:, :-1]).any(axis=2)
+    return np.diff(changes.astype(float), axis=1, prepend=0.0, append=0.0)
 
 
 def _one_prediction(
@@ -103,9 +115,14 @@ def _one_prediction(
         vector = jnp.asarray(estimate).at[chosen].set(free)
         return model.parameters.with_vector(vector).dynamics(jnp, model.vehicle, model.frame)
 
+    def delayed(free: Any, durations: Any, later: Any) -> Any:
+        vector = jnp.asarray(estimate).at[chosen].set(free)
+        delay = model.parameters.with_vector(vector).transport_delay
+        return durations + later * (delay - model.parameters.transport_delay)
+
     def follow(free: Any, speed: Any, lead: Any) -> Any:
         tau = dynamics(free).motor_time_constant
-        flat = lead[0].reshape(-1, n), lead[1].ravel()
+        flat = lead[0].reshape(-1, n), delayed(free, *lead[1:]).ravel()
 
         def turn(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
             command, duration = held
@@ -114,7 +131,9 @@ def _one_prediction(
 
         return scan(jnp, turn, speed, flat)[0]
 
-    def move(free: Any, state: Any, disturbance: Any, commands: Any, durations: Any) -> Any:
+    def move(free: Any, state: Any, disturbance: Any, held: tuple[Any, Any, Any]) -> Any:
+        commands, *lengths = held
+        durations = delayed(free, *lengths)
         end = rollout(jnp, dynamics(free), state, commands, durations)[-1]
         h = durations.sum()
         return end + jnp.concatenate([h * h / 2 * disturbance, h * disturbance, jnp.zeros(n)])
@@ -126,8 +145,8 @@ def _one_prediction(
 
         def advance(carry: Any, held: Any) -> Any:
             state, slope, covariance = carry
-            by_free, by_state = jax.jacfwd(move, argnums=(0, 1))(free, state, disturbance, *held)
-            state, slope = move(free, state, disturbance, *held), by_state @ slope + by_free
+            by_free, by_state = jax.jacfwd(move, argnums=(0, 1))(free, state, disturbance, held)
+            state, slope = move(free, state, disturbance, held), by_state @ slope + by_free
             h = held[1].sum()
             push = jnp.concatenate([h * h / 2 * jnp.eye(3), h * jnp.eye(3)])
             change = jnp.block([[by_state[:6, :6], push], [jnp.zeros((3, 6)), jnp.eye(3)]])
