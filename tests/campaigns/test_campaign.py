@@ -21,6 +21,7 @@ from airpuck.campaigns.tracking import Tracking
 from airpuck.model_file import published_model
 from airpuck.recording import write_csv
 
+from ..command_line import airpuck, refused
 from ..synthetic import record
 
 SPEC = 'kind = "tracking"\nseeds = {seeds}\nbase.dwell_s = 0.2\n'
@@ -74,6 +75,13 @@ def test_failures_are_kept_and_run_again_when_asked(here, spec, tmp_path):
     assert campaign(spec(1, text), tmp_path).computed == 0
     assert campaign(spec(1, text), tmp_path, retry=True).computed == 1
     assert found.to_json()["failures"][0]["reason"]
+
+
+def test_a_campaign_of_failures_only_does_not_end_well(here, spec, tmp_path):
+    text = 'kind = "recovery"\nseeds = {seeds}\nbase.duration_s = 0.02\n'
+    process = airpuck("campaign", spec(2, text), "-o", tmp_path, "--quiet")
+    assert refused(process, "every item failed")
+    assert "2 failed" in process.stdout
 
 
 def test_interrupted_and_resumed(here, spec, tmp_path):

@@ -1,5 +1,6 @@
 """Workers die; their items do not."""
 
+import logging
 import os
 import signal
 import time
@@ -81,6 +82,52 @@ def test_what_an_item_refuses_is_its_failure(run):
     results, runs = run
     assert results[10].failure == "figure: is not to be had"
     assert runs[10] == 1
+
+
+@pytest.fixture
+def cluster():
+    """A cluster in this process."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=0,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address=None,
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        yield cluster
+
+
+def test_a_scheduler_without_workers_is_told_in_one_line(cluster, monkeypatch):
+    monkeypatch.setattr(module, "PATIENCE", 0.5)
+    with pytest.raises(InputError, match="has no workers"):
+        dispatch([], lambda *_: None, scheduler=cluster.scheduler_address)
+
+
+class Interrupted:
+    """Ctrl-C comes in a destructor, out of which Python lets no exception."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_in_a_destructor_is_not_lost(cluster, tmp_path, monkeypatch):
+    cluster.scale(1)
+    items = [Mortal(seed=s, folder=str(tmp_path)) for s in range(20)]
+    results = []
+
+    def done(entry, _result):
+        results.append(entry.item.seed)
+        if len(results) == 2:
+            Interrupted()
+
+    entries = [Entry(f"interrupted {i.seed}", {}, i) for i in items]
+    with pytest.raises(KeyboardInterrupt):
+        dispatch(entries, done, scheduler=cluster.scheduler_address)
+    assert 2 <= len(results) <= 3
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_no_scheduler_is_told_in_one_line(monkeypatch):

@@ -98,6 +98,8 @@ def test_a_setting_given_twice_is_computed_once(spec):
         ('kind = "tracking"\ngrid.dwell_s = [2.0, 2.0]', ("grid.dwell_s", "twice")),
         ('kind = "tracking"\nseeds = 2000000', ("2000000 items",)),
         ('kind = "fit"', ("recordings", "missing")),
+        ('kind = "fit"\nbase = {recordings = ["."], model = "M9"}', ("model", "no model 'M9'")),
+        ('kind = "recovery"\ngrid.model = ["M2", "M3+wind"]', ("model", "no term 'wind'")),
         ('kind = "fit"\nbase = {recordings = ["."], resamplings = 1}', ("at least 2",)),
         ('kind = "fit"\nbase = {recordings = ["."], resamplings = 9, robust = true}', ("robust",)),
     ],

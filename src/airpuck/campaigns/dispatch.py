@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import queue
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -16,8 +18,10 @@ from airpuck.errors import InputError
 
 #: An item is given up when this many workers have died of it.
 DEADLY = 3
-#: How long a scheduler may take to answer [s].
+#: How long a scheduler may take to answer, and then to have a worker [s].
 PATIENCE = 10.0
+#: What stands for Ctrl-C among finished items.
+_INTERRUPT = None
 
 
 def dispatch(
@@ -46,13 +50,13 @@ def dispatch(
     Raises
     ------
     InputError
-        If Dask is not installed, or the scheduler is not there or goes away.
+        If Dask is not installed, or the scheduler is not there, has no workers or goes away.
+    KeyboardInterrupt
+        On Ctrl-C, once all results that have come were handed to `done`.
     """
-    with _client(scheduler, workers) as client:
-        from distributed import as_completed
-
+    finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with _noting_interrupts(finished), _client(scheduler, workers) as client:
         waiting, under_way = iter(entries), {}
-        completed = as_completed(loop=client.loop)
 
         def submit() -> None:
             room = max(1, sum(client.nthreads().values())) - len(under_way)
@@ -63,13 +67,43 @@ def dispatch(
                     return
                 future = client.submit(compute, entry.item, key=f"item-{entry.key}", pure=False)
                 under_way[future.key] = entry
-                completed.add(future)
+                future.add_done_callback(finished.put)
 
         submit()
-        for future in completed:
+        while under_way:
+            future = finished.get()
+            if future is _INTERRUPT:
+                raise KeyboardInterrupt
             done(under_way.pop(future.key), _result(future))
             future.release()
             submit()
+        if not finished.empty():
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
+    """Put the first Ctrl-C in the queue; the second raises at once, as ever.
+
+    An exception that a signal raises can come up anywhere, and is lost in destructors and in
+    callbacks of the garbage collector, of which Dask has both. This queue may be put to in between.
+    """
+    as_ever = signal.default_int_handler
+    here = threading.current_thread() is threading.main_thread()
+    if not here or signal.getsignal(signal.SIGINT) is not as_ever:
+        # Signals are somebody else's business.
+        yield
+        return
+
+    def note(_number: int, _frame: Any) -> None:
+        signal.signal(signal.SIGINT, as_ever)
+        finished.put(_INTERRUPT)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, as_ever)
 
 
 def compute(item: Item) -> Result:
@@ -148,6 +182,14 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         except (OSError, ValueError) as error:
             raise InputError(
                 f"no Dask scheduler answers there ({error})", file=scheduler, field="--scheduler"
+            ) from error
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError as error:
+            raise InputError(
+                "has no workers; start some, dask worker ADDRESS",
+                file=scheduler,
+                field="--scheduler",
             ) from error
         _same_version(client, scheduler)
         yield client

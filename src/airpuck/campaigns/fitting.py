@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from airpuck.campaigns.item import Item, Row, Spread, fingerprint, moved, named
+from airpuck.campaigns.item import Item, Row, Rung, Spread, fingerprint, moved, named
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import bootstrap
@@ -58,7 +58,7 @@ class Fitting(Item):
     SOURCES: ClassVar = ("recordings", "validation", "vehicle")
 
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
-    model: str = "M3"
+    model: Rung = "M3"
     validation: str | None = None
     vehicle: str | None = None
     span: tuple[float, float] | None = None

@@ -14,8 +14,10 @@ import pydantic
 
 from airpuck import __version__
 from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.errors import InputError
 from airpuck.files import Section, checked, laid_over
 from airpuck.model.parameters import Parameters
+from airpuck.model.presets import preset
 from airpuck.model_file import Model
 from airpuck.recording.fingerprint import sha256
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -32,8 +34,19 @@ TwinTable = Annotated[
 TuningTable = Annotated[
     Tuning, pydantic.BeforeValidator(lambda table: _whole(table, default_tuning()))
 ]
+#: Name of a rung, with terms or without.
+Rung = Annotated[str, pydantic.AfterValidator(lambda name: _known_rung(name))]
 Seed = Annotated[int, pydantic.Field(ge=0)]
 Spread = Annotated[float, pydantic.Field(ge=0, le=1)]
+
+
+def _known_rung(name: str) -> str:
+    """Refuse a rung that there is not."""
+    try:
+        preset(name)
+    except InputError as error:
+        raise ValueError(error.problem) from None
+    return name
 
 
 def _whole(table: Any, packaged: Packaged) -> Packaged:

@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Float
 
-from airpuck.campaigns.item import Item, Row, Spread, TwinTable, varied
+from airpuck.campaigns.item import Item, Row, Rung, Spread, TwinTable, varied
 from airpuck.control.tuning import default_tuning
 from airpuck.identification.fit import identify
 from airpuck.model.thrust import thrust
@@ -48,7 +48,7 @@ class Recovery(Item):
 
     truth: str = "paper:M3"
     truth_spread: Spread = 0.0
-    model: str = "M3"
+    model: Rung = "M3"
     duration_s: Annotated[float, pydantic.Field(gt=0)] = 90.0
     amplitude: Annotated[float, pydantic.Field(gt=0, le=1)] = 1.0
     hold_s: Annotated[float, pydantic.Field(gt=0)] = 0.2

@@ -66,6 +66,8 @@ def campaign(
     if not is_stdout(json_file):
         _print(found)
         print(output / "results.csv")
+    if len(found.failures) == len(found.entries):
+        raise InputError(f"every item failed; the first: {found.failures[0][1]}", file=spec)
 
 
 @contextmanager
