@@ -1,9 +1,12 @@
 """present, resid and compare on the command line."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from airpuck.model_file import read_model
 from airpuck.recording import write_bag
 
 from .command_line import airpuck, refused
@@ -55,6 +58,23 @@ def test_compare_of_two_models_tells_drift(flown):
     figures = json.loads(airpuck("compare", *models, flown / "bag", "--json", "-").stdout)
     assert {"label", "z", "p_value", "moved"} <= set(figures["drift"]["changes"][0])
     assert {"rmse", "fit_percent", "aic", "bic"} <= set(figures["evaluations"][1])
+
+
+def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, tmp_path):
+    # As of a fit that came to no end: nothing in it has a standard error.
+    late = read_model(flown / "late.toml")
+    assert late.uncertainty is not None
+    unknown = np.full_like(late.uncertainty.covariance, np.nan)
+    blind = replace(late.uncertainty, covariance=unknown, standard_errors=unknown[0])
+    replace(late, uncertainty=blind).save(tmp_path / "blind.toml")
+    models = flown / "early.toml", tmp_path / "blind.toml"
+    assert refused(airpuck("compare", *models), "know the error")
+    process = airpuck("compare", *models, flown / "bag", "--json", tmp_path / "c.json")
+    assert process.returncode == 0, process.stderr
+    assert "drift is not told: there is no quantity" in process.stdout
+    figures = json.loads((tmp_path / "c.json").read_text())
+    assert figures["drift"]["changes"] == figures["drift"]["verdicts"] == []
+    assert len(figures["evaluations"]) == 2
 
 
 def test_what_cannot_be_compared_is_refused(flown):

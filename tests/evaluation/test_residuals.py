@@ -7,10 +7,11 @@ import pytest
 from scipy import stats
 
 from airpuck.errors import InputError
-from airpuck.evaluation.cross_correlation import cross_correlations
+from airpuck.evaluation.cross_correlation import cross_correlations, suspicions
 from airpuck.evaluation.multiple_testing import holm
-from airpuck.evaluation.residuals import BODY_CHANNELS, resid
+from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, resid
 from airpuck.evaluation.whiteness import ljung_box
+from airpuck.model_file import Model
 
 from ..noisy import TRUTH, noisy
 
@@ -107,6 +108,26 @@ def test_a_motor_that_never_moved_is_not_tested():
     command = np.column_stack([np.full(500, 0.1), np.tile([0.1, 0.9], 250)])
     tests = cross_correlations("x", values, used, command, "ab", np.ones(2), 5)
     assert [test.motor for test in tests] == ["b"]
+
+
+def test_a_channel_that_no_motor_moves_says_nothing_of_timing():
+    # Both motors do more than modelled of x; of y the model knows no push at all.
+    rng, used = np.random.default_rng(3), np.ones(4000, dtype=bool)
+    command = np.repeat(rng.uniform(size=(1000, 2)), 4, axis=0)
+    values = np.roll(command.sum(axis=1), 1) + rng.normal(size=4000)
+    tests = cross_correlations("x", values, used, command, "ab", np.ones(2), 10)
+    assert [test.share for test in tests] == [1.0, 1.0]
+    dead = cross_correlations("y", values, used, command, "ab", np.zeros(2), 10)
+    assert [test.share for test in dead] == [0.0, 0.0]
+    assert suspicions(tests + dead) == suspicions(tests) != []
+    assert not any("delay" in sentence for sentence in suspicions(dead))
+
+
+def test_a_push_by_rounding_is_none(monkeypatch):
+    # The configuration matrix of propellers that push forward only, at 1e-17 to the left.
+    matrix = np.array([[7.0, 7.0], [4e-16, -4e-16], [40.0, -40.0]])
+    monkeypatch.setattr(Model, "propeller_effects", matrix)
+    assert (_effects(TRUTH) == [[7.0, 7.0], [0.0, 0.0], [40.0, -40.0]]).all()
 
 
 def test_more_lags_than_the_data_bear_are_refused():

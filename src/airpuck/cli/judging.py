@@ -58,7 +58,7 @@ def compare(
     """Compare models on one recording; of two learned models, say what drifted."""
     from airpuck.cli.judgement_output import print_drift, print_goodness
     from airpuck.errors import InputError
-    from airpuck.evaluation.drift import drift
+    from airpuck.evaluation.drift import Drift, drift
     from airpuck.evaluation.evaluate import compare
     from airpuck.evaluation.goodness import goodness
     from airpuck.model_file import read_model
@@ -72,7 +72,12 @@ def compare(
     figures: dict[str, Any] = {}
     moved = None
     if len(known) == 2 and (alone or all(m.uncertainty is not None for m in known)):
-        moved = drift(*known)
+        try:
+            moved = drift(*known)
+        except InputError as error:
+            if alone:
+                raise
+            moved = Drift((), (f"drift is not told: {error.problem}",))
         figures["drift"] = moved.to_json()
     evaluations, fits = [], []
     if not alone:

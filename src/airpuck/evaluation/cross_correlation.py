@@ -48,7 +48,8 @@ class CrossCorrelation:
         Summed coefficients of the first third of the lags, in standard errors, positive where the
         motor does more than modelled: how the innovations answer to a step of the command.
     share : float
-        How much the motor moves the channel in the model, against the strongest motor.
+        How much the motor moves the channel in the model, against the strongest motor; 0 where
+        none does.
     """
 
     channel: str
@@ -142,6 +143,7 @@ def cross_correlations(
         first = np.arange(lags) < lags // 3
         spread = np.sqrt(max(float(first @ own @ first), 1e-300))
         early.append(float(np.sign(effect[motor]) * blocks[k] @ first / spread))
+    strength = np.abs(effect) / (np.abs(effect).max() or 1.0)
     adjusted = holm(np.array([chi2.sf(q, d) for q, d in zip(statistics, degrees, strict=True)]))
     return [
         CrossCorrelation(
@@ -152,7 +154,7 @@ def cross_correlations(
             degrees[k],
             float(adjusted[k]),
             early[k],
-            float(abs(effect[motor]) / np.abs(effect).max()),
+            float(strength[motor]),
         )
         for k, motor in enumerate(moved)
     ]
@@ -231,4 +233,4 @@ def suspicions(tests: Sequence[CrossCorrelation]) -> list[str]:
 def _pooled(tests: Sequence[CrossCorrelation]) -> float:
     """Pool the answers of the channels to one motor, by how much it moves them."""
     weight = np.array([test.share for test in tests])
-    return float(weight @ [test.early for test in tests] / np.sqrt(weight @ weight))
+    return float(weight @ [test.early for test in tests] / (np.sqrt(weight @ weight) or 1.0))

@@ -80,7 +80,9 @@ class Drift:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences: what moved, the surest first, or that nothing did."""
+        """Sentences: what moved, the surest first, or that nothing did; none without changes."""
+        if not self.changes:
+            return []
         moved = sorted((c for c in self.changes if c.moved), key=lambda c: -abs(c.z))
         if moved:
             return [change.verdict for change in moved]
@@ -154,7 +156,7 @@ def drift(earlier: Model, later: Model) -> Drift:
         found.append((quantity, before, after, joint, z))
     if not found:
         raise InputError(
-            "have no quantity that both learned and know the error of; identify both with "
+            "there is no quantity that both learned and know the error of; identify both with "
             "airpuck identify",
             field="MODEL",
         )

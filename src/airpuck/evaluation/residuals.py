@@ -29,6 +29,8 @@ from airpuck.trajectory import Trajectory, hold
 BODY_CHANNELS = ("forward", "left", "yaw")
 #: Largest lag [samples].
 LAGS = 25
+#: Share of the strongest push below which there is none.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +165,7 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     )
     acts = trajectory.command_time + delay_for(model, trajectory)
     held = hold(acts, trajectory.command, trajectory.time)
+    effects = _effects(model)
     return ResidualTests(
         model=model.name,
         samples=int(found.used.sum()),
@@ -177,12 +180,21 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
                 found.used,
                 held,
                 trajectory.propellers,
-                np.asarray(model.dynamics.configuration)[k],
+                effects[k],
                 lags,
             )
         ),
         innovations=found,
     )
+
+
+def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
+    """Return how each motor pushes `BODY_CHANNELS` [1/kg].
+
+    What the cosine of a right angle leaves by rounding is no push.
+    """
+    effects = model.propeller_effects
+    return np.where(np.abs(effects) > _ROUNDING * np.abs(effects).max(), effects, 0.0)
 
 
 def to_body(found: Innovations, yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
