@@ -8,16 +8,17 @@ import pytest
 from typer.testing import CliRunner
 
 from airpuck.cli.app import app
-from airpuck.cli.designing import summary
+from airpuck.cli.designing import _print_errors, summary
 from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 from airpuck.errors import InputError
 from airpuck.identification.expected_errors import Forecast, Information, joined
 from airpuck.identification.interest import relative_errors
 from airpuck.model_file import published_model
 from airpuck.report.design_figure import design_figure
-from airpuck.twin.design import Candidate, Design, design
-from airpuck.twin.design_check import check_design
-from airpuck.twin.rehearsal import Crew, Rehearsal, Stage
+from airpuck.twin.design import Design, design
+from airpuck.twin.design_check import Obtained, check_design
+from airpuck.twin.design_judge import Candidate
+from airpuck.twin.rehearsal import Crew, Rehearsal, Stage, World
 
 PUBLISHED = published_model("M3")
 #: As the next fit will learn it.
@@ -113,6 +114,20 @@ def test_a_rail_that_is_met_at_full_length_only_passes_the_turn_on(monkeypatch):
     assert met.refused == "meets a rail"
 
 
+def test_the_usual_excitation_is_proposed_where_no_other_keeps_away(monkeypatch):
+    inner = made_up()
+
+    def fly(crew, act, tasks):
+        for one in inner(crew, act, tasks):
+            usual = one.plan == ExcitationPlan(duration_s=one.plan.duration_s)
+            yield one if usual else replace(one, clearance=0.02)
+
+    monkeypatch.setattr(Crew, "fly", fly)
+    found = design(MODEL, processes=1)
+    assert found.proposal.plan == found.usual.plan
+    assert not found.proposal.refused
+
+
 @pytest.mark.parametrize("wall", [0.02, 0.0])
 def test_where_nothing_keeps_away_nothing_is_proposed(rehearsed, wall):
     rehearsed(near=0.0, wall=wall)
@@ -141,6 +156,63 @@ def test_the_loss_of_the_fit_says_how_large_real_residuals_are(rehearsed, found)
     np.testing.assert_allclose(large.proposal.relative / found.proposal.relative, 2.0)
     robust = design(replace(MODEL, fit={"loss": 4e-6, "robust": True}), processes=1)
     assert robust.level == 1.0
+
+
+def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monkeypatch):
+    def rehearse(stage, plan, seed, _world):
+        # What packets that arrive late leave unexplained where nobody looks for them.
+        information = replace(told(1.0), loss=1e-6 if stage.model.delay_learned else 5e-6)
+        return Rehearsal(plan, seed, 0.2, 0.0, information)
+
+    def fly(crew, act, tasks):
+        unused = object.__new__(World)
+        return [act(crew._stage, plan, seed, unused) for plan, seed in tasks]
+
+    monkeypatch.setattr(Stage, "rehearse", rehearse)
+    monkeypatch.setattr(Crew, "fly", fly)
+    for model in (PUBLISHED, MODEL):
+        found = design(replace(model, fit={"loss": 1e-5}), processes=1)
+        assert found.level == pytest.approx(10.0 if model.delay_learned else 2.0)
+
+
+def test_flights_prepared_like_the_fit_that_all_met_a_rail_say_nothing_of_its_residuals(
+    monkeypatch,
+):
+    inner = made_up()
+
+    def fly(crew, act, tasks):
+        for one in inner(crew, act, tasks):
+            lost = act is not Stage.rehearse
+            yield replace(one, clearance=0.0, information=None) if lost else one
+
+    monkeypatch.setattr(Crew, "fly", fly)
+    assert design(replace(PUBLISHED, fit={"loss": 1e-5}), processes=1).level == 1.0
+
+
+def test_a_delay_that_was_fixed_is_not_known(rehearsed):
+    rehearsed()
+    known = Forecast(PUBLISHED, [told(1.0)]).of(told(1.0), 60.0)
+    found = design(replace(PUBLISHED, uncertainty=known), processes=1)
+    shown = found.to_json()["known"]
+    assert [label for label, error in shown.items() if error is None] == ["d"]
+    assert "stays undetermined" not in " ".join(summary(found))
+
+
+def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(rehearsed):
+    rehearsed()
+    lag = MODEL.parameters.mask(frozenset({"motor_time_constant"}))
+    upper = MODEL.parameters.bounds()[1]
+    vector = np.where(lag, upper, MODEL.parameters.to_vector())
+    held = replace(MODEL, parameters=MODEL.parameters.with_vector(vector))
+    found = design(held, processes=1, criterion="mean")
+    labels = [one.label for one in found.wanted]
+    assert found.proposal.relative[labels.index("τ")] < 1e-12
+    others = np.delete(found.proposal.relative, labels.index("τ"))
+    assert found.proposal.score == pytest.approx(np.exp(np.log(others).mean()))
+    flights = np.full((2, len(labels)), 0.1)
+    checked = Obtained(found.proposal.alone, flights, flights, np.ones(2))
+    assert np.isnan(checked.ratio).tolist() == [label == "τ" for label in labels]
+    _print_errors(found, checked)
 
 
 def test_no_two_flights_share_their_seed(monkeypatch):

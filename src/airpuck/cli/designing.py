@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from airpuck.model_file import Model
-    from airpuck.twin.design import Candidate, Design
+    from airpuck.twin.design import Design
     from airpuck.twin.design_check import Obtained
+    from airpuck.twin.design_judge import Candidate
 
 #: Candidates to print.
 _SHOWN = 8
@@ -221,8 +223,9 @@ def _print_errors(found: Design, obtained: Obtained | None) -> None:
         errors = [found.known[k], found.usual.relative[k], found.proposal.relative[k]]
         row = [one.label, _size(one.scale, one.unit), *map(_percent, errors)]
         if obtained is not None:
-            got, foreseen = float(obtained.typical[k]), float(obtained.predicted[k])
-            row += [_percent(foreseen), _percent(got), f"{got / foreseen:.2f}"]
+            ratio = float(obtained.ratio[k])
+            row += [_percent(float(obtained.predicted[k])), _percent(float(obtained.typical[k]))]
+            row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
         table.add_row(*row)
     show()
 

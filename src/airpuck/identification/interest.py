@@ -21,6 +21,8 @@ from airpuck.model_file import Model
 _SPEEDS = (0.5, 1.0)
 #: Step of a finite difference, in the size of a parameter; of one near zero, in this size.
 _STEP, _LEAST = 1e-6, 1e-3
+#: A relative error below this is rounding: a constraint holds the quantity.
+HELD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

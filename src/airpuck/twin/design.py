@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,16 +14,13 @@ from jaxtyping import Float
 from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.errors import InputError
-from airpuck.identification.expected_errors import Forecast, Information, joined
-from airpuck.identification.interest import Interest, RelativeErrors, interests, scales_of
+from airpuck.identification.interest import Interest
 from airpuck.model.presets import preset
 from airpuck.model_file import Model
-from airpuck.twin.rehearsal import Crew, Rehearsal, Stage
+from airpuck.twin.design_judge import Candidate, Criterion, Judge
+from airpuck.twin.rehearsal import Act, Crew, Rehearsal, Stage, World
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
-
-#: By what candidates are compared: the largest relative error, or the geometric mean of all.
-Criterion = Literal["worst", "mean"]
 
 #: The first candidates: all combinations of amplitudes, hold times and margins.
 _AMPLITUDES = (1.0, 0.6)
@@ -34,35 +32,6 @@ _WEAKER = 0.6
 #: The best so many are flown at full length, so often each; if none of them keeps away from the
 #: rails, the next ones.
 _FINALISTS, _FLIGHTS = 3, 3
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """An excitation, and what it is expected to give.
-
-    Attributes
-    ----------
-    plan : ExcitationPlan
-        What to fly.
-    clearance : float
-        Least distance to a rail in all its rehearsals [m]; 0: it met one.
-    relative : array, shape (K,)
-        Standard errors after the flight, with what is known before, in shares of the scale of each
-        interest; infinite where one stays undetermined.
-    alone : array, shape (K,)
-        The same from this flight alone, on the twin.
-    score : float
-        The criterion, smaller is better; infinite for what is refused.
-    refused : str
-        Why it is not proposed; empty where it may be.
-    """
-
-    plan: ExcitationPlan
-    clearance: float
-    relative: Float[np.ndarray, " K"]
-    alone: Float[np.ndarray, " K"]
-    score: float
-    refused: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +167,12 @@ def design(
     -----
     The residuals of a real flight are larger than those of the twin. Where the model says with what
     loss it was fitted, predictions are scaled by its ratio to the loss of the usual excitation on
-    the twin; not so after a robust fit, whose loss counts faults that it does not follow.
+    the twin; not so after a robust fit, whose loss counts faults that it does not follow. Where the
+    model was fitted with a fixed delay, so is the twin's flight that its loss is compared with.
     """
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
     _check(model, duration, criterion, margin, rehearsal, seed)
-    model = _as_learned_next(model)
+    given, model = model, _as_learned_next(model)
     stage = Stage(model, settings, tuning)
     usual = ExcitationPlan(duration_s=duration)
     grid = [
@@ -213,10 +183,12 @@ def design(
         if h >= tuning.period_s
     ]
     signals = model.vehicle.n_propellers - len(model.vehicle.pairs)
-    judge = _Judge(model, criterion, margin)
+    judge = Judge(model, criterion, margin)
     with Crew(stage, processes) as crew:
         rehearsals = _Rehearsals(crew, judge, seed, progress)
         short = min(rehearsal, duration)
+        if judge.scaled and model.delay_learned and not given.delay_learned:
+            rehearsals.fly_as_fitted(given, usual, short)
         rehearsals.fly([usual, *(plan for plan in grid if plan != usual)], short)
         rehearsals.fly(_near(judge.ranked()[0].plan, signals, tuning.period_s), short)
         rehearsals.fly([usual], duration, _FLIGHTS)
@@ -235,7 +207,7 @@ def design(
 
 
 def _finals(
-    rehearsals: _Rehearsals, judge: _Judge, usual: ExcitationPlan, duration: float
+    rehearsals: _Rehearsals, judge: Judge, usual: ExcitationPlan, duration: float
 ) -> Candidate:
     """Fly the best at full length, and return the best of those that keep the margin."""
     final = [usual]
@@ -246,6 +218,9 @@ def _finals(
             return min((one for one in left if one.plan in final), key=lambda one: one.score)
         waiting = [one.plan for one in left if one.plan not in final][:_FINALISTS]
         if not waiting:
+            if left:
+                # The usual one, which was flown before.
+                return left[0]
             raise InputError(
                 f"no excitation keeps {1e3 * judge.margin:g} mm away from the rails; lower it",
                 field="margin",
@@ -258,89 +233,42 @@ class _Rehearsals:
     """Flies plans, each flight with chances of its own, and counts them."""
 
     def __init__(
-        self, crew: Crew, judge: _Judge, seed: int, progress: Callable[[int, int], None]
+        self, crew: Crew, judge: Judge, seed: int, progress: Callable[[int, int], None]
     ) -> None:
         self._crew, self._judge, self._seed, self._progress = crew, judge, seed, progress
         self._done = 0
 
     def fly(self, plans: Sequence[ExcitationPlan], length: float, flights: int = 1) -> None:
         """Fly plans for some seconds, and hand the results to the judge."""
+        for plan, one in self._flown(Stage.rehearse, plans, length, flights):
+            self._judge.flown.setdefault(plan, []).append(one)
+
+    def fly_as_fitted(self, model: Model, usual: ExcitationPlan, length: float) -> None:
+        """Fly the usual plan for what a model fitted like this one leaves unexplained."""
+        flown = self._flown(partial(_rehearse_as, model), [usual], length, _FLIGHTS)
+        self._judge.as_fitted = [one.information for _, one in flown if one.information is not None]
+
+    def _flown(
+        self, act: Act[Rehearsal], plans: Sequence[ExcitationPlan], length: float, flights: int
+    ) -> Iterator[tuple[ExcitationPlan, Rehearsal]]:
+        """Fly plans for some seconds."""
         owners = [plan for plan in plans for _ in range(flights)]
         tasks = [
             (plan.model_copy(update={"duration_s": length}), self._seed + self._done + number)
             for number, plan in enumerate(owners)
         ]
         total = self._done + len(tasks)
-        for plan, one in zip(owners, self._crew.fly(Stage.rehearse, tasks), strict=True):
-            self._judge.flown.setdefault(plan, []).append(one)
+        for plan, one in zip(owners, self._crew.fly(act, tasks), strict=True):
             self._done += 1
             self._progress(self._done, total)
+            yield plan, one
 
 
-class _Judge:
-    """Compares what was flown."""
-
-    def __init__(self, model: Model, criterion: Criterion, margin: float) -> None:
-        self.wanted, self.margin = interests(model), margin
-        self._model, self._criterion = model, criterion
-        self._scale = scales_of(self.wanted)
-        self.relative = RelativeErrors(model, self.wanted).of
-        self.flown: dict[ExcitationPlan, list[Rehearsal]] = {}
-
-    def level(self, usual: ExcitationPlan) -> float:
-        """Return the variance of the residuals of the model's fit, in those of the twin."""
-        loss = self._model.fit.get("loss")
-        told = self._informations(usual)
-        if loss is None or self._model.fit.get("robust") or not told:
-            return 1.0
-        return float(loss) / joined(told).loss
-
-    def ranked(self) -> list[Candidate]:
-        """Return all candidates, the best first, the refused last."""
-        forecast = self._forecast()
-        found = (self._judged(plan, forecast) for plan in self.flown)
-        return sorted(found, key=lambda one: (one.score, -one.clearance))
-
-    def candidate(self, plan: ExcitationPlan) -> Candidate:
-        """Judge a plan by all its flights."""
-        return self._judged(plan, self._forecast())
-
-    def _informations(self, plan: ExcitationPlan) -> list[Information]:
-        """Return what all flights of a plan say."""
-        return [one.information for one in self.flown[plan] if one.information is not None]
-
-    def _forecast(self) -> Forecast:
-        """Return what predicts errors, from all that was flown."""
-        known = [one for plan in self.flown for one in self._informations(plan)]
-        if not known:
-            raise InputError(
-                "every rehearsal met a rail; are the table's length and width right?",
-                field="table",
-            )
-        # The usual excitation is the first.
-        return Forecast(self._model, known, self.level(next(iter(self.flown))))
-
-    def _judged(self, plan: ExcitationPlan, forecast: Forecast) -> Candidate:
-        """Judge a plan by all its flights."""
-        clearance = min(one.clearance for one in self.flown[plan])
-        refused = ""
-        if clearance < self.margin:
-            refused = "meets a rail" if clearance == 0 else f"{1e3 * clearance:.0f} mm from a rail"
-        relative = alone = np.full(len(self.wanted), np.inf)
-        known = self._informations(plan)
-        if known:
-            flight = joined(known)
-            relative = self.relative(forecast.of(flight, plan.duration_s))
-            alone = self.relative(forecast.of(flight, plan.duration_s, alone=True))
-        score = math.inf if refused else self._score(relative)
-        return Candidate(plan, clearance, relative, alone, score, refused)
-
-    def _score(self, relative: Float[np.ndarray, " K"]) -> float:
-        """Return the criterion."""
-        judged = relative[np.isfinite(self._scale)]
-        if self._criterion == "worst" or not np.isfinite(judged).all():
-            return float(judged.max())
-        return float(np.exp(np.log(judged).mean()))
+def _rehearse_as(
+    model: Model, stage: Stage, plan: ExcitationPlan, seed: int, world: World
+) -> Rehearsal:
+    """Rehearse on a stage whose model differs only in what is learned."""
+    return replace(stage, model=model).rehearse(plan, seed, world)
 
 
 def _near(plan: ExcitationPlan, signals: int, period: float) -> list[ExcitationPlan]:
@@ -362,7 +290,13 @@ def _as_learned_next(model: Model) -> Model:
     """Free the transport delay where the next fit will: on rungs with a motor lag."""
     if not preset(model.name).lag:
         return model
-    return replace(model, free=model.free | model.parameters.mask(frozenset({"transport_delay"})))
+    delay = model.parameters.mask(frozenset({"transport_delay"}))
+    uncertainty = model.uncertainty
+    if uncertainty is not None and not model.delay_learned:
+        # It has no variance since it was not learned, not since it were known.
+        unknown = np.concatenate([uncertainty.undetermined, delay[None].astype(float)])
+        uncertainty = replace(uncertainty, undetermined=unknown)
+    return replace(model, free=model.free | delay, uncertainty=uncertainty)
 
 
 def _check(

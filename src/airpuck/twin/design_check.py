@@ -12,9 +12,16 @@ from jaxtyping import Float
 from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.identification.expected_errors import fit_settings
 from airpuck.identification.fit import identify
-from airpuck.identification.interest import interests, relative_errors, scales_of, values_of
+from airpuck.identification.interest import (
+    HELD,
+    interests,
+    relative_errors,
+    scales_of,
+    values_of,
+)
 from airpuck.model.presets import preset
-from airpuck.twin.design import Candidate, Design
+from airpuck.twin.design import Design
+from airpuck.twin.design_judge import Candidate
 from airpuck.twin.rehearsal import Crew, Stage, World
 
 #: Far from the seeds of rehearsals.
@@ -47,6 +54,13 @@ class Obtained:
         """Root mean square of the standard errors that the fits state."""
         return np.sqrt((self.errors**2).mean(axis=0))
 
+    @property
+    def ratio(self) -> Float[np.ndarray, " K"]:
+        """Of `typical` to `predicted`; nan where it is held or not determined."""
+        judged = np.isfinite(self.predicted) & (self.predicted > HELD)
+        unknown = np.full(len(judged), np.nan)
+        return np.divide(self.typical, self.predicted, out=unknown, where=judged)
+
     def to_json(self, labels: list[str]) -> dict[str, Any]:
         """Return the figures for ``--json``.
 
@@ -66,7 +80,7 @@ class Obtained:
                 label: {
                     "predicted": float(self.predicted[k]),
                     "obtained": float(self.typical[k]),
-                    "ratio": float(self.typical[k] / self.predicted[k]),
+                    "ratio": float(self.ratio[k]),
                     "misses": self.misses[:, k].tolist(),
                 }
                 for k, label in enumerate(labels)
