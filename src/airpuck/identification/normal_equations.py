@@ -13,6 +13,7 @@ is added in place, each kind to its own part.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate, pairwise
 from typing import Any
@@ -79,10 +80,12 @@ def normal_equations(
     n, batch = command.shape[1], starts.shape[0]
     by_tau = jnp.array([1.0, 0.0])
 
+    past = gather_past(jnp, time, state, command, starts, encoder.length)
+    past_slope = gather_past(jnp, time, state, command_slope, starts, encoder.length).command
+
     def encode(tau: Any, command: Any) -> Any:
         model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
-        past = gather_past(jnp, time, state, command, starts, encoder.length)
-        return encoder.encode(jnp, model, past)
+        return encoder.encode(jnp, model, replace(past, command=command))
 
     def accelerate(coefficients: Any, direction: Any, center: Any, motion: Any, speed: Any) -> Any:
         """Accelerations of one window, with Π and the effects moved by `direction` in the basis."""
@@ -154,8 +157,8 @@ def normal_equations(
         sums = square, score, curvature
         return (position, motion, end[0], d_position, d_yaw, d_velocity, end[1], sums), None
 
-    encoded, push = jax.linearize(encode, tau, command)
-    d_encoded = jax.vmap(push)(by_tau, jnp.stack([jnp.zeros_like(command), command_slope]))
+    encoded, push = jax.linearize(encode, tau, past.command)
+    d_encoded = jax.vmap(push)(by_tau, jnp.stack([jnp.zeros_like(past_slope), past_slope]))
     size = edges[-1]
     # Only the last two local coordinates move the encoder's estimate.
     d_state = jnp.zeros((6, size, batch)).at[:, -2:].set(jnp.moveaxis(d_encoded[:, :6], 0, 1))
