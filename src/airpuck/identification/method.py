@@ -123,7 +123,8 @@ def minimize_on(
     begun = outcome.history[-1].number
 
     def counted_on(iteration: Iteration) -> None:
-        progress(replace(iteration, number=begun + iteration.number))
+        if iteration.number:  # where the last one ended has been told
+            progress(replace(iteration, number=begun + iteration.number))
 
     after = method.minimize(loss, outcome.parameters, free, counted_on)
     steps = (replace(step, number=begun + step.number) for step in after.history if step.number)
