@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
@@ -11,9 +13,11 @@ from airpuck.live.events import EventLog
 from airpuck.live.graph import Graph, Quality
 from airpuck.recording.message import StreamCodec
 
-_SECOND_NS = 10**9
-#: A message that was sent longer ago waited for a process that stood still [s].
-_TOO_OLD = 0.1
+#: A difference between clocks that is told [s].
+_WORTH_TELLING = 0.1
+#: A process that did not look for this long stood still [s], and what waited for it in the system's
+#: buffers still comes for this long after [s].
+_STOOD_STILL, _COMES_LATE = 0.1, 0.05
 
 
 class Inbox:
@@ -54,6 +58,7 @@ class Inbox:
             topic, codec.msgtype, codec.types, quality, wakes=wakes
         )
         self._stamps, self._offset = StampClock(), 0.0
+        self._looked, self._late_until = clock.now, -math.inf
         self._strangers: set[Endpoint] = set()
         #: Messages that could be used, and that could not.
         self.good = self.bad = 0
@@ -90,7 +95,7 @@ class Inbox:
                 continue
             taken.append((placed, values))
         self.good += len(taken)
-        if abs(self._stamps.offset - self._offset) > _TOO_OLD:
+        if abs(self._stamps.offset - self._offset) > _WORTH_TELLING:
             self._offset = self._stamps.offset
             self._events.tell(
                 "warning",
@@ -99,13 +104,17 @@ class Inbox:
         return taken
 
     def take_commands(self) -> list[Float[np.ndarray, " k"]]:
-        """Take numbers that act on arrival, whatever their stamps say.
+        """Take numbers that act on arrival, whatever their stamps and the sender's clock say.
 
         Returns
         -------
         list of array of shape (k,)
-            Finite ones that did not wait for this process to wake up.
+            Finite ones; none of those that waited for this process while it stood still.
         """
+        before, self._looked = self._looked, self._clock.now
+        if self._looked - before > _STOOD_STILL:
+            self._late_until = self._looked + _COMES_LATE
+        late = self._looked < self._late_until
         taken = []
         for sample in self._subscription.take():
             try:
@@ -115,7 +124,7 @@ class Inbox:
                 continue
             if not np.isfinite(values).all():
                 self._refuse("finite", f"numbers on {self._topic} that are not finite")
-            elif self._clock.now - self._clock.of(sample.sent_ns) > _TOO_OLD:
+            elif late:
                 self._refuse("late", f"late messages on {self._topic}")
             else:
                 taken.append(values)
