@@ -2,9 +2,13 @@ from __future__ import annotations
 
 import time
 
-from airpuck.live.graph import SENSOR
+import pytest
+
+from airpuck.live.graph import LOG, SENSOR, STATE
 from airpuck.live.listener import Listener
 from airpuck.recording.message import StreamCodec
+
+from .test_graph import until
 
 POSE = StreamCodec("pose")
 FIRST, SECOND = "/a/pose", "/b/pose"
@@ -42,3 +46,38 @@ def test_own_words_are_heard_only_by_who_asks(pair):
         assert not list(deaf.listen(0.02))
         heard += alert.listen(0.02)
     assert [one.topic for one in heard[:1]] == [FIRST]
+
+
+@pytest.mark.parametrize(("more", "less"), [(STATE, SENSOR), (LOG, STATE), (LOG, SENSOR)])
+def test_who_offers_less_than_the_first_is_heard_too_and_everybody_once(pair, more, less):
+    speaker, other = pair
+    listener = Listener(other)
+    heard: list[tuple[float, float]] = []
+    count = 0
+
+    def say(publisher, who: float) -> None:
+        nonlocal count
+        count += 1
+        publisher.send(POSE.encode(0, (who, count, 0.0)))
+
+    def listen() -> None:
+        heard.extend(tuple(POSE.decode(one.data)[1][:2]) for one in listener.listen(0.01))
+
+    def known() -> set[float]:
+        return {name for name, _ in heard}
+
+    strong = speaker.publisher(FIRST, POSE.msgtype, POSE.types, more)
+    until(lambda: say(strong, 1.0) or listen() or known())
+    weak = speaker.publisher(FIRST, POSE.msgtype, POSE.types, less)
+    began = count
+    until(lambda: say(strong, 1.0) or say(weak, 2.0) or listen() or 2.0 in known())
+    # The strong one lost no word in the change of subscriptions, and nothing was heard twice.
+    time.sleep(0.05)
+    listen()
+    said = [number for name, number in heard if name == 1.0 and number > began]
+    assert said == list(range(began + 1, count, 2))
+    assert len(set(heard)) == len(heard)
+    # Nobody speaks: the old subscription does not wake who waits.
+    started = time.monotonic()
+    assert not list(listener.listen(0.08))
+    assert time.monotonic() - started > 0.05

@@ -92,8 +92,10 @@ class Publisher:
 class Subscription:
     """Receives messages of a topic; from `Graph.subscription`."""
 
-    def __init__(self, reader: Any, kind: Any) -> None:
+    def __init__(self, reader: Any, kind: Any, condition: Any = None) -> None:
         self._reader, self._kind = reader, kind
+        #: Ends `Graph.wait`, where something comes.
+        self._condition = condition
 
     def take(self) -> list[Sample]:
         """Take what has come since the last call.
@@ -225,12 +227,23 @@ class Graph:
         reader = DataReader(
             self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
         )
+        condition = None
         if wakes:
             anything = ViewState.Any | InstanceState.Any | SampleState.Any
             condition = ReadCondition(reader, anything)
             self._waitset.attach(condition)
-            self._kept.append(condition)
-        return Subscription(reader, self._kinds[msgtype])
+        return Subscription(reader, self._kinds[msgtype], condition)
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """End a subscription: `wait` would go on to wake for what nobody takes.
+
+        Parameters
+        ----------
+        subscription : Subscription
+            From `subscription`; the caller drops it.
+        """
+        if subscription._condition is not None:
+            self._waitset.detach(subscription._condition)
 
     def wait(self, seconds: float) -> None:
         """Sleep until something comes on a subscription that wakes, or a time has passed.

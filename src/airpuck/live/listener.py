@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from airpuck.live.discovery import Endpoint
-from airpuck.live.graph import Graph, Quality, Subscription
+from airpuck.live.graph import Graph, Quality, Sample, Subscription
 from airpuck.recording.cdr import Types, flatten
 from airpuck.recording.message_types import command_type, definitions
 
@@ -15,6 +15,17 @@ from airpuck.recording.message_types import command_type, definitions
 _LOOK = 0.1
 #: As many messages may wait for the listener.
 _DEPTH = 2000
+
+
+@dataclass
+class _Topic:
+    """What is listened to: who was the first, and what is asked of all."""
+
+    first: Endpoint
+    quality: Quality
+    subscription: Subscription
+    #: Taken from the subscription before this one, and not yet heard.
+    waiting: list[Sample]
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,7 @@ class Listener:
         self._graph, self._own = graph, own
         self.types: Types = command_type(motors)[1] if motors else definitions("")
         self.notes: list[str] = []
-        self._subscriptions: dict[str, tuple[Endpoint, Subscription]] = {}
+        self._topics: dict[str, _Topic] = {}
         self._refused: set[tuple[str, str]] = set()
         self._looked = -_LOOK
 
@@ -79,7 +90,7 @@ class Listener:
         Endpoint
             Its type, and the quality of service it offers.
         """
-        return self._subscriptions[name][0]
+        return self._topics[name].first
 
     def listen(self, seconds: float) -> Iterator[Heard]:
         """Wait for messages, and take them.
@@ -99,31 +110,56 @@ class Listener:
             self._looked = now
             self._subscribe()
         self._graph.wait(min(seconds, _LOOK))
-        for name, (endpoint, subscription) in self._subscriptions.items():
-            taken = subscription.take()
+        for name, topic in self._topics.items():
+            taken, before = topic.subscription.take(), topic.waiting
+            if before:
+                # While there were two subscriptions, both were told.
+                taken, topic.waiting = before + [one for one in taken if one not in before], []
             # After they were taken: nothing is received before it was sent, whatever takes long.
             received = time.time_ns()
             for sample in taken:
-                yield Heard(name, endpoint.msgtype, received, sample.sent_ns, sample.data)
+                yield Heard(name, topic.first.msgtype, received, sample.sent_ns, sample.data)
 
     def _subscribe(self) -> None:
-        """Subscribe to topics that are new."""
+        """Subscribe to topics that are new, and ask for less where somebody offers less."""
         for endpoint in self._graph.publishers(own=self._own):
             name, msgtype = endpoint.topic, endpoint.msgtype
-            known = self._subscriptions.get(name)
-            if known is not None and known[0].msgtype == msgtype:
+            known = self._topics.get(name)
+            if known is not None and known.first.msgtype == msgtype:
+                self._ask_less(known, endpoint)
                 continue
             if (name, msgtype) in self._refused:
                 continue
-            problem = f"it is {known[0].msgtype} already" if known else self._problem(msgtype)
+            problem = f"it is {known.first.msgtype} already" if known else self._problem(msgtype)
             if problem:
                 self._refused.add((name, msgtype))
                 whose = self._graph.describe(endpoint)
                 self.notes.append(f"{name} of {whose}, {msgtype}, is not heard: {problem}")
                 continue
             quality = Quality(endpoint.reliable, endpoint.transient_local, _DEPTH)
-            subscription = self._graph.subscription(name, msgtype, self.types, quality, wakes=True)
-            self._subscriptions[name] = endpoint, subscription
+            self._topics[name] = _Topic(endpoint, quality, self._ask(endpoint, quality), [])
+
+    def _ask(self, endpoint: Endpoint, quality: Quality) -> Subscription:
+        """Subscribe to an endpoint's topic."""
+        return self._graph.subscription(
+            endpoint.topic, endpoint.msgtype, self.types, quality, wakes=True
+        )
+
+    def _ask_less(self, topic: _Topic, endpoint: Endpoint) -> None:
+        """Subscribe anew if an endpoint offers less than is asked for: it would not be heard."""
+        asked = topic.quality
+        quality = Quality(
+            asked.reliable and endpoint.reliable,
+            asked.transient_local and endpoint.transient_local,
+            _DEPTH,
+        )
+        if quality == asked:
+            return
+        before, topic.quality = topic.subscription, quality
+        # The new one first, so that nothing falls between the two.
+        topic.subscription = self._ask(endpoint, quality)
+        topic.waiting += before.take()
+        self._graph.unsubscribe(before)
 
     def _problem(self, msgtype: str) -> str | None:
         """Say why a type cannot be listened to."""
