@@ -50,3 +50,14 @@ def test_periods_that_were_left_out_are_missed():
     assert timing.warning() == (
         "the loop is late: period jitter 40.0 ms, 4 missed deadlines (99th percentiles)"
     )
+
+
+def test_an_action_that_is_late_by_less_than_the_deadline_misses_nothing():
+    timing = LoopTiming(0.01)
+    for k, late in enumerate([5e-4, 7e-3, 5e-4, 9e-3, 5e-4]):
+        timing.add(k * 0.01, k * 0.01 + late, None)
+    assert timing.missed == 0
+    # Due at 50 ms, done at 85 ms: late itself, and two after it, due at 60 and 70 ms, left out.
+    timing.add(0.05, 0.085, None)
+    timing.add(0.08, 0.086, None)
+    assert timing.missed == 3

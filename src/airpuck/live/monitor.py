@@ -86,7 +86,7 @@ class LoopTiming:
     latency: Histogram = field(default_factory=Histogram)
     pose_age: Histogram = field(default_factory=Histogram)
     missed: int = 0
-    _last: float | None = None
+    _last: tuple[float, float] | None = None
 
     def add(self, due: float, done: float, pose: float | None) -> None:
         """Count an action.
@@ -101,10 +101,10 @@ class LoopTiming:
             When the newest pose was measured, if there is one [s].
         """
         if self._last is not None:
-            apart = done - self._last
-            self.jitter.add(abs(apart - self.period))
-            self.missed += max(round(apart / self.period) - 1, 0)
-        self._last = done
+            due_before, done_before = self._last
+            self.jitter.add(abs(done - done_before - self.period))
+            self.missed += max(round((due - due_before) / self.period) - 1, 0)
+        self._last = due, done
         self.latency.add(max(done - due, 0.0))
         self.missed += done - due > DEADLINE
         if pose is not None:
