@@ -221,6 +221,7 @@ class _Flight:
         self._events.tell("info", f"on domain {self._graph.domain}{self._usage()}")
         # What takes long the first time is done before the motors may run; the poses that have
         # come meanwhile are old.
+        self._give_way()
         self._look_around("starting")
         settle_memory()
         for inbox in self._inboxes:
@@ -267,6 +268,7 @@ class _Flight:
             self._reference.begin(action.time)
         for key in self._keys.pressed():
             self._obey(key)
+        self._give_way()
         if done >= self._beat:
             self._beat = done + _HEARTBEAT
             self._look_around(status)
@@ -289,14 +291,17 @@ class _Flight:
         else:
             self._guard.stop("operator", "stopped by the operator")
 
-    def _look_around(self, status: str) -> None:
-        """Once a second: who else is there, and how the loop fares."""
+    def _give_way(self) -> None:
+        """Leave the motors to another controller, as long as there is one."""
         rivals = self._graph.publishers(self._topics.command)
         if rivals:
             whose = self._graph.describe(rivals[0])
             self._guard.stop("rival", f"another controller is on the graph: {whose}")
         else:
             self._guard.release("rival")
+
+    def _look_around(self, status: str) -> None:
+        """Once a second: who cannot be heard, and how the loop fares."""
         for inbox in self._inboxes:
             inbox.tell_strangers()
         warning = self._recent.warning()

@@ -1,0 +1,61 @@
+"""The flight loop on the graph, in this process; `test_processes` has it as a process."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from airpuck.flight.pulses import PulseTest
+from airpuck.live import fly
+from airpuck.live.graph import SENSOR, Graph
+from airpuck.live.safety import Limits
+from airpuck.vehicle import default_vehicle
+
+from .processes import CODECS, COMMANDS, POSES
+
+VEHICLE = default_vehicle()
+
+
+class Pilot(PulseTest):
+    """Notes when it was asked for a command."""
+
+    def __init__(self):
+        super().__init__(VEHICLE)
+        self.asked: list[float] = []
+
+    def step(self, time):
+        self.asked.append(time)
+        return super().step(time)
+
+
+def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):
+    monkeypatch.setattr(fly, "hurry", lambda: None)
+    pilot, rng = Pilot(), np.random.default_rng(0)
+    table, rival = Graph("table", domain=domain), Graph("joystick", domain=domain)
+    pose, command = CODECS[POSES], CODECS[COMMANDS]
+    poses = table.publisher(POSES, pose.msgtype, pose.types, SENSOR)
+    clock, came = fly.Clock(), []
+
+    def over(time: float) -> bool:
+        poses.send(pose.encode(clock.now_ns, rng.normal(0, 5e-5, 3)))
+        # Long before the next heartbeat, which is at a second.
+        if pilot.asked and not came and time - pilot.asked[0] > 0.1:
+            came.append(time)
+            rival.publisher(COMMANDS, command.msgtype, command.types, SENSOR)
+        return bool(came) and time - came[0] > 0.4
+
+    try:
+        fly.fly_live(
+            lambda: pilot,
+            VEHICLE,
+            Limits(geofence=(1.0, 1.0)),
+            domain=domain,
+            duration=10.0,
+            over=over,
+            quiet=True,
+            warm_up=False,
+        )
+    finally:
+        table.close()
+        rival.close()
+    assert came
+    assert pilot.asked[-1] < came[0] + 0.15
