@@ -10,9 +10,17 @@ from hypothesis import strategies as st
 from airpuck.errors import InputError
 from airpuck.flight.effect_match import match_effects, turned
 from airpuck.flight.loop import fly
-from airpuck.flight.preflight import Preflight, judge_pulses, judge_recording, preflight
+from airpuck.flight.preflight import (
+    Preflight,
+    judge_pulses,
+    judge_recording,
+    judge_test,
+    preflight,
+)
 from airpuck.flight.pulse_response import find_pulses, pulse_responses
 from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.live.preflight import ANYWHERE
+from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.rigid_body import acceleration_map
 from airpuck.model_file import nominal_model, published_model
 from airpuck.recording.stream import Recording
@@ -110,6 +118,13 @@ def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
     assert [c.name for c in weak.checks if c.verdict == "look"] == [NAMES[4]]
 
 
+def test_the_delay_is_that_of_motors_that_do_something():
+    """Five of six stand, and what fits their noise best is any delay."""
+    found = fly_pulses(lambda u: np.where(np.arange(6) == 1, u, IDLE))
+    assert found.delay == pytest.approx(MODEL.transport_delay, abs=8e-3)
+    assert words(found, "transport delay").startswith(f"{1e3 * found.delay:.0f} ms")
+
+
 def test_a_propeller_that_spins_the_wrong_way_is_named(flown):
     # As seen from the other side: the model's propeller points the other way.
     thrust = np.array(MODEL.parameters.thrust)
@@ -159,6 +174,30 @@ def test_units_are_said(flown, unit, factors):
     found = judge_pulses(MODEL, time, pose * factors, *commands)
     assert f"in {unit}" in words(found, "units")
     assert wrong(found) == ["units"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "x"),
+    [("millimetres", 1e3, 0.2), ("centimetres", 1e2, -0.05), ("millimetres", 1e3, 0.0)],
+)
+def test_units_that_put_the_craft_off_the_table_are_said(unit, factor, x):
+    found = preflight_live_like(lambda p: p * [factor, factor, 1], (x, 0.0, 0.4))
+    assert wrong(found) == ["units"]
+    assert unit in words(found, "units")
+
+
+def test_degrees_are_said_of_a_guarded_test():
+    found = preflight_live_like(lambda p: p * [1, 1, 180 / np.pi], (0.001, 0.002, 0.4))
+    assert "degrees" in words(found, "units")
+
+
+def preflight_live_like(pose, start) -> Preflight:
+    """A test on the twin behind the guard that a test on the graph has."""
+    pilot = PulseTest(MODEL.vehicle)
+    guard = Guard(ANYWHERE)
+    guarded = GuardedPilot(pilot, guard, IDLE, MODEL.vehicle.n_propellers, lambda *_: None)
+    fly(guarded, Changed(Twin(MODEL, seed=3, pose=start, plant=PLANT), pose=pose), 6.0)
+    return judge_test(pilot, MODEL)
 
 
 def test_a_small_misalignment_is_left_to_a_fit(flown):

@@ -14,6 +14,7 @@ from airpuck.flight.link import Link
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight_checks import (
     Check,
+    beyond_any_table,
     delay_check,
     frame_check,
     motor_verdict,
@@ -49,7 +50,7 @@ class Preflight:
     strength : array, shape (n,)
         Thrust of each, as a share of the modelled one; nan where it was not measured.
     delay : float
-        Median transport delay [s]; nan where no pulse was seen.
+        Median transport delay of the motors that do something [s]; nan where none does.
     """
 
     checks: tuple[Check, ...]
@@ -122,9 +123,11 @@ def judge_test(pilot: PulseTest, model: Model) -> Preflight:
     """
     if not pilot.poses:
         check = Check("poses", "wrong", "none came: is the motion capture sending, on this topic?")
-        unknown = np.full(model.vehicle.n_propellers, np.nan)
-        return Preflight((check,), model.vehicle.propeller_names, unknown, np.nan)
+        return _found_only(check, model)
     pose_time, poses = zip(*pilot.poses, strict=True)
+    beyond = beyond_any_table(poses[-1], pilot.reach) if pilot.stopped else None
+    if beyond is not None:
+        return _found_only(beyond, model)
     command_time, commands = zip(*pilot.sent_commands, strict=True)
     found = judge_pulses(
         model, np.array(pose_time), np.array(poses), np.array(command_time), np.array(commands)
@@ -134,6 +137,12 @@ def judge_test(pilot: PulseTest, model: Model) -> Preflight:
         early = Check("test", "wrong" if missed else "look", f"ended early: {pilot.stopped}")
         found = replace(found, checks=(early, *found.checks))
     return found
+
+
+def _found_only(check: Check, model: Model) -> Preflight:
+    """Return a test that ended before any motor was tried."""
+    unknown = np.full(model.vehicle.n_propellers, np.nan)
+    return Preflight((check,), model.vehicle.propeller_names, unknown, np.nan)
 
 
 def judge_recording(model: Model, recording: Recording) -> Preflight:
@@ -243,8 +252,10 @@ def judge_pulses(
     for k, name in enumerate(names):
         verdict, words = motor_verdict(names, k, likeness.get(k), float(strength[k]))
         checks.append(Check(name, verdict, words))
-    checks.append(delay_check(delays[[moves[r.motor] for r in responses]], model.transport_delay))
-    return Preflight(tuple(checks), names, strength, float(np.median(delays)))
+    # A motor that does nothing has no delay: what fits its noise best says nothing.
+    seen = delays[[moves[response.motor] for response in responses]]
+    checks.append(delay_check(seen, model.transport_delay))
+    return Preflight(tuple(checks), names, strength, float(np.median(seen)))
 
 
 def _continuous(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:

@@ -23,6 +23,8 @@ _RATE, _NOISE, _DRIFT = 50.0, (1e-3, 2e-2), 0.05
 #: Units by which lengths and angles may be off, and how many of them make an SI unit.
 _LENGTHS = {"millimetres": 1e3, "centimetres": 1e2}
 _DEGREES = 180 / np.pi
+#: As many times as far from the middle as the rails no craft is that stands on the table.
+_FAR = 2.0
 #: Rotation of the rigid body worth a remark, and that no controller should fly with [rad].
 _MISALIGNED, _TURNED = 0.12, 0.3
 #: Signs by which poses may be wrong, and what that is in words.
@@ -100,6 +102,35 @@ def pose_check(
     if noise[:2].max() > _NOISE[0] or noise[2] > _NOISE[1]:
         return Check("poses", "look", f"{words}: more than motion capture should have")
     return Check("poses", "ok", words)
+
+
+def beyond_any_table(pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2"]) -> Check | None:
+    """Say in which units a craft would be on the table that is far from it in metres.
+
+    Parameters
+    ----------
+    pose : array, shape (3,)
+        x, y, yaw.
+    reach : array, shape (2,)
+        Greatest distances of the craft's centre from the middle of the table [m].
+
+    Returns
+    -------
+    Check or None
+        What is wrong; None where the position may be in metres, at a rail or beside the table.
+    """
+    x, y = pose[:2]
+    if (np.abs(pose[:2]) <= _FAR * reach).all():
+        return None
+    fitting = [
+        unit for unit, factor in _LENGTHS.items() if (np.abs(pose[:2]) <= factor * reach).all()
+    ]
+    like = f"is it in {' or '.join(fitting)}, or is" if fitting else "is"
+    words = (
+        f"the craft is at x = {x:.4g}, y = {y:.4g}, beyond any table in metres: {like} the origin "
+        "not the middle of the table?"
+    )
+    return Check("units", "wrong", words)
 
 
 def pose_units(

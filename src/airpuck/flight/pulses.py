@@ -68,6 +68,8 @@ class PulseTest:
 
     Attributes
     ----------
+    reach : array, shape (2,)
+        Greatest distances of the craft's centre from the middle of the table [m].
     poses : list of (float, array of shape (3,))
         Stamps and poses that have come.
     sent_commands : list of (float, array of shape (n,))
@@ -88,7 +90,7 @@ class PulseTest:
         paired = [index for pair in vehicle.pair_indices for index in pair]
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
         self._order = [*paired, *single] * self.plan.rounds
-        self._reach = np.array((table or Table()).reach(vehicle.radius_m))
+        self.reach = np.array((table or Table()).reach(vehicle.radius_m))
         self._begun = self._stepped = -math.inf
         self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
         self.sent_commands: list[tuple[float, Float[np.ndarray, " n"]]] = []
@@ -155,7 +157,7 @@ class PulseTest:
         """Say why the motors must not be driven; empty if they may."""
         if age > _STALE:
             return f"poses stopped coming {1e3 * age:.0f} ms ago"
-        if (np.abs(pose[:2]) > self._reach - _MARGIN).any():
+        if (np.abs(pose[:2]) > self.reach - _MARGIN).any():
             x, y = pose[:2]
             return f"the craft is at a rail or off the table, x = {x:.3g} m, y = {y:.3g} m"
         return ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.fly import fly_live
@@ -12,6 +14,9 @@ from airpuck.table import Table
 
 #: For the graph to be found, and for the guard to believe the poses [s].
 _PATIENCE = 3.0
+#: The frame may be wrong, and the units: what ends the test near a rail is the pilot, and where the
+#: poses jump its pulses remain what they are.
+ANYWHERE = Limits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
 
 
 def preflight_live(
@@ -54,8 +59,6 @@ def preflight_live(
         If another process publishes commands already, or something given cannot be used.
     """
     pilot = PulseTest(model.vehicle, plan, table)
-    # The frame may be wrong, and the units: what ends the test near a rail is the pilot.
-    anywhere = Limits(geofence=(float("inf"), float("inf")))
 
     def over(time: float) -> bool:
         return pilot.over or (not pilot.poses and time > _PATIENCE)
@@ -63,7 +66,7 @@ def preflight_live(
     fly_live(
         lambda: pilot,
         model.vehicle,
-        anywhere,
+        ANYWHERE,
         topics=topics,
         domain=domain,
         interface=interface,
