@@ -22,8 +22,15 @@ def run(*arguments: str) -> None:
         ((*MODEL, "--setpoint", "1", "0.3", "north"), "--setpoint: give three numbers"),
         ((*MODEL, "--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
         ((*MODEL, "--setpoint", "0", "0", "0", "--topic"), "fly: give one of --setpoint"),
-        ((*MODEL, "--dwell", "0"), "--dwell: must be a number of seconds above 0"),
-        ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be two distances above 0"),
+        (
+            (*MODEL, "--setpoint", "0", "0", "0", "--dwell", "0"),
+            "--dwell: must be a number of seconds above 0",
+        ),
+        ((*MODEL, "--dwell", "2"), "--dwell: is the time at each --setpoint; none is given"),
+        ((*MODEL, "--seed", "1"), "--seed: is that of --excite"),
+        ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be two finite distances above 0"),
+        ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be two finite distances above 0"),
+        ((*MODEL, "--geofence", "inf", "1"), "--geofence: must be two finite distances above 0"),
         ((*MODEL, "--duration", "-3"), "--duration: must be a number of seconds above 0"),
         ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model has its vehicle in it"),
         ((*MODEL, "--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
@@ -38,3 +45,11 @@ def test_fly_refuses_in_one_line(arguments, problem):
 def test_a_recorder_does_not_write_over_anything(tmp_path):
     with pytest.raises(InputError, match="exists already"):
         run("record", "-o", str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "flown", [("--level", "0.3"), ("--rounds", "1"), ("--domain", "3"), ("--interface", "lo")]
+)
+def test_a_recorded_check_takes_no_options_of_a_flown_one(flown, tmp_path):
+    with pytest.raises(InputError, match=f"{flown[0]}: is for a test that is flown"):
+        run("preflight", "--recording", str(tmp_path), *flown)

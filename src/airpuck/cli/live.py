@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from airpuck.recording.topics import Topics
 
 SETPOINT = "--setpoint"
+_DWELL = 3.0
 PANEL = "Live, on a ROS 2 graph"
 
 Domain = Annotated[
@@ -110,7 +111,10 @@ def fly(
             SETPOINT, metavar="X Y YAW", help="Where to go; repeat for several, in order."
         ),
     ] = None,
-    dwell: Annotated[float, typer.Option(metavar="S", help=r"Time at each --setpoint \[s].")] = 3.0,
+    dwell: Annotated[
+        float | None,
+        typer.Option(metavar="S", help=r"Time at each --setpoint \[s]; by default 3."),
+    ] = None,
     setpoints_file: Annotated[
         Path | None,
         typer.Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
@@ -130,7 +134,9 @@ def fly(
         ),
     ] = None,
     tuning: TuningFile = None,
-    seed: Seed = 0,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Seed of --excite; by default 0.", min=0)
+    ] = None,
     domain: Domain = None,
     interface: Interface = None,
     topics: TopicsFile = None,
@@ -162,6 +168,10 @@ def fly(
         raise InputError("give one of --setpoint, --setpoints, --topic, --excite", field="fly")
     if model is not None and vehicle is not None:
         raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+    if dwell is not None and not setpoints:
+        raise InputError("is the time at each --setpoint; none is given", field="--dwell")
+    if seed is not None and not excite:
+        raise InputError("is that of --excite; nothing else is random", field="--seed")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     check_destinations(json=json_file)
@@ -171,8 +181,8 @@ def fly(
     if craft is None:
         craft = nominal_model(read_craft(vehicle) or default_vehicle())
     fence = geofence or _rails(Table().reach(craft.vehicle.radius_m))
-    if not min(fence) > 0:
-        raise InputError("must be two distances above 0", field="--geofence")
+    if not all(0 < distance < float("inf") for distance in fence):
+        raise InputError("must be two finite distances above 0", field="--geofence")
     settings = read_controls(tuning) or default_tuning()
     points = _points(setpoints, dwell) if setpoints_file is None else read_setpoints(setpoints_file)
     check_inside(points, fence)
@@ -180,7 +190,7 @@ def fly(
 
     def pilot() -> Pilot:
         if excite:
-            return Excitation(craft, tuning=settings, seed=seed)
+            return Excitation(craft, tuning=settings, seed=seed or 0)
         return TrackingController(craft, reference, settings)
 
     report = fly_live(
@@ -205,62 +215,6 @@ def fly(
             f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
             f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines"
         )
-
-
-@app.command(rich_help_panel=PANEL)
-def preflight(
-    model: Annotated[
-        str | None,
-        typer.Option(metavar="MODEL", help="What the craft is believed to be."),
-    ] = None,
-    vehicle: VehicleFile = None,
-    recording: Annotated[
-        Path | None,
-        typer.Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
-    ] = None,
-    level: Annotated[float, typer.Option(help="Command of the motor whose turn it is.")] = 0.25,
-    rounds: Annotated[int, typer.Option(help="How often each motor has its turn.")] = 2,
-    domain: Domain = None,
-    interface: Interface = None,
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
-) -> None:
-    """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
-    one_thread()
-    from airpuck.cli.inputs import read_flight
-    from airpuck.errors import InputError
-    from airpuck.flight.preflight import judge_recording
-    from airpuck.flight.pulses import PulsePlan
-    from airpuck.model_file import nominal_model
-    from airpuck.vehicle import default_vehicle
-
-    if model is not None and vehicle is not None:
-        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
-    check_destinations(json=json_file)
-    craft = None if model is None else read_belief(model)
-    if craft is None:
-        craft = nominal_model(read_craft(vehicle) or default_vehicle())
-    if recording is not None:
-        found = judge_recording(craft, read_flight(recording, topics))
-    else:
-        from airpuck.live.preflight import preflight_live
-
-        found = preflight_live(
-            craft,
-            PulsePlan(level=level, rounds=rounds),
-            topics=topic_names(topics),
-            domain=domain,
-            interface=interface,
-            quiet=quiet,
-        )
-    write_json(json_file, found.to_json())
-    if not is_stdout(json_file):
-        for check in found.checks:
-            print(f"{check.verdict:6s}{check.name:17s}{check.words}")
-    if not found.ready:
-        wrong = [check.name for check in found.checks if check.verdict == "wrong"]
-        raise InputError(f"not ready to fly: mend {', '.join(wrong)}, then check again")
 
 
 @app.command(rich_help_panel=PANEL)
@@ -329,11 +283,12 @@ def run_length(duration: float | None) -> float:
     return float("inf") if duration is None else duration
 
 
-def _points(texts: list[str] | None, dwell: float) -> SetPoints:
+def _points(texts: list[str] | None, dwell: float | None) -> SetPoints:
     """Return set points one after the other; by default the middle of the table."""
     from airpuck.control.reference import SetPoints
     from airpuck.errors import InputError
 
+    dwell = _DWELL if dwell is None else dwell
     if not 0 < dwell < float("inf"):
         raise InputError("must be a number of seconds above 0", field="--dwell")
     try:
