@@ -25,8 +25,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 # tests start inherit this; in the first process a plugin has imported NumPy already.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# A shell that starts the tests in the background has them ignore Ctrl-C, and with them every process
-# that they start and interrupt.
+# A shell that starts the tests in the background has them ignore Ctrl-C, and with them every
+# process that they start and interrupt.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
