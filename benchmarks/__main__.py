@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from airpuck import InputError
+from airpuck.cores import usable_cores
 from airpuck.recording import dataset_folder
 
 from . import authors
@@ -228,9 +229,7 @@ def machine() -> dict[str, object]:
     return {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "processor": names[0] if names else platform.processor(),
-        "cores": len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count(),
+        "cores": usable_cores(),
         "load_before": os.getloadavg()[0],
         "jax_device": devices.strip(),
         "system": platform.platform(),

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 from functools import partial
 
 import numpy as np
 from recovery import true_delay, truth
 
 from airpuck import identify, preprocess
+from airpuck.cores import usable_cores
 from airpuck.model.thrust import thrust
 from airpuck.model_file import Model
 from airpuck.twin.experiments import excite
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=30)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--bootstrap", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--workers", type=int, default=usable_cores())
     options = parser.parse_args()
     task = partial(errors_of, duration=options.duration, bootstrap=options.bootstrap)
     # JAX has threads, which do not live through a fork.

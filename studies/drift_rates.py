@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from airpuck import drift, identify, preprocess
+from airpuck.cores import usable_cores
 from airpuck.evaluation.drift import Drift
 from airpuck.model_file import Model, published_model
 from airpuck.twin.experiments import excite
@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--motor", default="motor_b_1")
     parser.add_argument("--loss", type=float, default=0.1)
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--processes", type=int, default=usable_cores())
     options = parser.parse_args()
     task = partial(pair, motor=options.motor, loss=options.loss, duration=options.duration)
     # JAX has threads, which do not live through a fork.

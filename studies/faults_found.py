@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,6 +22,7 @@ from recovery import truth
 
 from airpuck import Span, find_faults, identify, preprocess
 from airpuck.control.excitation import Excitation
+from airpuck.cores import usable_cores
 from airpuck.flight.loop import fly
 from airpuck.model.motor import motor_speeds
 from airpuck.model.thrust import thrust
@@ -226,7 +226,7 @@ def main() -> None:
     options = parser.parse_args()
     # JAX has threads, which do not live through a fork.
     context = multiprocessing.get_context("spawn")
-    with context.Pool(len(os.sched_getaffinity(0))) as pool:
+    with context.Pool(usable_cores()) as pool:
         found = [
             list(
                 pool.imap(

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from airpuck.cores import usable_cores
 from airpuck.evaluation.residuals import BODY_CHANNELS, resid
 from airpuck.evaluation.whiteness import LEVEL
 from airpuck.model.rollout import rollout
@@ -89,7 +89,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=60)
     parser.add_argument("--duration", type=float, default=10.0)
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--processes", type=int, default=usable_cores())
     options = parser.parse_args()
     task = partial(alarms, duration=options.duration)
     # JAX has threads, which do not live through a fork.

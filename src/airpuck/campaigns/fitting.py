@@ -15,7 +15,6 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import bootstrap
 from airpuck.identification.fit import Fit, identify
 from airpuck.identification.transport_delay import mean_delay
-from airpuck.identification.uncertainty import cluster_windows
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import preset
 from airpuck.preprocessing.load import load_trajectory
@@ -157,10 +156,9 @@ class Fitting(Item):
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
         fit = _fit_to_all(whole, whole.key(fingerprint))
         model, loss = fit.model, fit.objective
-        assert loss is not None
-        clusters = cluster_windows(loss.windows)
+        assert loss is not None and loss.clusters is not None
         _, estimates = bootstrap(
-            loss, model.parameters, model.free, clusters, self.resamplings, seed=self.seed
+            loss, model.parameters, model.free, loss.clusters, self.resamplings, seed=self.seed
         )
         return [_parameters(craft, model.parameters.with_vector(e)) for e in estimates]
 

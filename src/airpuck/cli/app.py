@@ -24,8 +24,9 @@ def main() -> None:
 
     _keep_compiled_programs()
     # Matrices here are small: threads of linear algebra would only wait for each other, and keep
-    # XLA's from working.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # XLA's from working. Only before NumPy is imported does it help to say so.
+    for library in ("OPENBLAS", "OMP"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except InputError as error:

@@ -14,7 +14,7 @@ import typer
 from airpuck.cli.app import app
 from airpuck.cli.inputs import choose, load, read_controls
 from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile
-from airpuck.cli.output import check_destinations, is_stdout, warn, write_json
+from airpuck.cli.output import check_destinations, console, is_stdout, warn, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -232,16 +232,13 @@ def _print_errors(found: Design, obtained: Obtained | None) -> None:
 
 def _table(title: str, headings: tuple[str, ...]) -> tuple[Table, Callable[[], None]]:
     """Return an empty table, and what prints it."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
     for heading in headings:
         left = heading in ("", "amplitude", "100 % are", "remark")
         table.add_column(heading, justify="left" if left else "right")
-    # What is not a terminal has no width: let rows be as long as they are.
-    console = Console(width=None if sys.stdout.isatty() else 160)
-    return table, lambda: console.print(table)
+    return table, lambda: console().print(table)
 
 
 def _size(scale: float, unit: str) -> str:

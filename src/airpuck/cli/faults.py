@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +11,7 @@ from airpuck.cli.app import app
 from airpuck.cli.inputs import cut, load, read_craft
 from airpuck.cli.learning import PANEL
 from airpuck.cli.options import Json, Quiet, RecordingPath, Span, TopicsFile, VehicleFile
-from airpuck.cli.output import check_destinations, is_stdout, warn, write_json
+from airpuck.cli.output import check_destinations, console, is_stdout, warn, write_json
 
 if TYPE_CHECKING:
     from airpuck.trajectory import Span as FoundSpan
@@ -81,7 +80,6 @@ def faults(
 
 def _print(spans: list[FoundSpan]) -> None:
     """Print spans as a table."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table()
@@ -91,4 +89,4 @@ def _print(spans: list[FoundSpan]) -> None:
         sure = "measured" if span.confidence == 1 else f"{min(span.confidence, 0.99):.2f}"
         table.add_row(f"{span.start:.3f}", f"{span.stop:.3f}", span.cause, sure)
     if spans:
-        Console(width=None if sys.stdout.isatty() else 160).print(table)
+        console().print(table)

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from airpuck.cli.output import console
+
 if TYPE_CHECKING:
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
@@ -26,7 +28,6 @@ def show_resampling(quiet: bool, total: int) -> Callable[[int], None]:
 
 def print_fit(fit: Fit) -> None:
     """Print how a fit ended, the main quantities with their errors, and what is not determined."""
-    from rich.console import Console
     from rich.table import Table
 
     from airpuck.evaluation.presentation import delay_words
@@ -55,7 +56,7 @@ def print_fit(fit: Fit) -> None:
         table.add_column(heading, justify="right" if heading[:1] in "v9" and heading else "left")
     for row in _rows(fit.model):
         table.add_row(*row[: len(headings)])
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    console().print(table)
     if fit.model.delay_jitter is not None:
         print(f"delay {delay_words(fit.model)}")
     print(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from airpuck.cli.fit_output import value_texts
+from airpuck.cli.output import console
 
 if TYPE_CHECKING:
     from airpuck.evaluation.drift import Drift
@@ -79,7 +79,6 @@ def print_drift(names: Sequence[str], found: Drift) -> None:
 
 def _print_rows(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table with its first columns to the left."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
@@ -87,5 +86,4 @@ def _print_rows(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
         table.add_column(heading, justify="left" if number == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    # What is not a terminal has no width: let rows be as long as they are.
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    console().print(table)

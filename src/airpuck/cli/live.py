@@ -59,7 +59,6 @@ def twin(
     quiet: Quiet = False,
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
-    one_thread()
     from airpuck.live.twin import serve_twin
     from airpuck.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
@@ -145,7 +144,6 @@ def fly(
     quiet: Quiet = False,
 ) -> None:
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
-    one_thread()
     from airpuck.control.excitation import Excitation
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import default_tuning
@@ -247,14 +245,6 @@ def record(
         for topic, count in report.messages.items():
             print(f"{count:8d}  {topic}")
         print(output)
-
-
-def one_thread() -> None:
-    """Keep NumPy's linear algebra on one thread; only before NumPy is imported does that help."""
-    import os
-
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 def check_network(domain: int | None, interface: str | None) -> None:

@@ -14,7 +14,7 @@ import typer
 
 from airpuck.cli.app import app
 from airpuck.cli.options import Json, Quiet
-from airpuck.cli.output import check_destinations, is_stdout, write_json
+from airpuck.cli.output import check_destinations, console, is_stdout, write_json
 
 if TYPE_CHECKING:
     from airpuck.campaigns.campaign import Campaign
@@ -117,17 +117,15 @@ def _progress(quiet: bool) -> Iterator[Callable[[int, int, int], None]]:
 
 def _print(found: Campaign) -> None:
     """Print statistics of every figure, setting by setting, and what failed."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 160)
     headings = ("mean", "sd", "min", "q05", "q50", "q95", "max")
     for summary in found.summaries:
         told = ", ".join(f"{k} = {json.dumps(v, default=str)}" for k, v in summary.setting.items())
         title = f"{told or 'all'}: {summary.items} items" + (
             f", {summary.failed} failed" if summary.failed else ""
         )
-        console.print(title, soft_wrap=True, highlight=False, markup=False)
+        console().print(title, soft_wrap=True, highlight=False, markup=False)
         table = Table()
         table.add_column("figure", overflow="fold")
         for heading in headings:
@@ -135,7 +133,7 @@ def _print(found: Campaign) -> None:
         for name, figures in summary.figures.items():
             values = (figures[heading] for heading in headings)
             table.add_row(name, *(f"{v:.4g}" if math.isfinite(v) else "" for v in values))
-        console.print(table)
+        console().print(table)
     for entry, why in found.failures[:_SHOWN]:
         print(f"failed: {entry.setting or ''} seed {entry.item.seed}: {why}".replace(": ''", ":"))
     more = len(found.failures) - _SHOWN

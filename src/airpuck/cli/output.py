@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.flight.replay import Replay
     from airpuck.identification.method import Iteration
@@ -55,6 +57,13 @@ def warn(warnings: Any, quiet: bool = False) -> None:
     if not quiet:
         for warning in warnings:
             print(f"warning: {warning}", file=sys.stderr)
+
+
+def console() -> Console:
+    """Return where tables are printed; what is not a terminal has no width, rows go on as long."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else 160)
 
 
 def is_stdout(json_file: Path | None) -> bool:
@@ -113,7 +122,6 @@ def _line(iteration: Iteration) -> str:
 
 def print_table(names: list[str], evaluations: list[Evaluation]) -> None:
     """Print errors of several models as a table."""
-    from rich.console import Console
     from rich.table import Table
 
     first = evaluations[0]
@@ -134,8 +142,7 @@ def print_table(names: list[str], evaluations: list[Evaluation]) -> None:
             for value, factor, digits in zip(values, (1e3, 1e3, 1), (2, 2, 4), strict=True)
         ]
         table.add_row(name, *row)
-    # What is not a terminal has no width: let rows be as long as they are.
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    console().print(table)
 
 
 def print_replay(replay: Replay) -> None:

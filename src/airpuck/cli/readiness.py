@@ -10,7 +10,7 @@ import typer
 
 from airpuck.cli.app import app
 from airpuck.cli.inputs import read_belief, read_craft
-from airpuck.cli.live import PANEL, Domain, Interface, one_thread, topic_names
+from airpuck.cli.live import PANEL, Domain, Interface, topic_names
 from airpuck.cli.options import Json, Quiet, TopicsFile, VehicleFile
 from airpuck.cli.output import check_destinations, is_stdout, write_json
 
@@ -40,7 +40,6 @@ def preflight(
     quiet: Quiet = False,
 ) -> None:
     """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
-    one_thread()
     from airpuck.cli.inputs import read_flight
     from airpuck.errors import InputError
     from airpuck.flight.preflight import judge_recording

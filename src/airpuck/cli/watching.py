@@ -14,7 +14,6 @@ from airpuck.cli.live import (
     Duration,
     Interface,
     check_network,
-    one_thread,
     run_length,
     topic_names,
 )
@@ -37,7 +36,6 @@ def watch(
     quiet: Quiet = False,
 ) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
-    one_thread()
     from airpuck.live.watch import watch_live
 
     check_destinations(json=json_file)
@@ -72,7 +70,6 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
-    one_thread()
     from airpuck.live.view import view_live
 
     check_destinations(json=json_file)

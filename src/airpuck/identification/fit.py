@@ -300,7 +300,8 @@ def identify(
     windows = loss.windows
     if robust:
         loss, outcome = reweighted(method, loss, outcome, free, progress)
-    clusters, found = cluster_windows(windows), outcome.parameters
+    clusters, found = loss.clusters, outcome.parameters
+    assert clusters is not None
     outcome = replace(outcome, parameters=fix_gauge(found, vehicle, free))
     shares = outcome.shares if outcome.parameters is found else None
     if shares is None:

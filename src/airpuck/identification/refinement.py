@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +20,7 @@ from airpuck.model.motor import motor_speeds
 from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import Model
 from airpuck.preprocessing.derivative import ACCELERATION_WINDOW, velocity
-from airpuck.preprocessing.quality import find_gaps
+from airpuck.preprocessing.quality import stretches
 from airpuck.trajectory import Trajectory
 
 
@@ -113,11 +112,9 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
     speed = motor_speeds(time, held, float(model.dynamics.motor_time_constant))
     modelled = np.stack(acceleration(np, model.dynamics, state[:, 2:].T, speed.T), axis=1)
-    edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]), len(time)]
-    for first, last in pairwise(edges):
-        if last - first < ACCELERATION_WINDOW:
+    for part in stretches(time):
+        if len(time[part]) < ACCELERATION_WINDOW:
             continue  # left out by preprocessing, which has no velocities there either
-        part = slice(first, last)
         gained, moved = _integrated(time[part], modelled[part])
         state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)
     return replace(trajectory, state=state)

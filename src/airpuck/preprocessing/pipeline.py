@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +26,7 @@ from airpuck.preprocessing.quality import (
     find_frozen,
     find_gaps,
     find_jumps,
+    stretches,
 )
 from airpuck.recording.stream import Recording
 from airpuck.trajectory import Span, Trajectory
@@ -100,7 +100,7 @@ def preprocess(
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
     spans = [*find_gaps(time), *find_frozen(time, values), *find_jumps(time, values)]
     spans += find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS)
-    rates, accelerations, short = _differentiate_between_gaps(time, values, find_gaps(time))
+    rates, accelerations, short = _differentiate_between_gaps(time, values)
     state = np.concatenate([values, rates], axis=1)
     trajectory = Trajectory(
         time=time,
@@ -171,19 +171,18 @@ def crop_to_commands(
 
 
 def _differentiate_between_gaps(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], gaps: tuple[Span, ...]
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
     """Differentiate each stretch for itself; mark those too short for it."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
-    edges = [0, *np.searchsorted(time, [gap.stop for gap in gaps]).tolist(), len(time)]
     short = []
-    for first, last in pairwise(edges):
-        part = slice(first, last)
-        if last - first < ACCELERATION_WINDOW:
-            short.append(Span(float(time[first]), float(time[last - 1]), "too short to smooth"))
+    for part in stretches(time):
+        within = time[part]
+        if len(within) < ACCELERATION_WINDOW:
+            short.append(Span(float(within[0]), float(within[-1]), "too short to smooth"))
             continue
-        rates[part] = velocity(time[part], values[part])
-        accelerations[part] = acceleration(time[part], values[part])
+        rates[part] = velocity(within, values[part])
+        accelerations[part] = acceleration(within, values[part])
     return rates, accelerations, short
 
 

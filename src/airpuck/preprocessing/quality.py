@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -187,6 +188,23 @@ def find_gaps(
         return ()
     before = np.flatnonzero(pause > periods * np.median(pause))
     return tuple(Span(float(time[k]), float(time[k + 1]), cause) for k in before)
+
+
+def stretches(time: Float[np.ndarray, " N"]) -> list[slice]:
+    """Cut a stream at its pauses.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Strictly increasing times [s].
+
+    Returns
+    -------
+    list of slice
+        The samples between one gap of `find_gaps` and the next.
+    """
+    edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]).tolist(), len(time)]
+    return [slice(first, last) for first, last in pairwise(edges)]
 
 
 def find_frozen(
