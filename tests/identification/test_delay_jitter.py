@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from airpuck.identification.delay_jitter import delay_jitter
+from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
 from airpuck.identification.packet_delays import PacketDelays
 
 
@@ -78,3 +78,18 @@ def test_few_packets_say_nothing():
     assert delay_jitter([packets([1e-3], 1e-3)] * 12) is None
     assert delay_jitter([]) is None
     assert delay_jitter([packets(np.zeros(9), 1e-3)]) is None
+
+
+def test_the_variance_of_a_mean_is_that_of_many_samples():
+    rng = np.random.default_rng(4)
+    error = rng.uniform(0.2e-3, 4e-3, 120)
+    delays = [packets(np.zeros(70), error[:70]), packets(np.zeros(50), error[70:])]
+    weight = 1 / (6e-3**2 + error**2)
+    means = [np.average(rng.normal(0, 6e-3, 120), weights=weight) for _ in range(4000)]
+    assert np.sqrt(variance_of_mean(delays, 6e-3)) == pytest.approx(np.std(means), rel=0.04)
+    assert variance_of_mean([packets(np.zeros(90), 1e-4)], 6e-3) == pytest.approx(6e-3**2 / 90)
+
+
+def test_without_packets_or_jitter_a_mean_has_no_error():
+    assert variance_of_mean([], 6e-3) == variance_of_mean([packets([], 1e-3)], 6e-3) == 0
+    assert variance_of_mean([packets(np.zeros(90), 1e-4)], 0.0) == 0

@@ -13,10 +13,17 @@ from airpuck.identification.bootstrap import bootstrap
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.identifiability import identifiability_of
 from airpuck.identification.objective import PredictionLoss, Shares
-from airpuck.identification.uncertainty import binding_constraints, cluster_windows, sandwich
+from airpuck.identification.uncertainty import (
+    binding_constraints,
+    cluster_windows,
+    sandwich,
+    shared_at_borders,
+    widened,
+)
 from airpuck.model.gauge import fix_gauge, gauge_directions
 from airpuck.model.presets import PRESETS, preset
 from airpuck.model.rollout import rollout
+from airpuck.model.uncertainty import Bootstrap
 from airpuck.model_file import published_model, read_model
 from airpuck.vehicle import default_vehicle
 from airpuck.windows import make_windows
@@ -117,6 +124,54 @@ def test_a_linear_model_whose_covariance_is_known():
     expected = 0.3 / np.sqrt(400 * 8)
     assert np.mean(errors) == pytest.approx(expected, rel=0.03)
     assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
+
+
+def test_what_blocks_share_is_what_a_moving_average_loses():
+    """Scores that sum up the L samples of their window, white noise: the variance by hand."""
+    windows = make_windows(noisy(duration=40.0), 40, 50, 7)
+    clusters = cluster_windows(windows)
+    sample = np.zeros((len(windows), int(windows.starts.max()) + 90))
+    for row, start in zip(sample, windows.starts, strict=True):
+        row[start : start + 90] = 1
+    blocks = np.array([sample[clusters == c].sum(axis=0) for c in range(clusters.max() + 1)])
+    missed = 1 - np.sum(blocks**2) / np.sum(blocks.sum(axis=0) ** 2)
+    assert shared_at_borders(windows, clusters) == pytest.approx(missed, rel=0.1)
+    assert shared_at_borders(windows, np.zeros(len(windows), dtype=int)) == 0
+    # The ends of recordings are no borders.
+    two = make_windows([noisy(1, 7.0), noisy(2, 7.0)], 40, 50, 7)
+    by_trajectory = np.searchsorted(two.origins, two.starts, side="right")
+    by_trajectory -= by_trajectory.min()
+    assert shared_at_borders(two, by_trajectory) == 0
+
+
+def test_what_is_between_blocks_widens_all():
+    windows = make_windows(noisy(), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    parameters = TRUTH.parameters
+    free = PRESETS["M3"].mask(parameters)
+    shares = loss.by_cluster(parameters, cluster_windows(windows))
+    plain, wide = (sandwich(shares, parameters, free, shared=q) for q in (0.0, 0.19))
+    np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
+
+
+def test_an_error_of_its_own_widens_one_parameter(fit):
+    known = fit.uncertainty
+    lag = fit.model.parameters.mask(frozenset({"motor_time_constant"}))
+    middle = known.estimate
+    resampled = Bootstrap(9, 0, middle - 3e-3, middle + 4e-3)
+    before = replace(known, bootstrap=resampled)
+    after = widened(before, lag, 4e-6)
+    np.testing.assert_allclose(
+        after.standard_errors[lag] ** 2, known.standard_errors[lag] ** 2 + 4e-6
+    )
+    np.testing.assert_array_equal(after.standard_errors[~lag], known.standard_errors[~lag])
+    np.testing.assert_allclose(np.sqrt(np.diag(after.covariance)[lag]), after.standard_errors[lag])
+    reach = (1.959964 * 2e-3) ** 2
+    np.testing.assert_allclose((middle - after.bootstrap.lower)[lag] ** 2, 9e-6 + reach, rtol=1e-6)
+    np.testing.assert_allclose((after.bootstrap.upper - middle)[lag] ** 2, 16e-6 + reach, rtol=1e-6)
+    # What has no standard error gets none.
+    unknown = ~np.isfinite(known.standard_errors)
+    assert np.isnan(widened(before, unknown, 4e-6).standard_errors[unknown]).all()
 
 
 def test_intervals_and_derived_quantities(fit):

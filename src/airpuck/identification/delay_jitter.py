@@ -57,6 +57,31 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     )
 
 
+def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
+    """Return the variance of the known packets' mean delay about that of all packets.
+
+    A fit to packets at the times of their arrival knows the mean delay of those that it knows,
+    as exactly as poses tell. These are a sample of B of the radio's packets: σ²/B where all are
+    known equally well, σ² Σ w²/(Σ w)² with the weights w = 1/(σ² + v) of their mean.
+
+    Parameters
+    ----------
+    delays : sequence of PacketDelays
+        From each recording.
+    jitter : float
+        σ [s].
+
+    Returns
+    -------
+    float
+        [s²]; zero without packets or jitter.
+    """
+    if not jitter > 0 or not any(map(len, delays)):
+        return 0.0
+    weight = 1 / (jitter**2 + np.concatenate([d.standard_error**2 for d in delays]))
+    return float(jitter**2 * np.sum(weight**2) / np.sum(weight) ** 2)
+
+
 def _centred(delays: Sequence[PacketDelays], variance: float) -> Float[np.ndarray, " B"]:
     """Return deviations from the weighted mean of their recording: each has one of its own."""
     means = [np.average(d.deviation, weights=1 / (variance + d.standard_error**2)) for d in delays]

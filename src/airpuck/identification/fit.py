@@ -15,7 +15,7 @@ from airpuck import __version__
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.bootstrap import bootstrap as resample
-from airpuck.identification.delay_jitter import delay_jitter
+from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
 from airpuck.identification.doubts import doubts, idle_motors
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.identifiability import Identifiability, identifiability_of
@@ -31,7 +31,12 @@ from airpuck.identification.transport_delay import (
     learns_delay,
     mean_delay,
 )
-from airpuck.identification.uncertainty import cluster_windows, sandwich
+from airpuck.identification.uncertainty import (
+    cluster_windows,
+    sandwich,
+    shared_at_borders,
+    widened,
+)
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
@@ -306,7 +311,8 @@ def identify(
     shares = outcome.shares if outcome.parameters is found else None
     if shares is None:
         shares = loss.by_cluster(outcome.parameters, clusters)
-    uncertainty = sandwich(shares, outcome.parameters, free)
+    shared = shared_at_borders(windows, clusters)
+    uncertainty = sandwich(shares, outcome.parameters, free, shared=shared)
     known = identifiability_of(
         shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
     )
@@ -325,6 +331,11 @@ def identify(
                 progress=resampled,
             )[0],
         )
+    jitter = delay_jitter(packets)
+    if jitter is not None:
+        delays = outcome.parameters.mask(frozenset({"transport_delay"}))
+        variance = variance_of_mean(packets, jitter.standard_deviation_s)
+        uncertainty = widened(uncertainty, delays, variance)
     identified = Model(
         name=rung.name,
         vehicle=vehicle,
@@ -350,7 +361,7 @@ def identify(
         # The last two names of the path: a model file must not tell where its author's home is.
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in trajectories),
         uncertainty=uncertainty,
-        delay_jitter=delay_jitter(packets),
+        delay_jitter=jitter,
     )
     return Fit(
         model=identified,

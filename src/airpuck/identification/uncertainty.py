@@ -10,7 +10,8 @@ is the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,9 +23,8 @@ from airpuck.model.thrust import thrust_slope
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.windows import Windows
 
-#: Length of a block [s]. Neighbouring blocks share what reaches across their border: 0.4 s of
-#: windows, which costs about a third of 0.4/2 of the variance. Shorter blocks lose more, longer
-#: ones leave too few of them for a minute of flight.
+#: Length of a block [s]. Neighbouring blocks share what reaches across their border
+#: (`shared_at_borders`): shorter blocks share more, longer ones are too few in a minute of flight.
 BLOCK = 2.0
 #: A block is at least this many windows long, for the same reason.
 _LENGTHS = 5
@@ -53,8 +53,7 @@ def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
         into another.
     """
     trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
-    steps = np.diff(windows.starts)[np.diff(trajectory) == 0]
-    stride = float(np.median(steps)) if len(steps) else 1.0
+    _, stride = _steps(windows)
     period = float(np.median(np.diff(windows.time)))
     span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
     size = max(1, round(span / (stride * period)))
@@ -68,6 +67,40 @@ def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
             clusters[block] = first
             first += 1
     return clusters
+
+
+def shared_at_borders(windows: Windows, clusters: Int[np.ndarray, " W"]) -> float:
+    """Return the share of the scores' variance that blocks of windows miss at their borders.
+
+    Scores of windows of length L that begin ℓ apart have the correlation 1 - ℓ/L where they begin,
+    since that much of what disturbs them is common. Pairs across the ends of a block of length B
+    are a share (2/B) ∫₀ᴸ ℓ (1 - ℓ/L) dℓ / L = L/(3 B) of all.
+
+    Parameters
+    ----------
+    windows : Windows
+        Windows of one or several trajectories, in the order of time.
+    clusters : array of int, shape (W,)
+        The block that each window begins in (`cluster_windows`).
+
+    Returns
+    -------
+    float
+        0.06 for minutes of flight with the usual windows; 1/3 at most.
+    """
+    blocks = int(clusters.max()) + 1
+    inside, stride = _steps(windows)
+    borders = int(np.sum(inside & (np.diff(clusters) != 0)))
+    length = windows.encoder_length + windows.prediction_length
+    return borders / blocks * length / (3 * max(stride * len(windows) / blocks, length))
+
+
+def _steps(windows: Windows) -> tuple[Bool[np.ndarray, " V"], float]:
+    """Say which next windows are of the same trajectory, and how many samples on, typically."""
+    trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
+    inside = np.diff(trajectory) == 0
+    steps = np.diff(windows.starts)[inside]
+    return inside, float(np.median(steps)) if len(steps) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +235,7 @@ def sandwich(
     free: Bool[np.ndarray, " P"],
     constraints: Float[np.ndarray, "C P"] | None = None,
     gauge: Float[np.ndarray, "K P"] | None = None,
+    shared: float = 0.0,
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 
@@ -217,13 +251,15 @@ def sandwich(
         Rows of binding constraints; by default `binding_constraints`.
     gauge : array, shape (K, P), optional
         Rows of what fixes a freedom that no data see; by default `gauge_constraints`.
+    shared : float, default 0
+        Share q of the variance that is between clusters (`shared_at_borders`).
 
     Returns
     -------
     Uncertainty
-        Covariance H⁻¹ (Σ s̃ s̃ᵀ) H⁻¹ (G-1)/G on what the data determine and no constraint holds,
-        with s̃ = (1 - H_c H⁻¹)⁻¹ s_c: H⁻¹ s̃ is to first order the change of the estimate when the
-        cluster c is left out (jackknife, CR3).
+        Covariance H⁻¹ (Σ s̃ s̃ᵀ) H⁻¹ (G-1)/G/(1 - q) on what the data determine and no constraint
+        holds, with s̃ = (1 - H_c H⁻¹)⁻¹ s_c: H⁻¹ s̃ is to first order the change of the estimate
+        when the cluster c is left out (jackknife, CR3).
     """
     from scipy.special import stdtrit
 
@@ -246,7 +282,8 @@ def sandwich(
         )  # fmt: skip
     space = subspace(hessian, free, np.concatenate([constraints, gauge]))
     change = _jackknife(shares.gradient @ space.basis, space.basis.T @ shares.hessian @ space.basis)
-    covariance = (count - 1) / count * space.basis @ (change.T @ change) @ space.basis.T
+    factor = (count - 1) / count / (1 - shared)
+    covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
     # What moves along a direction without information has no error of its own.
     blind = (space.undetermined != 0).any(axis=0)
@@ -259,6 +296,43 @@ def sandwich(
         clusters=count,
         quantile=float(stdtrit(count - 1, 0.975)),
         notes=_notes(count, space, constraints),
+    )
+
+
+def widened(
+    uncertainty: Uncertainty, entries: Bool[np.ndarray, " P"], variance: float
+) -> Uncertainty:
+    """Add an error that is independent of what clusters show, to single parameters.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty
+        Of all parameters.
+    entries : array of bool, shape (P,)
+        Which ones; those without a standard error stay so.
+    variance : float
+        Of the error.
+
+    Returns
+    -------
+    Uncertainty
+        Intervals by resampling are widened by as much, too.
+    """
+    known = entries & np.isfinite(uncertainty.standard_errors)
+    added = np.where(known, variance, 0.0)
+    resampled = uncertainty.bootstrap
+    if resampled is not None:
+        estimate, reach = uncertainty.estimate, NormalDist().inv_cdf(0.975) * np.sqrt(added)
+        resampled = replace(
+            resampled,
+            lower=estimate - np.hypot(np.maximum(estimate - resampled.lower, 0.0), reach),
+            upper=estimate + np.hypot(np.maximum(resampled.upper - estimate, 0.0), reach),
+        )
+    return replace(
+        uncertainty,
+        covariance=uncertainty.covariance + np.diag(added),
+        standard_errors=np.sqrt(uncertainty.standard_errors**2 + added),
+        bootstrap=resampled,
     )
 
 
