@@ -68,6 +68,7 @@ def test_imports_go_downwards(path):
         ("matplotlib", {"report"}),
         ("jax", {"model", "estimate", "identification", "control", "twin"}),
         ("optax", {"identification"}),
+        ("scipy", {"control", "evaluation", "faults", "flight", "identification", "twin"}),
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),

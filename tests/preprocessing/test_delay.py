@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from airpuck.model.motor import motor_speeds
 from airpuck.model.parameters import nominal_parameters
+from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import published_model
 from airpuck.preprocessing.delay import estimate_delay
 from airpuck.vehicle import default_vehicle
@@ -51,3 +53,20 @@ def test_unrelated_commands_have_no_correlation():
     time, state, acceleration, command = shifted(4)
     other = np.random.default_rng(0).permutation(command)
     assert estimate_delay(time, state, acceleration, other, NOMINAL).correlation < 0.3
+
+
+def test_flights_shorter_than_the_longest_delay():
+    flight = [values[300:400] for values in shifted(4)]
+    assert abs(estimate_delay(*flight, NOMINAL).samples - 4) <= 1
+
+
+def test_the_correlation_is_that_of_paired_accelerations():
+    time, state, measured, command = shifted(4)
+    found = estimate_delay(time, state, measured, command, NOMINAL).correlation
+    speed = motor_speeds(time, command, NOMINAL.motor_time_constant)[:-4]
+    modelled = np.stack(acceleration(np, NOMINAL, state[4:, 2:].T, speed.T))
+    cosine = [
+        a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+        for a, b in zip(measured[4:].T, modelled, strict=True)
+    ]
+    assert found == pytest.approx(np.mean(cosine), rel=1e-9)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import savgol_filter
 
-from airpuck.preprocessing.derivative import acceleration, unwrap_yaw, velocity
+from airpuck.preprocessing.derivative import acceleration, smooth, unwrap_yaw, velocity
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=50), st.floats(-20, 20))
@@ -16,6 +17,13 @@ def test_unwrapping_restores_what_was_wrapped(steps, start):
     np.testing.assert_allclose(restored - restored[0], yaw - yaw[0], atol=1e-9)
     assert restored[0] == wrapped[0]
     np.testing.assert_allclose(restored, np.unwrap(wrapped), atol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "window"), [(11, 11), (12, 11), (15, 15), (200, 15)])
+def test_smoothing_is_that_of_scipy(count, window):
+    values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
+    expected = savgol_filter(values, window, 3, axis=0)
+    np.testing.assert_allclose(smooth(values, window), expected, atol=1e-12)
 
 
 def times(count, jitter):

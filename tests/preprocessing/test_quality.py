@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import median_filter
 
 from airpuck.errors import InputError
 from airpuck.preprocessing.quality import check_poses, find_jumps
@@ -101,6 +102,24 @@ def test_motion_noise_and_blows_are_no_jumps(seed):
     poses[:, 0] -= 2.4 * after
     poses[:, 2] += 20 * after
     assert find_jumps(time, poses) == ()
+
+
+@pytest.mark.parametrize("count", [10, 11, 12, 40_000])
+def test_neighbours_are_those_of_a_running_median(count):
+    """Leaps at the limit, and whether SciPy's median filter finds them there."""
+    time = np.arange(count) / RATE
+    rng = np.random.default_rng(2)
+    poses = np.cumsum(rng.standard_t(1.5, size=(count, 3)), axis=0) * [1e-4, 1e-4, 1e-2]
+    rate = np.diff(poses, axis=0) * RATE
+    leap = np.abs(rate - median_filter(rate, (11, 1), mode="nearest")) / RATE
+    limit = np.maximum(10 * np.median(leap, axis=0) / 0.6745, (1e-3, 1e-3, 0.02))
+    spoilt = np.zeros(count, dtype=bool)
+    for before in np.flatnonzero((leap > limit).any(axis=1)):
+        spoilt[max(before - 6, 0) : before + 8] = True
+    marked = np.zeros(count, dtype=bool)
+    for span in find_jumps(time, poses):
+        marked |= (time >= span.start) & (time <= span.stop)
+    np.testing.assert_array_equal(marked, spoilt & (count >= 11))
 
 
 def test_what_moves_on_over_a_gap_has_not_jumped():

@@ -95,11 +95,12 @@ def _best_lag(
     measured: Float[np.ndarray, " N"], modelled: Float[np.ndarray, " N"], limit: int
 ) -> tuple[int, float]:
     """Return the lag of `measured` behind `modelled`, and the correlation coefficient there."""
-    from scipy.signal import correlate
-
-    full = correlate(measured, modelled, mode="full", method="fft")
-    centre = len(modelled) - 1
-    window = full[max(centre - limit, 0) : centre + limit + 1]
-    lag = int(np.argmax(window)) - min(limit, centre)
+    limit = min(limit, len(modelled) - 1)
+    # Over a circle that is long enough for no lag of interest to go round it.
+    size = 1 << (len(measured) + limit).bit_length()
+    spectrum = np.fft.rfft(measured, size) * np.fft.rfft(modelled, size).conj()
+    full = np.fft.irfft(spectrum, size)
+    window = full[np.arange(-limit, limit + 1)]
+    best = int(np.argmax(window))
     norm = float(np.linalg.norm(measured) * np.linalg.norm(modelled))
-    return lag, float(window.max()) / norm if norm > 0 else 0.0
+    return best - limit, float(window[best]) / norm if norm > 0 else 0.0

@@ -22,6 +22,8 @@ FROZEN_SAMPLES = 5
 JUMP_RATIO = 10.0
 JUMP_LEAST = (1e-3, 1e-3, 0.02)
 _JUMP_NEIGHBOURS = 11
+#: Windows whose median is found at once.
+_SORTED_AT_ONCE = 1 << 14
 #: Samples on both sides of a jump that smoothing spoils.
 _SMOOTHED = 7
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
@@ -247,13 +249,11 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     tuple of Span
         Around each leap, as far as smoothing carries it.
     """
-    from scipy.ndimage import median_filter
-
     if len(time) < _JUMP_NEIGHBOURS:
         return ()
     pause = np.diff(time)
     rate = np.diff(values, axis=0) / pause[:, None]
-    leap = np.abs(rate - median_filter(rate, (_JUMP_NEIGHBOURS, 1), mode="nearest"))
+    leap = np.abs(rate - _running_median(rate, _JUMP_NEIGHBOURS))
     leap *= np.median(pause)
     limit = np.maximum(JUMP_RATIO * np.median(leap, axis=0) / 0.6745, JUMP_LEAST)
     # What moves on over a pause in the stream is no leap.
@@ -265,3 +265,16 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
         Span(float(time[first]), float(time[last - 1]), "jumping pose")
         for first, last in runs(spoilt)
     )
+
+
+def _running_median(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "N k"]:
+    """Return medians over an odd number of neighbours; the ends are repeated beyond themselves."""
+    half = window // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)
+    found = np.empty_like(values)
+    # In parts, since `partition` copies what it sorts: an hour would take hundreds of megabytes.
+    for first in range(0, len(values), _SORTED_AT_ONCE):
+        part = slice(first, first + _SORTED_AT_ONCE)
+        found[part] = np.partition(windows[part], half, axis=-1)[..., half]
+    return found
