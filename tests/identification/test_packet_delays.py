@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from airpuck.identification.fit import identify
-from airpuck.identification.packet_delays import packet_delays
+from airpuck.identification.packet_delays import delay_response, packet_delays
+from airpuck.identification.refinement import modelled_acceleration, retimed
 from airpuck.model_file import read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.read import read_recording
@@ -36,6 +37,20 @@ def test_every_packet_is_found_within_its_error(flight):
     score = wrong / found.standard_error
     assert 0.8 < score.std() < 1.25
     assert np.mean(np.abs(score) < 3) > 0.98
+
+
+def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):
+    """A model that says of each packet that it came e later finds it e less late."""
+    (delays,) = fit.packet_delays
+    arrived = retimed(flight.trajectory, delays, fit.model.delay_jitter.standard_deviation_s)
+    later = np.random.default_rng(0).normal(0, 1e-4, len(delays))
+    time = arrived.command_time.copy()
+    time[delays.packet] += later
+    moved = replace(arrived, command_time=np.maximum.accumulate(time))
+    change = modelled_acceleration(moved, fit.model) - modelled_acceleration(arrived, fit.model)
+    response = delay_response(flight.trajectory, fit.model, delays, change[None])[0]
+    assert np.corrcoef(response, later)[0, 1] < -0.95
+    assert np.polyfit(later, response, 1)[0] == pytest.approx(-1, abs=0.06)
 
 
 def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):

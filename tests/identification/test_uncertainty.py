@@ -154,6 +154,18 @@ def test_what_is_between_blocks_widens_all():
     np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
 
 
+def test_what_goes_round_in_the_data_widens_all():
+    """A gradient that follows its data by half of the information: 1 + 1/2 + 1/4 errors."""
+    windows = make_windows(noisy(), 40, 50, 29)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    parameters = TRUTH.parameters
+    free = PRESETS["M3"].mask(parameters)
+    shares = loss.by_cluster(parameters, cluster_windows(windows))
+    plain = sandwich(shares, parameters, free)
+    wide = sandwich(shares, parameters, free, feedback=-0.5 * shares.hessian.sum(axis=0))
+    np.testing.assert_allclose(wide.standard_errors, 1.75 * plain.standard_errors, rtol=1e-6)
+
+
 def test_an_error_of_its_own_widens_one_parameter(fit):
     known = fit.uncertainty
     lag = fit.model.parameters.mask(frozenset({"motor_time_constant"}))

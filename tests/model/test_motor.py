@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from airpuck.model.motor import motor_step
+from airpuck.model.motor import motor_speeds, motor_step
 
 unit = st.floats(0, 1)
 
@@ -27,6 +27,17 @@ def test_two_steps_are_one(speed, command, first, second, tau):
     assert motor_step(np, halfway, command, second, tau) == pytest.approx(
         motor_step(np, speed, command, first + second, tau), abs=1e-12
     )
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.sampled_from([0.0, 1e-4, 0.03, 5.0]))
+def test_all_samples_at_once_are_one_after_another(seed, count, tau):
+    rng = np.random.default_rng(seed)
+    time, command = np.cumsum(rng.uniform(1e-3, 9e-3, count)), rng.random((count, 2))
+    expected = command[:1]
+    for k, duration in enumerate(np.diff(time)):
+        last = motor_step(np, expected[-1], command[k], duration, tau)
+        expected = np.concatenate([expected, last[None]])
+    np.testing.assert_allclose(motor_speeds(time, command, tau), expected, atol=1e-13)
 
 
 def test_no_lag_follows_at_once():

@@ -18,6 +18,7 @@ from airpuck.identification.bootstrap import bootstrap as resample
 from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
 from airpuck.identification.doubts import doubts, idle_motors
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
+from airpuck.identification.feedback import preparation_feedback
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method, Outcome, minimize_on
@@ -313,6 +314,11 @@ def identify(
         shares = loss.by_cluster(outcome.parameters, clusters)
     shared = shared_at_borders(windows, clusters)
     uncertainty = sandwich(shares, outcome.parameters, free, shared=shared)
+    if packets:
+        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
+        errors = uncertainty.standard_errors
+        feedback = preparation_feedback(loss, trajectories, rough, packets, errors)
+        uncertainty = sandwich(shares, outcome.parameters, free, shared=shared, feedback=feedback)
     known = identifiability_of(
         shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
     )

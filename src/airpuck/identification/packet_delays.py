@@ -89,8 +89,61 @@ def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
         Of packets that arrived within 60 ms of the mean, and are known to 4 ms; none for a model
         without a motor lag.
     """
-    if not float(model.dynamics.motor_time_constant) > 0:
+    near = _surroundings(trajectory, model)
+    if near is None:
         return _NONE
+    late = np.zeros(len(trajectory.command_time))
+    found = _regressed(near, late)
+    for _ in range(_PASSES - 1):
+        late[found.packet] = np.clip(found.late, -_LOST, _LOST)
+        found = _regressed(near, late, found)
+    # What the data say without the prior.
+    gain = np.maximum(found.gain, 1e-12)
+    error, deviation = np.sqrt(found.variance / gain), found.late / gain
+    good = found.usual & (np.abs(deviation) < _LOST) & (error < _KNOWN)
+    return PacketDelays(found.packet[good], deviation[good], error[good])
+
+
+def delay_response(
+    trajectory: Trajectory,
+    model: Model,
+    delays: PacketDelays,
+    acceleration: Float[np.ndarray, "P N 3"],
+) -> Float[np.ndarray, "P B"]:
+    """Return by how much the delays that are found change with the modelled accelerations.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The recording.
+    model : Model
+        The craft.
+    delays : PacketDelays
+        What `packet_delays` found in it.
+    acceleration : array, shape (P, N, 3)
+        P small changes of the modelled ax, ay [m/s²] and ω' [rad/s²] at all samples.
+
+    Returns
+    -------
+    array, shape (P, B)
+        Changes of ``delays.deviation`` [s], to first order.
+    """
+    near = _surroundings(trajectory, model)
+    if near is None or not len(delays):
+        return np.zeros((len(acceleration), len(delays)))
+    late = np.zeros(len(trajectory.command_time))
+    late[delays.packet] = delays.deviation
+    found = _regressed(near, late)
+    change = np.moveaxis(acceleration[:, near.index], (1, 3, 0), (0, 1, 2))
+    of_packet = np.zeros((len(acceleration), len(late)))
+    of_packet[:, found.packet] = found.response(near.components.of_accelerations(-change))
+    return of_packet[:, delays.packet]
+
+
+def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
+    """Return the samples around all switches; None where no delay of a packet can be found."""
+    if not float(model.dynamics.motor_time_constant) > 0:
+        return None
     shift = trajectory.delay
     if model.delay_learned:
         assumed = model.vehicle.nominal.transport_delay_s
@@ -100,36 +153,9 @@ def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
     packet = np.flatnonzero(np.abs(change).max(axis=1) > _SWITCH)
     first = np.searchsorted(trajectory.time, arrival[packet]) - _LEAD
     whole = np.isin(first, trajectory.window_starts(_LENGTH))
-    packet, first = packet[whole], first[whole]
-    if len(packet) == 0:
-        return _NONE
-    near = _Surroundings(trajectory, model, arrival, change, packet, first)
-    duration = np.full((_LENGTH - 1, 1), trajectory.sample_period)
-    integral = twice_integrated(np.eye(_LENGTH), duration)
-    components, spectrum = _components(integral, trajectory.sample_period)
-    late, variance, usual = np.zeros(len(arrival)), None, np.ones(len(packet), dtype=bool)
-    found = spread = np.zeros(near.packet.shape)
-    best = near.best_known(spread)
-    for _ in range(_PASSES):
-        residual, slope = near.linearised(late)
-        residual = np.tensordot(components, residual, 1)
-        slope = np.tensordot(components @ integral, slope, 1)
-        if variance is None:
-            variance = _variances(residual, spectrum)
-        # The noise hardly depends on the delays, the delays on the noise.
-        for _ in range(2):
-            found, spread, rest = _regress(residual, slope, variance, late[near.packet])
-            misfit = np.mean(rest**2 / variance[..., None], axis=(0, 1))
-            usual = misfit < _MISFIT * np.median(misfit)
-            variance = _variances(rest[..., usual], spectrum)
-        best = near.best_known(spread)
-        late[near.packet[best]] = np.clip(found[best], -_LOST, _LOST)
-    # What the data say without the prior.
-    gain = 1 - spread[best] / _USUAL**2
-    error = np.sqrt(spread[best] / np.maximum(gain, 1e-12))
-    deviation = found[best] / np.maximum(gain, 1e-12)
-    good = usual[best[1]] & (np.abs(deviation) < _LOST) & (error < _KNOWN)
-    return PacketDelays(near.packet[best][good], deviation[good], error[good])
+    if not whole.any():
+        return None
+    return _Surroundings(trajectory, model, arrival, change, packet[whole], first[whole])
 
 
 class _Surroundings:
@@ -144,10 +170,12 @@ class _Surroundings:
         packet: Int[np.ndarray, " B"],
         first: Int[np.ndarray, " B"],
     ) -> None:
-        index = first + np.arange(_LENGTH)[:, None]
+        #: Samples, (E, B).
+        self.index = index = first + np.arange(_LENGTH)[:, None]
         time = trajectory.time[index]
         self._dynamics, self._duration = model.dynamics, np.diff(time, axis=0)
         self._state = np.moveaxis(trajectory.state[index], -1, 1)
+        self.components = _Components(trajectory.sample_period)
         self._lag = float(model.dynamics.motor_time_constant)
         held, _ = mean_hold(arrival, trajectory.command, trajectory.time)
         speed = motor_speeds(trajectory.time, held, self._lag)
@@ -190,15 +218,6 @@ class _Surroundings:
         turning[:, 2, 0] = by_motor[:, 2].sum(axis=1)
         return self._state[:, :3] - predicted, np.concatenate([slope, by_motor, turning], axis=2)
 
-    def best_known(
-        self, spread: Float[np.ndarray, "m B"]
-    ) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
-        """Return where each packet is known best, by the variance of its delay."""
-        order = np.argsort(spread, axis=None, kind="stable")
-        _, first = np.unique(self.packet.ravel()[order], return_index=True)
-        row, column = np.unravel_index(order[first], spread.shape)
-        return row, column
-
     def _answer(self, since: Float[np.ndarray, "E m B"]) -> Float[np.ndarray, "E m B"]:
         """Speed of a motor after a unit step of its command."""
         return 1 - lag_decay(np, np.maximum(since, 0.0), self._lag)
@@ -209,53 +228,119 @@ class _Surroundings:
         return np.stack(acceleration(np, self._dynamics, motion, speed), axis=1)
 
 
-def _components(
-    integral: Float[np.ndarray, "E E"], step: float
-) -> tuple[Float[np.ndarray, "k E"], Float[np.ndarray, " k"]]:
-    """Return components of E poses in which noise is uncorrelated and no line is left.
+class _Components:
+    """Components of E poses in which noise is uncorrelated and no line is left.
 
     Their variance is r (1 + λ d) for poses of variance r and accelerations of squared density λ r.
     """
-    line = np.stack([np.ones(_LENGTH), np.linspace(-1, 1, _LENGTH)], axis=1)
-    rest = np.linalg.qr(line, mode="complete")[0][:, 2:].T
-    spread = rest @ integral
-    spectrum, vectors = np.linalg.eigh(spread @ spread.T / step)
-    return vectors.T @ rest, np.maximum(spectrum, 0.0)
+
+    def __init__(self, step: float) -> None:
+        self._integral = twice_integrated(np.eye(_LENGTH), np.full((_LENGTH - 1, 1), step))
+        line = np.stack([np.ones(_LENGTH), np.linspace(-1, 1, _LENGTH)], axis=1)
+        rest = np.linalg.qr(line, mode="complete")[0][:, 2:].T
+        spread = rest @ self._integral
+        spectrum, vectors = np.linalg.eigh(spread @ spread.T / step)
+        self._matrix, self._spectrum = vectors.T @ rest, np.maximum(spectrum, 0.0)
+
+    def of_poses(self, values: Float[np.ndarray, "E *shape"]) -> Float[np.ndarray, "k *shape"]:
+        """Return the components of poses."""
+        return np.tensordot(self._matrix, values, 1)
+
+    def of_accelerations(
+        self, values: Float[np.ndarray, "E *shape"]
+    ) -> Float[np.ndarray, "k *shape"]:
+        """Return the components of the poses that accelerations lead to."""
+        return np.tensordot(self._matrix @ self._integral, values, 1)
+
+    def variances(self, rest: Float[np.ndarray, "k 3 B"]) -> Float[np.ndarray, "k 3"]:
+        """Find the most likely variance of every component, alike for x and y."""
+        power = np.mean(rest**2, axis=2)
+        growth = 1 + _RATIOS[:, None] * self._spectrum
+        found = []
+        for own in (power[:, :2].mean(axis=1), power[:, 2]):
+            variance = np.mean(own / growth, axis=1)
+            best = np.argmin(len(own) * np.log(variance) + np.log(growth).sum(axis=1))
+            found.append(variance[best] * growth[best])
+        return np.stack([found[0], found[0], found[1]], axis=1)
 
 
-def _variances(
-    rest: Float[np.ndarray, "k 3 B"], spectrum: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, "k 3"]:
-    """Find the most likely variance of every component, alike for x and y."""
-    power = np.mean(rest**2, axis=2)
-    growth = 1 + _RATIOS[:, None] * spectrum
-    found = []
-    for own in (power[:, :2].mean(axis=1), power[:, 2]):
-        variance = np.mean(own / growth, axis=1)
-        best = np.argmin(len(spectrum) * np.log(variance) + np.log(growth).sum(axis=1))
-        found.append(variance[best] * growth[best])
-    return np.stack([found[0], found[0], found[1]], axis=1)
+class _Regression:
+    """Least squares for the delays of m packets nearby and what else may be wrong, all with priors.
 
-
-def _regress(
-    residual: Float[np.ndarray, "k 3 B"],
-    slope: Float[np.ndarray, "k 3 u B"],
-    variance: Float[np.ndarray, "k 3"],
-    late: Float[np.ndarray, "m B"],
-) -> tuple[Float[np.ndarray, "m B"], Float[np.ndarray, "m B"], Float[np.ndarray, "k 3 B"]]:
-    """Regress on the delays of the packets nearby, linearised at `late`.
-
-    Returns them, their variances, and what is left of the residuals.
+    Parameters
+    ----------
+    residual : array, shape (k, 3, B)
+        Components of the poses less those that the model predicts.
+    slope : array, shape (k, 3, u, B)
+        Their change with each unknown; the first m are the delays.
+    variance : array, shape (k, 3)
+        Of each component.
+    packet : array of int, shape (m, B)
+        Numbers of the packets.
+    late : array, shape (m, B)
+        The delays that residuals and slopes are linearised at [s].
     """
-    weight = 1 / np.sqrt(variance)
-    rows = np.moveaxis(slope * weight[..., None, None], -1, 0).transpose(0, 3, 1, 2)
-    rows = rows.reshape(*rows.shape[:2], -1)
-    aim = np.moveaxis(residual * weight[..., None], -1, 0).reshape(len(rows), -1)
-    m, others = len(late), rows.shape[1] - len(late)
-    precision = np.repeat([_USUAL**-2, _SHARE**-2], [m, others])
-    covariance = np.linalg.inv(rows @ rows.transpose(0, 2, 1) + np.diag(precision))
-    score = np.einsum("bjr,br->bj", rows, aim)
-    score[:, :m] -= _USUAL**-2 * late.T
-    step = np.einsum("bij,bj->ib", covariance, score)
-    rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
-    return late + step[:m], np.diagonal(covariance, axis1=1, axis2=2).T[:m], rest
+
+    def __init__(
+        self,
+        residual: Float[np.ndarray, "k 3 B"],
+        slope: Float[np.ndarray, "k 3 u B"],
+        variance: Float[np.ndarray, "k 3"],
+        packet: Int[np.ndarray, "m B"],
+        late: Float[np.ndarray, "m B"],
+    ) -> None:
+        self._weight, self._m = 1 / np.sqrt(variance), len(packet)
+        unknowns, batch = slope.shape[2:]
+        weighted = np.moveaxis(slope * self._weight[..., None, None], -1, 0)
+        self._rows = weighted.transpose(0, 3, 1, 2).reshape(batch, unknowns, -1)
+        precision = np.repeat([_USUAL**-2, _SHARE**-2], [self._m, unknowns - self._m])
+        information = self._rows @ self._rows.transpose(0, 2, 1) + np.diag(precision)
+        self._covariance = np.linalg.inv(information)
+        score = np.einsum("bjr,br->bj", self._rows, self._aim(residual[:, :, None])[..., 0])
+        score[:, : self._m] -= _USUAL**-2 * late.T
+        step = np.einsum("bij,bj->ib", self._covariance, score)
+        #: What is left of the residuals, (k, 3, B).
+        self.rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
+        misfit = np.mean(self.rest**2 / variance[..., None], axis=(0, 1))
+        #: Where nothing else was going on, (B,).
+        self.where_usual = misfit < _MISFIT * np.median(misfit)
+        # Each packet where it is known best.
+        spread = np.diagonal(self._covariance, axis1=1, axis2=2).T[: self._m]
+        order = np.argsort(spread, axis=None, kind="stable")
+        #: Numbers of the D packets, increasing.
+        self.packet, first = np.unique(packet.ravel()[order], return_index=True)
+        self._best = row, column = np.unravel_index(order[first], spread.shape)
+        #: Of each packet: delay [s] and its variance [s²], and whether it is to be believed.
+        self.late, self.variance = (late + step[: self._m])[row, column], spread[row, column]
+        self.usual = self.where_usual[column]
+        #: What share of a delay is found; the prior takes the rest.
+        self.gain = 1 - self.variance / _USUAL**2
+
+    def response(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "P D"]:
+        """Return by how much the delays, without the prior, change with the residuals."""
+        change = self._covariance[:, : self._m] @ (self._rows @ self._aim(residual))
+        row, column = self._best
+        return change[column, row].T / np.maximum(self.gain, 1e-12)
+
+    def _aim(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "B r P"]:
+        """Return weighted residuals, row by row."""
+        weighted = np.moveaxis(residual * self._weight[..., None, None], -1, 0)
+        return weighted.reshape(len(self._rows), -1, residual.shape[2])
+
+
+def _regressed(
+    near: _Surroundings, late: Float[np.ndarray, " K"], before: _Regression | None = None
+) -> _Regression:
+    """Regress at other delays of all packets; the noise is that which a regression before left."""
+    components = near.components
+    residual, slope = near.linearised(late)
+    residual, slope = components.of_poses(residual), components.of_accelerations(slope)
+    rest = residual if before is None else before.rest[..., before.where_usual]
+
+    def at(rest: Float[np.ndarray, "k 3 B"]) -> _Regression:
+        variance = components.variances(rest)
+        return _Regression(residual, slope, variance, near.packet, late[near.packet])
+
+    # The noise hardly depends on the delays, the delays on the noise.
+    found = at(rest)
+    return at(found.rest[..., found.where_usual])

@@ -108,16 +108,34 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
         With other velocities, but for stretches between gaps that are too short to smooth.
     """
     time, state = trajectory.time, trajectory.state.copy()
-    assumed = model.vehicle.nominal.transport_delay_s
-    held, _ = trajectory.delayed_input(model.transport_delay, assumed)
-    speed = motor_speeds(time, held, float(model.dynamics.motor_time_constant))
-    modelled = np.stack(acceleration(np, model.dynamics, state[:, 2:].T, speed.T), axis=1)
+    modelled = modelled_acceleration(trajectory, model)
     for part in stretches(time):
         if len(time[part]) < ACCELERATION_WINDOW:
             continue  # left out by preprocessing, which has no velocities there either
         gained, moved = _integrated(time[part], modelled[part])
         state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)
     return replace(trajectory, state=state)
+
+
+def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndarray, "N 3"]:
+    """Compute what a model says of the accelerations along the measured motion.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A recording.
+    model : Model
+        The craft, with a transport delay that was learned.
+
+    Returns
+    -------
+    array, shape (N, 3)
+        ax, ay [m/s²] and ω' [rad/s²].
+    """
+    assumed = model.vehicle.nominal.transport_delay_s
+    held, _ = trajectory.delayed_input(model.transport_delay, assumed)
+    speed = motor_speeds(trajectory.time, held, float(model.dynamics.motor_time_constant))
+    return np.stack(acceleration(np, model.dynamics, trajectory.state[:, 2:].T, speed.T), axis=1)
 
 
 def _integrated(

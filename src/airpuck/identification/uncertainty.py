@@ -236,6 +236,7 @@ def sandwich(
     constraints: Float[np.ndarray, "C P"] | None = None,
     gauge: Float[np.ndarray, "K P"] | None = None,
     shared: float = 0.0,
+    feedback: Float[np.ndarray, "P P"] | None = None,
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 
@@ -253,6 +254,10 @@ def sandwich(
         Rows of what fixes a freedom that no data see; by default `gauge_constraints`.
     shared : float, default 0
         Share q of the variance that is between clusters (`shared_at_borders`).
+    feedback : array, shape (P, P), optional
+        Derivative M of the gradient with respect to an estimate that the data were prepared with
+        (`airpuck.identification.feedback`), twice anew. An error then goes round three times: it
+        grows by 1 + K + K², K = -H⁻¹ M.
 
     Returns
     -------
@@ -282,6 +287,9 @@ def sandwich(
         )  # fmt: skip
     space = subspace(hessian, free, np.concatenate([constraints, gauge]))
     change = _jackknife(shares.gradient @ space.basis, space.basis.T @ shares.hessian @ space.basis)
+    if feedback is not None:
+        once = -space.basis.T @ feedback @ space.basis
+        change = change @ (np.eye(len(once)) + once + once @ once).T
     factor = (count - 1) / count / (1 - shared)
     covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2

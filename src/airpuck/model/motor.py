@@ -76,9 +76,13 @@ def motor_speeds(
     array, shape (N, n)
         Normalised motor speeds, at the first sample equal to the command.
     """
-    decay = lag_decay(np, np.diff(time), time_constant)
-    speed = np.empty_like(command)
-    speed[0] = command[0]
-    for k, left in enumerate(decay):
-        speed[k + 1] = command[k] + (speed[k] - command[k]) * left
+    # φ' = d φ + (1 - d) u over one step, over two, over four, …: composed until nothing is left of
+    # where a motor started.
+    decay = np.concatenate([[0.0], lag_decay(np, np.diff(time), time_constant)])[:, None]
+    speed = np.concatenate([command[:1], (1 - decay[1:]) * command[:-1]])
+    steps = 1
+    while steps < len(time) and decay.any():
+        speed[steps:] += decay[steps:] * speed[:-steps]
+        decay[steps:] = decay[steps:] * decay[:-steps]
+        steps *= 2
     return speed
