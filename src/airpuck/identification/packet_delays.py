@@ -34,7 +34,7 @@ _SHARE = 0.03
 #: Times the typical misfit from which something else than a late packet was going on.
 _MISFIT = 9.0
 #: Step of the difference quotients of speed, and passes of Gauss-Newton.
-_STEP, _PASSES = 1e-4, 3
+_STEP, _PASSES = 1e-6, 3
 #: Squared densities of the disturbance to try, per variance of the pose [1/s³].
 _RATIOS = np.concatenate([[0.0], np.logspace(2, 9, 57)])
 
@@ -191,6 +191,7 @@ class _Surroundings:
         self.packet = np.clip(near, 0, len(arrival) - 1)
         self._change = np.moveaxis(change[self.packet] * there[..., None], -1, 0)
         self._since = time[:, None] - arrival[self.packet]
+        self._answered = self._answer(self._since)
 
     def linearised(
         self, late: Float[np.ndarray, " K"]
@@ -200,18 +201,18 @@ class _Surroundings:
         These are each δ, the share by which each motor is stronger, and that of all moments.
         """
         since = self._since - late[self.packet]
-        moved = self._answer(since) - self._answer(self._since)
-        speed = self._speed + np.einsum("nmb,emb->neb", self._change, moved)
-        predicted = twice_integrated(self._accelerations(speed), self._duration)
+        answer = self._answer(since)
+        speed = self._speed + np.einsum("nmb,emb->neb", self._change, answer - self._answered)
+        modelled = self._accelerations(speed)
+        predicted = twice_integrated(modelled, self._duration)
         # A packet that comes later takes away what the motors gain at this moment.
-        gain = -np.where(since > 0, lag_decay(np, np.maximum(since, 0.0), self._lag), 0) / self._lag
-        slope = np.zeros((*predicted.shape[:2], *gain.shape[1:]))
+        gain = np.where(since > 0, answer - 1, 0) / self._lag
+        by_speed = np.empty((len(speed), *modelled.shape))
         for motor in range(len(speed)):
-            apart = np.zeros_like(speed)
-            apart[motor] = _STEP
-            by_speed = self._accelerations(speed + apart) - self._accelerations(speed - apart)
-            moves = self._change[motor] * gain
-            slope += by_speed[:, :, None] / (2 * _STEP) * moves[:, None]
+            faster = speed.copy()
+            faster[motor] += _STEP
+            by_speed[motor] = (self._accelerations(faster) - modelled) / _STEP
+        slope = np.einsum("necb,nmb->ecmb", by_speed, self._change) * gain[:, None]
         motion = np.moveaxis(self._state[:, 2:], 1, 0)
         by_motor = np.moveaxis(motor_accelerations(np, self._dynamics, motion, speed)[0], 2, 0)
         turning = np.zeros_like(by_motor[:, :, :1])
@@ -335,12 +336,11 @@ def _regressed(
     components = near.components
     residual, slope = near.linearised(late)
     residual, slope = components.of_poses(residual), components.of_accelerations(slope)
-    rest = residual if before is None else before.rest[..., before.where_usual]
 
     def at(rest: Float[np.ndarray, "k 3 B"]) -> _Regression:
         variance = components.variances(rest)
         return _Regression(residual, slope, variance, near.packet, late[near.packet])
 
     # The noise hardly depends on the delays, the delays on the noise.
-    found = at(rest)
-    return at(found.rest[..., found.where_usual])
+    before = before or at(residual)
+    return at(before.rest[..., before.where_usual])
