@@ -93,6 +93,21 @@ def test_twice_the_time_shrinks_errors_by_the_root_of_two(information):
     np.testing.assert_allclose(once / twice, np.sqrt(2), rtol=1e-6)
 
 
+def test_packets_that_are_a_sample_leave_the_mean_delay_uncertain():
+    """Of what was determined anyhow, only the variance of the delay grows, by its own."""
+    free = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
+    model, flight = replace(MODEL, free=free), synthetic(7)
+    plain = Forecast(model, [flight]).of(flight, 60.0)
+    sampled = replace(flight, packets=6e-5)
+    found = Forecast(model, [sampled]).of(sampled, 60.0)
+    (delay,) = np.flatnonzero(free & ~MODEL.free)
+    added = found.covariance - plain.covariance
+    scale = np.sqrt(np.diag(found.covariance)[free])
+    assert added[delay, delay] == pytest.approx(1e-6, rel=1e-6)
+    added[delay, delay] = 0
+    assert np.abs(added[np.ix_(free, free)] / np.outer(scale, scale)).max() < 1e-9
+
+
 def test_what_is_known_counts_like_another_flight():
     flight = synthetic(2)
     before = Forecast(MODEL, [flight]).of(flight, 60.0)

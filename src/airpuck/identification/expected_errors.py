@@ -20,11 +20,14 @@ from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.uncertainty import (
     UNDETERMINED,
     binding_constraints,
     cluster_windows,
+    shared_at_borders,
     subspace,
 )
 from airpuck.model.uncertainty import Uncertainty
@@ -53,6 +56,9 @@ class Information:
         Of the flight [s].
     blocks : int
         Blocks of time behind `scores`.
+    packets : float, default 0
+        Variance of the mean delay of the packets whose arrival is known, times the duration [s³]:
+        they are a sample of the radio's.
     """
 
     hessian: Float[np.ndarray, "P P"]
@@ -60,6 +66,7 @@ class Information:
     loss: float
     duration: float
     blocks: int
+    packets: float = 0.0
 
 
 def fit_settings(model: Model) -> dict[str, Any]:
@@ -87,7 +94,9 @@ def fit_settings(model: Model) -> dict[str, Any]:
     }
 
 
-def information_of(trajectory: Trajectory, model: Model, duration: float) -> Information:
+def information_of(
+    trajectory: Trajectory, model: Model, duration: float, delays: Sequence[PacketDelays] = ()
+) -> Information:
     """Compute what a flight of a known model says about its parameters.
 
     Parameters
@@ -98,6 +107,8 @@ def information_of(trajectory: Trajectory, model: Model, duration: float) -> Inf
         The truth. Windows and weights are those that it was learned with.
     duration : float
         Of the flight before anything was cut off it [s].
+    delays : sequence of PacketDelays, optional
+        When packets arrived, where the flight was prepared with that.
 
     Returns
     -------
@@ -128,12 +139,15 @@ def information_of(trajectory: Trajectory, model: Model, duration: float) -> Inf
     # The loss is a mean over windows; information and scores are sums.
     count, blocks = len(windows), len(shares.gradient)
     spread = shares.gradient - shares.gradient.mean(axis=0)
+    spread /= np.sqrt(1 - shared_at_borders(windows, clusters))
+    jitter = delay_jitter(delays)
     return Information(
         hessian=count * shares.hessian.sum(axis=0) / duration,
         scores=count**2 * blocks / (blocks - 1) * (spread.T @ spread) / duration,
         loss=float(shares.loss.sum()),
         duration=duration,
         blocks=blocks,
+        packets=duration * variance_of_mean(delays, jitter.standard_deviation_s) if jitter else 0.0,
     )
 
 
@@ -171,6 +185,7 @@ def joined(flights: Sequence[Information]) -> Information:
         loss=float(mean([one.loss for one in flights])),
         duration=float(weights.sum()),
         blocks=sum(one.blocks for one in flights),
+        packets=float(mean([one.packets for one in flights])),
     )
 
 
@@ -236,7 +251,10 @@ class Forecast:
         """
         precision = self._precision(flight) * duration
         if not alone:
-            precision = precision / self.level + self._known()
+            precision = precision / self.level
+        precision = self._less_certain(precision, flight.packets / duration)
+        if not alone:
+            precision = precision + self._known()
         covariance = self._basis @ _pseudo_inverse(precision) @ self._basis.T
         whole = self._basis @ precision @ self._basis.T
         space = subspace(whole, self.model.free, self._constraints)
@@ -248,6 +266,17 @@ class Forecast:
             clusters=0,
             quantile=1.96,
         )
+
+    def _less_certain(
+        self, precision: Float[np.ndarray, "R R"], variance: float
+    ) -> Float[np.ndarray, "R R"]:
+        """Take away what is not known of the delay: the inverse has `variance` more there."""
+        delay = self.model.free & self.model.parameters.mask(frozenset({"transport_delay"}))
+        if not delay.any() or not variance > 0:
+            return precision
+        along = np.linalg.lstsq(self._basis, delay.astype(float), rcond=None)[0]
+        gained = precision @ along
+        return precision - np.outer(gained, gained) / (1 / variance + along @ gained)
 
     def _known(self) -> Float[np.ndarray, "R R"]:
         """Return the precision of what is known before."""

@@ -143,13 +143,13 @@ class Stage:
         trajectory, flown = self.fly(plan, seed, world)
         if not flown.clearance:
             return flown
-        model = self.model
+        model, delays = self.model, ()
         if model.delay_learned:
             # As `identify` will: with the mean delay of this radio, and packets where they arrived.
             radio = self.settings.with_delay(model.transport_delay).radio
             model = model.with_delay(queued_delay(radio, self.tuning.period_s)[0])
-            (trajectory,), _ = refined((trajectory,), model)
-        information = information_of(trajectory, model, plan.duration_s)
+            (trajectory,), delays = refined((trajectory,), model)
+        information = information_of(trajectory, model, plan.duration_s, delays)
         return Rehearsal(plan, seed, flown.clearance, flown.paused, information)
 
 
