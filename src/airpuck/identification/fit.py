@@ -213,8 +213,8 @@ def identify(
     prediction_length : int or None, default 50
         Steps T to predict. None: one window over the whole trajectory (eq. loss_full).
     stride : int, default 7
-        Samples from one window to the next. Neighbouring windows share all but one sample: 7 keeps
-        the information at a seventh of the cost.
+        Samples from one window to the next. Windows that begin one sample apart share all others:
+        7 keeps nearly all of the information at a seventh of the cost.
     degree : int, optional
         Degree of the thrust polynomials; by default that of the nominal thrust.
     frame : {"body", "world"}, default "body"

@@ -1,0 +1,59 @@
+"""What do windows that begin further apart know less? M3 of real and of made-up flights.
+
+    AIRPUCK_DATA=... python studies/window_stride.py --flights 2
+
+Prints for each stride the mean ratio of the standard errors to those of all windows, and the root
+mean square of the parameters' change in units of the latter. An efficient estimate whose variance
+this raises by a share e moves by about √e standard errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from airpuck import excite, identify, load_trajectory, preprocess
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.model_file import published_model
+from airpuck.recording import dataset_folder
+from airpuck.trajectory import Trajectory
+
+TRAINING = "experiments/2023_10_18-11_28_12_sysid_h1_old"
+STRIDES = (4, 7, 14, 28)
+
+
+def fitted(trajectory: Trajectory, stride: int) -> Uncertainty:
+    """Return what a fit to the windows of a stride says, and how surely."""
+    known = identify(trajectory, stride=stride, faults="keep").model.uncertainty
+    assert known is not None
+    return known
+
+
+def compare(name: str, trajectory: Trajectory) -> None:
+    """Print a line for each stride."""
+    whole = fitted(trajectory, 1)
+    for stride in STRIDES:
+        known = fitted(trajectory, stride)
+        ratio = known.standard_errors / whole.standard_errors
+        both = np.isfinite(ratio)
+        change = ((known.estimate - whole.estimate) / whole.standard_errors)[both]
+        print(
+            f"{name}, stride {stride}: standard errors × {ratio[both].mean():.3f}, "
+            f"parameters moved by {np.sqrt(np.mean(change**2)):.2f} of them",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=2, help="made-up ones, of 60 s")
+    options = parser.parse_args()
+    compare("training experiment", load_trajectory(dataset_folder() / TRAINING))
+    for seed in range(options.flights):
+        flight = excite(published_model("M3"), 60.0, seed=seed)
+        compare(f"twin, seed {seed}", preprocess(flight))
+
+
+if __name__ == "__main__":
+    main()
