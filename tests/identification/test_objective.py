@@ -1,6 +1,7 @@
 """The loss and its Gauss-Newton approximation, against plain implementations."""
 
 from dataclasses import replace
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -49,10 +50,28 @@ def moved(name):
     return parameters.with_vector(vector)
 
 
+def analytic_abs(values):
+    """|x| as complex steps need it: its derivative is the sign."""
+    return np.where(np.real(values) < 0, -values, values)
+
+
+def plain_jacobian(parameters, windows, encoder, frame):
+    """Derivatives of the plain residuals, shape (M, P), by complex steps: nothing is compiled."""
+    vector, step = parameters.to_vector(), 1e-30
+    columns = []
+    with mock.patch.object(np, "abs", analytic_abs):
+        for unit in np.eye(len(vector)):
+            moved = parameters.with_vector(vector + 1j * step * unit)
+            residuals = plain_residuals(np, moved, windows, encoder, frame)
+            columns.append(np.imag(residuals).ravel() / step)
+    return np.stack(columns, axis=1)
+
+
 @pytest.mark.parametrize(
     ("name", "frame"),
     [
-        *((name, frame) for name in ("M3", "M4", "quadratic") for frame in ("body", "world")),
+        *((name, frame) for name in ("M3", "M4") for frame in ("body", "world")),
+        ("quadratic", "body"),
         (ALL_TERMS, "body"),
         ("M4+inflow+pair+sag", "body"),
     ],
@@ -60,16 +79,8 @@ def moved(name):
 def test_equals_the_plain_jacobian(windows, name, frame):
     parameters, encoder = moved(name), PaperEncoder()
     result = PredictionLoss(windows, VEHICLE, encoder, WEIGHTS, frame).quadratic(parameters)
-    with jax.enable_x64(True):
-
-        def residuals(vector):
-            return plain_residuals(
-                jnp, parameters.with_vector(vector), windows, encoder, frame
-            ).reshape(-1)
-
-        vector = jnp.asarray(parameters.to_vector())
-        residual = np.asarray(residuals(vector))
-        jacobian = np.asarray(jax.jacfwd(residuals)(vector))
+    residual = plain_residuals(np, parameters, windows, encoder, frame).ravel()
+    jacobian = plain_jacobian(parameters, windows, encoder, frame)
     count = len(residual)
     assert result.loss == pytest.approx(residual @ residual / count, rel=1e-12)
     scale = np.abs(result.hessian).max()
@@ -134,7 +145,7 @@ def test_thinned_where_there_are_many(windows):
     assert many.clusters is None
 
 
-@pytest.mark.parametrize("count", [1, 3, 255, 257])
+@pytest.mark.parametrize("count", [3, 255, 257])
 def test_padding_of_batches_does_not_count(windows, count):
     starts = np.resize(windows.starts, count)
     some = replace(windows, starts=starts)

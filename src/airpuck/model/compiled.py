@@ -6,16 +6,25 @@ operations over a namespace: compiled here for the controller, run by NumPy in t
 
 Every array that goes in or comes out costs a microsecond, too, which is more than the arithmetic:
 a program takes one vector and gives one, laid out here.
+
+Programs are kept: a controller for a craft that has one already is not compiled again.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable
+import pickle
+from collections.abc import Callable, Hashable
 from itertools import accumulate, pairwise
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
+
+#: Programs by what they compute, the last used last: those of a dozen craft.
+_kept: dict[Hashable, Callable[..., Any]] = {}
+_MOST_KEPT = 100
 
 
 def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
@@ -24,7 +33,8 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
     Parameters
     ----------
     function : callable
-        Takes arrays, returns a tuple of arrays; uses jax.numpy.
+        Takes arrays, returns a tuple of arrays; uses jax.numpy. What it takes from around it, such
+        as a model, is not changed any more.
     *examples : array or float
         Arguments of the shapes that it will be called with.
 
@@ -34,6 +44,25 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
         The same function: NumPy arrays in, a list of NumPy arrays (of double precision, read-only)
         out. It neither depends on nor changes JAX's settings.
     """
+    key = _content(function), tuple(np.shape(example) for example in examples)
+    program = _kept.pop(key, None) or _compiled(function, *examples)
+    _kept[key] = program
+    if len(_kept) > _MOST_KEPT:
+        _kept.pop(next(iter(_kept)), None)
+    return program
+
+
+def _content(value: Any) -> Hashable:
+    """Tell what a value, or a function with what it takes from around it, consists of."""
+    value = inspect.unwrap(value) if callable(value) else value
+    if isinstance(value, FunctionType):
+        around = tuple(_content(cell.cell_contents) for cell in value.__closure__ or ())
+        return value.__module__, value.__code__, _content(value.__defaults__), around
+    return value.__name__ if isinstance(value, ModuleType) else pickle.dumps(value)
+
+
+def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
+    """Compile for `for_real_time`."""
     import jax
     import jax.numpy as jnp
 
