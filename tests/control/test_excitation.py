@@ -1,6 +1,5 @@
 """The excitation experiment's pilot: signals, mixing, and keeping to the table."""
 
-import copy
 from time import perf_counter
 
 import numpy as np
@@ -10,7 +9,6 @@ from scipy.stats import kstest
 import airpuck.control.excitation as excitation_module
 from airpuck.control.excitation import Excitation
 from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
 from airpuck.errors import InputError
 from airpuck.model_file import nominal_model
 from airpuck.vehicle import Vehicle, default_vehicle
@@ -23,24 +21,6 @@ PERIOD = 0.01
 ABOVE = IDLE + 1e-9
 #: What the controller alone asks of a motor at rest in the middle: hardly more than idling.
 AT_REST = 0.02
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once():
-    """Compile the controller of each craft only once; copies share the programs."""
-    built = {}
-
-    def controller(model, reference, *arguments, **options):
-        key = model.vehicle.model_dump_json()
-        if key not in built:
-            built[key] = TrackingController(model, reference, *arguments, **options)
-        copied = copy.deepcopy(built[key])
-        copied.reference = reference
-        return copied
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(excitation_module, "TrackingController", controller)
-        yield
 
 
 def pilot(model=MODEL, **values):
