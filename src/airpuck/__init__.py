@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from airpuck.flight.preflight import preflight
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
-    from airpuck.identification.fit import Fit, identifiability, identify
+    from airpuck.identification.fit import identifiability, identify
+    from airpuck.identification.fit_result import Fit
     from airpuck.identification.layout_check import check_layout
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
     from airpuck.model.parameters import Parameters
@@ -58,7 +59,7 @@ _HOME = {
     "Adam": "airpuck.identification.adam",
     "Drift": "airpuck.evaluation.drift",
     "Evaluation": "airpuck.evaluation.evaluate",
-    "Fit": "airpuck.identification.fit",
+    "Fit": "airpuck.identification.fit_result",
     "InputError": "airpuck.errors",
     "LevenbergMarquardt": "airpuck.identification.levenberg_marquardt",
     "Model": "airpuck.model_file",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from airpuck.evaluation.evaluate import compare
-from airpuck.identification.fit import Fit
+from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
 from airpuck.model.presets import PRESETS
 from airpuck.model_file import Model, published_model

@@ -13,7 +13,8 @@ from airpuck.campaigns.item import Item, Row, Rung, Spread, fingerprint, moved, 
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import bootstrap
-from airpuck.identification.fit import Fit, identify
+from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
 from airpuck.identification.transport_delay import mean_delay
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import preset

@@ -12,7 +12,7 @@ from airpuck.cli.output import console
 if TYPE_CHECKING:
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
-    from airpuck.identification.fit import Fit
+    from airpuck.identification.fit_result import Fit
     from airpuck.model_file import Model
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from airpuck.errors import InputError
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import delay_words
-from airpuck.identification.fit import Fit
+from airpuck.identification.fit_result import Fit
 from airpuck.model_file import Model
 from airpuck.report.fault_report import fault_section
 from airpuck.report.packet_delay_figure import packet_delay_figure

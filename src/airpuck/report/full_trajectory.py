@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.estimate.prediction import hold_for
-from airpuck.identification.fit import Fit, identify
+from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model_file import Model
 from airpuck.report.trial import Trial, judge

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from airpuck.identification.fit import Fit
+from airpuck.identification.fit_result import Fit
 from airpuck.report.style import BLACK, new_figure, rung_color, styled
 
 

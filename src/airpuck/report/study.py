@@ -11,7 +11,7 @@ import numpy as np
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.estimate.prediction import hold_for, prediction_errors
 from airpuck.evaluation.evaluate import Evaluation
-from airpuck.identification.fit import Fit
+from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import PUBLISHED_WEIGHTS
 from airpuck.model_file import Model
 from airpuck.trajectory import Span, Trajectory

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from airpuck.identification.fit import Fit
+from airpuck.identification.fit_result import Fit
 from airpuck.report.craft import craft_figure, frames_figure
 from airpuck.report.error_distribution import error_distribution_figure
 from airpuck.report.error_timeline import WORST, error_timeline_figure, share_of_squares, touched_by

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from airpuck.evaluation.evaluate import CHANNELS, evaluate
 from airpuck.evaluation.gauge import physical_thrust
-from airpuck.identification.fit import Fit
+from airpuck.identification.fit_result import Fit
 from airpuck.model.thrust import lowest_slope
 from airpuck.trajectory import Trajectory
 
