@@ -151,8 +151,8 @@ def bootstrap(options):
     import jax
 
     from airpuck import identify
+    from airpuck.identification.blocks import cluster_windows
     from airpuck.identification.bootstrap import bootstrap as resample
-    from airpuck.identification.uncertainty import cluster_windows
 
     fit = identify(training()[0], "M3")
     loss = problem()

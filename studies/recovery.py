@@ -18,7 +18,7 @@ from airpuck.control.tuning import default_tuning
 from airpuck.model_file import Model, published_model
 from airpuck.twin.experiments import excite
 from airpuck.twin.plant import Plant
-from airpuck.twin.radio import queued_delay
+from airpuck.twin.radio import as_received
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import build_plant
 
@@ -40,8 +40,7 @@ def truth() -> Model:
 
 def true_delay(model: Model) -> float:
     """Return the mean delay of the default radio, whose packets wait for each other [s]."""
-    radio = default_twin_settings().with_delay(model.transport_delay).radio
-    return queued_delay(radio, default_tuning().period_s)[0]
+    return as_received(model, default_twin_settings(), default_tuning().period_s).transport_delay
 
 
 def recovered(model: Model, plant: Plant, seed: int, duration: float = 90.0) -> dict[str, float]:

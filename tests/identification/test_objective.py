@@ -145,7 +145,7 @@ def test_thinned_where_there_are_many(windows):
     assert many.clusters is None
 
 
-@pytest.mark.parametrize("count", [3, 255, 257])
+@pytest.mark.parametrize("count", [1, 255, 257])
 def test_padding_of_batches_does_not_count(windows, count):
     starts = np.resize(windows.starts, count)
     some = replace(windows, starts=starts)

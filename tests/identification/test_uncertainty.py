@@ -9,15 +9,15 @@ from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.adam import Adam
+from airpuck.identification.blocks import cluster_windows
 from airpuck.identification.bootstrap import bootstrap
+from airpuck.identification.feedback import Feedback
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.identifiability import identifiability_of
 from airpuck.identification.objective import PredictionLoss, Shares
 from airpuck.identification.uncertainty import (
     binding_constraints,
-    cluster_windows,
     sandwich,
-    shared_at_borders,
     widened,
 )
 from airpuck.model.gauge import fix_gauge, gauge_directions
@@ -126,24 +126,6 @@ def test_a_linear_model_whose_covariance_is_known():
     assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
 
 
-def test_what_blocks_share_is_what_a_moving_average_loses():
-    """Scores that sum up the L samples of their window, white noise: the variance by hand."""
-    windows = make_windows(noisy(duration=40.0), 40, 50, 7)
-    clusters = cluster_windows(windows)
-    sample = np.zeros((len(windows), int(windows.starts.max()) + 90))
-    for row, start in zip(sample, windows.starts, strict=True):
-        row[start : start + 90] = 1
-    blocks = np.array([sample[clusters == c].sum(axis=0) for c in range(clusters.max() + 1)])
-    missed = 1 - np.sum(blocks**2) / np.sum(blocks.sum(axis=0) ** 2)
-    assert shared_at_borders(windows, clusters) == pytest.approx(missed, rel=0.1)
-    assert shared_at_borders(windows, np.zeros(len(windows), dtype=int)) == 0
-    # The ends of recordings are no borders.
-    two = make_windows([noisy(1, 7.0), noisy(2, 7.0)], 40, 50, 7)
-    by_trajectory = np.searchsorted(two.origins, two.starts, side="right")
-    by_trajectory -= by_trajectory.min()
-    assert shared_at_borders(two, by_trajectory) == 0
-
-
 def test_what_is_between_blocks_widens_all():
     windows = make_windows(noisy(), 40, 50, 29)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
@@ -162,7 +144,8 @@ def test_what_goes_round_in_the_data_widens_all():
     free = PRESETS["M3"].mask(parameters)
     shares = loss.by_cluster(parameters, cluster_windows(windows))
     plain = sandwich(shares, parameters, free)
-    wide = sandwich(shares, parameters, free, feedback=-0.5 * shares.hessian.sum(axis=0))
+    hessian = shares.hessian.sum(axis=0)
+    wide = sandwich(shares, parameters, free, feedback=Feedback(-0.5 * hessian, hessian, 2))
     np.testing.assert_allclose(wide.standard_errors, 1.75 * plain.standard_errors, rtol=1e-6)
 
 
@@ -178,9 +161,15 @@ def test_an_error_of_its_own_widens_one_parameter(fit):
     )
     np.testing.assert_array_equal(after.standard_errors[~lag], known.standard_errors[~lag])
     np.testing.assert_allclose(np.sqrt(np.diag(after.covariance)[lag]), after.standard_errors[lag])
-    reach = (1.959964 * 2e-3) ** 2
-    np.testing.assert_allclose((middle - after.bootstrap.lower)[lag] ** 2, 9e-6 + reach, rtol=1e-6)
-    np.testing.assert_allclose((after.bootstrap.upper - middle)[lag] ** 2, 16e-6 + reach, rtol=1e-6)
+    half = np.hypot(3.5e-3, 1.959964 * 2e-3)
+    np.testing.assert_allclose(after.bootstrap.upper[lag], middle[lag] + 0.5e-3 + half, rtol=1e-6)
+    np.testing.assert_allclose(after.bootstrap.lower[lag], middle[lag] + 0.5e-3 - half, rtol=1e-5)
+    np.testing.assert_allclose(after.bootstrap.lower[~lag], before.bootstrap.lower[~lag])
+    # Intervals beside the estimate stay beside it.
+    beside = replace(known, bootstrap=Bootstrap(9, 0, middle + 1e-3, middle + 3e-3))
+    ends = widened(beside, lag, 4e-6).bootstrap
+    np.testing.assert_allclose((ends.lower + ends.upper)[lag] / 2, (middle + 2e-3)[lag])
+    np.testing.assert_allclose(ends.lower[~lag], (middle + 1e-3)[~lag])
     # What has no standard error gets none.
     unknown = ~np.isfinite(known.standard_errors)
     assert np.isnan(widened(before, unknown, 4e-6).standard_errors[unknown]).all()
@@ -203,17 +192,6 @@ def test_intervals_and_derived_quantities(fit):
     assert found == pytest.approx(by_hand, rel=1e-6)
     # A thrust curve is known far better than its coefficients.
     assert by_hand < 0.2 * known.standard_errors[4]
-
-
-def test_clusters_are_blocks_of_time():
-    flights = [noisy(seed, duration=7.0) for seed in (1, 2)]
-    windows = make_windows(flights, 40, 50, 7)
-    clusters = cluster_windows(windows)
-    second = windows.starts >= len(flights[0])
-    assert not set(clusters[second]) & set(clusters[~second])
-    assert (np.diff(clusters) >= 0).all()
-    seconds = np.bincount(clusters) * 7 / 240
-    assert 1.2 < seconds.min() <= seconds.max() < 2.1
 
 
 def test_the_order_of_trajectories_does_not_matter():

@@ -1,6 +1,7 @@
 """Compiled programs: what they compute, and when one serves another function."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +62,41 @@ def test_what_computes_something_else_is_not():
     assert for_real_time(twice, np.zeros(2)) is not for_real_time(thrice, np.zeros(2))
     assert for_real_time(twice, np.zeros(2)) is not for_real_time(twice, np.zeros(3))
     np.testing.assert_array_equal(for_real_time(thrice, np.zeros(2))(np.ones(2))[0], [3, 3])
+
+
+def through(transform):
+    """A program of a function that JAX transformed."""
+    inner = transform(lambda values: jnp.sum(values**3))
+    return for_real_time(lambda values: (jnp.atleast_1d(inner(values)),), np.zeros(2))
+
+
+def test_a_transformed_function_is_another_one():
+    sums, gradient = through(jax.jit), through(jax.grad)
+    np.testing.assert_allclose(sums(np.ones(2))[0], [2.0])
+    np.testing.assert_allclose(gradient(np.ones(2))[0], [3.0, 3.0])
+
+
+def test_defaults_are_part_of_a_function():
+    def times(factor):
+        def program(values, *, factor=factor):
+            return (factor * values,)
+
+        return for_real_time(program, np.zeros(1))
+
+    assert times(1.0) is not times(2.0)
+
+
+def test_what_cannot_be_compared_is_compiled_each_time():
+    def add(values, other):
+        return (values + other,)
+
+    def program():
+        inner = partial(add, other=1.0)
+        return for_real_time(lambda values: inner(values), np.zeros(1))
+
+    first, second = program(), program()
+    assert first is not second
+    np.testing.assert_array_equal(second(np.ones(1))[0], [2.0])
 
 
 def test_the_oldest_is_let_go(monkeypatch):

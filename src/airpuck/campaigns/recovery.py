@@ -16,7 +16,7 @@ from airpuck.model.thrust import thrust
 from airpuck.model_file import Model, read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
-from airpuck.twin.radio import queued_delay
+from airpuck.twin.radio import as_received
 from airpuck.twin.settings import default_twin_settings
 
 #: Speeds over which thrust curves are compared.
@@ -72,8 +72,7 @@ class Recovery(Item):
         fit = identify(
             trajectory, self.model, vehicle=truth.vehicle, stride=self.stride, robust=self.robust
         )
-        radio = self.twin.with_delay(truth.transport_delay).radio
-        delay, _ = queued_delay(radio, default_tuning().period_s)
+        delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
         return [
             {
                 **recovery_errors(fit.model, truth),

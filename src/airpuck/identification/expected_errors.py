@@ -20,14 +20,13 @@ from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.blocks import cluster_windows, shared_at_borders
 from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.uncertainty import (
     UNDETERMINED,
     binding_constraints,
-    cluster_windows,
-    shared_at_borders,
     subspace,
 )
 from airpuck.model.uncertainty import Uncertainty

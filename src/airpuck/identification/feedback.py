@@ -10,7 +10,7 @@ information (Murphy and Topel, Journal of Business and Economic Statistics 3, 19
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -25,9 +25,53 @@ from airpuck.windows import make_windows
 
 #: Seconds of flight that say enough.
 _ENOUGH = 120.0
+#: Windows that begin within a window's length: what each says is noisy.
+_DENSE = 3
 #: Step of the difference quotients, in standard errors: so small that packets move by a small part
 #: of a sample.
 _STEP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """How scores follow the data that were prepared with an estimate.
+
+    Attributes
+    ----------
+    mixed : array, shape (P, P)
+        M = ∂/∂θ' ∂L(θ; data prepared with θ')/∂θ.
+    hessian : array, shape (P, P)
+        Gauss-Newton Hessian H of the same windows.
+    rounds : int
+        How often the data were prepared anew.
+    """
+
+    mixed: Float[np.ndarray, "P P"]
+    hessian: Float[np.ndarray, "P P"]
+    rounds: int
+
+    def growth(self, basis: Float[np.ndarray, "P R"]) -> Float[np.ndarray, "R R"]:
+        """Return what becomes of an error that goes round.
+
+        An estimate from data that were prepared with the error e is off by K e, K = -H⁻¹ M, on top
+        of an error of its own.
+
+        Parameters
+        ----------
+        basis : array, shape (P, R)
+            Directions that the data determine.
+
+        Returns
+        -------
+        array, shape (R, R)
+            1 + K + K² + … up to K to the power of `rounds`, along those directions. The first
+            estimate, whose data nobody had prepared, is taken to err like the others.
+        """
+        once = -np.linalg.solve(basis.T @ self.hessian @ basis, basis.T @ self.mixed @ basis)
+        total = np.eye(len(once))
+        for _ in range(self.rounds):
+            total = np.eye(len(once)) + once @ total
+        return total
 
 
 def preparation_feedback(
@@ -36,7 +80,8 @@ def preparation_feedback(
     model: Model,
     delays: Sequence[PacketDelays],
     standard_errors: Float[np.ndarray, " P"],
-) -> Float[np.ndarray, "P P"]:
+    rounds: int,
+) -> Feedback:
     """Differentiate the gradient of a loss with respect to what its data were prepared with.
 
     Parameters
@@ -50,19 +95,21 @@ def preparation_feedback(
     delays : sequence of PacketDelays
         Of each recording.
     standard_errors : array, shape (P,)
-        Of the parameters, for the size of steps; nan for those that are left out.
+        Of the parameters, for the size of steps; nan for those that are left out, of which some
+        must not be.
+    rounds : int
+        How often the data were prepared anew.
 
     Returns
     -------
-    array, shape (P, P)
-        M = ∂/∂θ' ∂L(θ; data prepared with θ')/∂θ at θ' = θ, from windows that overlap by
-        half, of two minutes at most; columns of parameters that are left out are zero.
+    Feedback
+        At θ' = θ, from windows that overlap by two thirds, of two minutes at most, that all
+        count once;
+        columns of parameters that are left out are zero.
     """
     windows = loss.windows
-    length = windows.encoder_length + windows.prediction_length
-    trajectories = _parts(trajectories, length)
-    jitter = delay_jitter(delays)
-    spread = jitter.standard_deviation_s if jitter else 0.0
+    ahead, past = windows.prediction_length, windows.encoder_length
+    spread = _jitter(delays)
     parameters, vector = model.parameters, model.parameters.to_vector()
     moved = np.flatnonzero(standard_errors > 0)
     steps = _STEP * standard_errors[moved]
@@ -71,33 +118,48 @@ def preparation_feedback(
         for j, step in zip(moved, steps, strict=True)
     ]
     prepared = [
-        _prepared(trajectory, [model, *models], own, spread)
-        for trajectory, own in zip(trajectories, delays, strict=True)
+        _prepared(part, [model, *models], _within(part, own), spread)
+        for part, own in zip(_parts(trajectories, past + ahead), delays, strict=True)
     ]
-    gradients = []
+    found = []
     for variant in zip(*prepared, strict=True):
-        some = make_windows(
-            variant, windows.encoder_length, windows.prediction_length, max(1, length // 2)
-        )
+        some = make_windows(variant, past, ahead, max(1, (past + ahead) // _DENSE))
         sparse = replace(loss, windows=some, multiplicity=None, clusters=None)
-        gradients.append(sparse.quadratic(parameters).gradient)
-    feedback = np.zeros((len(vector), len(vector)))
-    feedback[:, moved] = ((np.array(gradients[1:]) - gradients[0]) / steps[:, None]).T
-    return feedback
+        found.append(sparse.quadratic(parameters))
+    gradients = np.array([one.gradient for one in found])
+    mixed = np.zeros((len(vector), len(vector)))
+    mixed[:, moved] = ((gradients[1:] - gradients[0]) / steps[:, None]).T
+    return Feedback(mixed, found[0].hessian, rounds)
+
+
+def _within(part: Trajectory, delays: PacketDelays) -> PacketDelays:
+    """Return the packets that arrived during a part of a recording: others have no answer there."""
+    arrival = part.command_time[delays.packet] + part.delay
+    inside = (part.time[0] <= arrival) & (arrival <= part.time[-1])
+    return PacketDelays(
+        delays.packet[inside], delays.deviation[inside], delays.standard_error[inside]
+    )
+
+
+def _jitter(delays: Sequence[PacketDelays]) -> float:
+    """Return the standard deviation of the packets' delays [s]."""
+    jitter = delay_jitter(delays)
+    return jitter.standard_deviation_s if jitter else 0.0
 
 
 def _parts(trajectories: Sequence[Trajectory], length: int) -> list[Trajectory]:
-    """Cut the middle out of the longest stretches of recordings, where they are long."""
+    """Cut the middle out of long recordings, or of their longest stretch if it has no window."""
     total = sum(len(trajectory) * trajectory.sample_period for trajectory in trajectories)
-    share, parts = min(1.0, _ENOUGH / total), []
+    share = _ENOUGH / total
+    if share >= 1:
+        return list(trajectories)
+    parts = []
     for trajectory in trajectories:
-        if share < 1:
+        part = trajectory.slice((1 - share) / 2, (1 + share) / 2)
+        if not len(part.window_starts(length)):
             first, last = max(trajectory.segments, key=lambda segment: segment[1] - segment[0])
-            reach = max(share * len(trajectory), 2 * length) / 2
-            middle, count = (first + last) / 2, len(trajectory)
-            ends = max(first, middle - reach) / count, min(last, middle + reach) / count
-            trajectory = trajectory.slice(*ends)
-        parts.append(trajectory)
+            part = trajectory.slice(first / len(trajectory), last / len(trajectory))
+        parts.append(part)
     return parts
 
 

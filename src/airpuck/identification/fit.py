@@ -14,6 +14,7 @@ from jaxtyping import Bool
 from airpuck import __version__
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.blocks import cluster_windows, shared_at_borders
 from airpuck.identification.bootstrap import bootstrap as resample
 from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
 from airpuck.identification.doubts import doubts, idle_motors
@@ -33,12 +34,7 @@ from airpuck.identification.transport_delay import (
     learns_delay,
     mean_delay,
 )
-from airpuck.identification.uncertainty import (
-    cluster_windows,
-    sandwich,
-    shared_at_borders,
-    widened,
-)
+from airpuck.identification.uncertainty import sandwich, widened
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.parameters import Parameters
 from airpuck.model.presets import Preset, preset
@@ -284,11 +280,11 @@ def _uncertainty(
     assert loss.clusters is not None
     shared = shared_at_borders(loss.windows, loss.clusters)
     uncertainty = sandwich(shares, model.parameters, model.free, shared=shared)
-    if not packets:
-        return uncertainty
     errors = uncertainty.standard_errors
-    response = preparation_feedback(loss, trajectories, model, packets, errors)
-    return sandwich(shares, model.parameters, model.free, shared=shared, feedback=response)
+    if not any(map(len, packets)) or not np.isfinite(errors).any():
+        return uncertainty
+    feedback = preparation_feedback(loss, trajectories, model, packets, errors, _REFINEMENTS)
+    return sandwich(shares, model.parameters, model.free, shared=shared, feedback=feedback)
 
 
 def identifiability(

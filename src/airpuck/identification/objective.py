@@ -28,7 +28,7 @@ from airpuck.windows import Windows
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
-#: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).
+#: enough that a block of two seconds fills one (`airpuck.identification.blocks`).
 BATCH = 64
 #: Of how many windows on, and how far, `PredictionLoss.thinned` thins them out.
 _MANY, _THINNED = 1000, 4

@@ -14,20 +14,15 @@ from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from airpuck.identification.objective import BATCH, Shares
+from airpuck.identification.feedback import Feedback
+from airpuck.identification.objective import Shares
 from airpuck.model.gauge import gauge_constraints
 from airpuck.model.parameters import Parameters
 from airpuck.model.thrust import thrust_slope
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.windows import Windows
 
-#: Length of a block [s]. Neighbouring blocks share what reaches across their border
-#: (`shared_at_borders`): shorter blocks share more, longer ones are too few in a minute of flight.
-BLOCK = 2.0
-#: A block is at least this many windows long, for the same reason.
-_LENGTHS = 5
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
 #: below which its direction is not determined: rounding leaves about 1e-15.
 UNDETERMINED = 1e-11
@@ -35,72 +30,6 @@ UNDETERMINED = 1e-11
 _FLAT = 1e-5
 #: Largest leverage of a block: one that alone determines something would have 1.
 _LEVERAGE = 0.999
-
-
-def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
-    """Group windows into blocks of time.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows of one or several trajectories, in the order of time.
-
-    Returns
-    -------
-    array of int, shape (W,)
-        The block that each window begins in. Blocks hold nearly equally many windows, span about
-        two seconds, or five windows where these are longer, and never reach from one trajectory
-        into another.
-    """
-    trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
-    _, stride = _steps(windows)
-    period = float(np.median(np.diff(windows.time)))
-    span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
-    size = max(1, round(span / (stride * period)))
-    # Whole batches, where that is near: half-filled ones would cost as much as full ones.
-    if size > 0.75 * BATCH:
-        size = BATCH * round(size / BATCH)
-    clusters, first = np.zeros(len(windows), dtype=int), 0
-    for number in np.unique(trajectory):
-        own = np.flatnonzero(trajectory == number)
-        for block in np.array_split(own, -(-len(own) // size)):
-            clusters[block] = first
-            first += 1
-    return clusters
-
-
-def shared_at_borders(windows: Windows, clusters: Int[np.ndarray, " W"]) -> float:
-    """Return the share of the scores' variance that blocks of windows miss at their borders.
-
-    Scores of windows of length L that begin ℓ apart have the correlation 1 - ℓ/L where they begin,
-    since that much of what disturbs them is common. Pairs across the ends of a block of length B
-    are a share (2/B) ∫₀ᴸ ℓ (1 - ℓ/L) dℓ / L = L/(3 B) of all.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows of one or several trajectories, in the order of time.
-    clusters : array of int, shape (W,)
-        The block that each window begins in (`cluster_windows`).
-
-    Returns
-    -------
-    float
-        0.06 for minutes of flight with the usual windows; 1/3 at most.
-    """
-    blocks = int(clusters.max()) + 1
-    inside, stride = _steps(windows)
-    borders = int(np.sum(inside & (np.diff(clusters) != 0)))
-    length = windows.encoder_length + windows.prediction_length
-    return borders / blocks * length / (3 * max(stride * len(windows) / blocks, length))
-
-
-def _steps(windows: Windows) -> tuple[Bool[np.ndarray, " V"], float]:
-    """Say which next windows are of the same trajectory, and how many samples on, typically."""
-    trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
-    inside = np.diff(trajectory) == 0
-    steps = np.diff(windows.starts)[inside]
-    return inside, float(np.median(steps)) if len(steps) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +165,7 @@ def sandwich(
     constraints: Float[np.ndarray, "C P"] | None = None,
     gauge: Float[np.ndarray, "K P"] | None = None,
     shared: float = 0.0,
-    feedback: Float[np.ndarray, "P P"] | None = None,
+    feedback: Feedback | None = None,
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 
@@ -253,11 +182,10 @@ def sandwich(
     gauge : array, shape (K, P), optional
         Rows of what fixes a freedom that no data see; by default `gauge_constraints`.
     shared : float, default 0
-        Share q of the variance that is between clusters (`shared_at_borders`).
-    feedback : array, shape (P, P), optional
-        Derivative M of the gradient with respect to an estimate that the data were prepared with
-        (`airpuck.identification.feedback`), twice anew. An error then goes round three times: it
-        grows by 1 + K + K², K = -H⁻¹ M.
+        Share q of the variance that is between clusters (`airpuck.identification.blocks`).
+    feedback : Feedback, optional
+        Of data that were prepared with the estimate: an error then goes round, and grows by
+        1 + K + K² + …, K = -H⁻¹ M.
 
     Returns
     -------
@@ -288,8 +216,7 @@ def sandwich(
     space = subspace(hessian, free, np.concatenate([constraints, gauge]))
     change = _jackknife(shares.gradient @ space.basis, space.basis.T @ shares.hessian @ space.basis)
     if feedback is not None:
-        once = -space.basis.T @ feedback @ space.basis
-        change = change @ (np.eye(len(once)) + once + once @ once).T
+        change = change @ feedback.growth(space.basis).T
     factor = (count - 1) / count / (1 - shared)
     covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
@@ -330,12 +257,13 @@ def widened(
     added = np.where(known, variance, 0.0)
     resampled = uncertainty.bootstrap
     if resampled is not None:
-        estimate, reach = uncertainty.estimate, NormalDist().inv_cdf(0.975) * np.sqrt(added)
-        resampled = replace(
-            resampled,
-            lower=estimate - np.hypot(np.maximum(estimate - resampled.lower, 0.0), reach),
-            upper=estimate + np.hypot(np.maximum(resampled.upper - estimate, 0.0), reach),
+        middle = (resampled.lower + resampled.upper) / 2
+        reach = NormalDist().inv_cdf(0.975) * np.sqrt(added)
+        half = np.hypot(resampled.upper - middle, reach)
+        lower, upper = np.where(
+            known, [middle - half, middle + half], [resampled.lower, resampled.upper]
         )
+        resampled = replace(resampled, lower=lower, upper=upper)
     return replace(
         uncertainty,
         covariance=uncertainty.covariance + np.diag(added),

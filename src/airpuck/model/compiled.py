@@ -12,7 +12,6 @@ Programs are kept: a controller for a craft that has one already is not compiled
 
 from __future__ import annotations
 
-import inspect
 import math
 import pickle
 from collections.abc import Callable, Hashable
@@ -33,8 +32,8 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
     Parameters
     ----------
     function : callable
-        Takes arrays, returns a tuple of arrays; uses jax.numpy. What it takes from around it, such
-        as a model, is not changed any more.
+        Takes arrays, returns a tuple of arrays; uses jax.numpy. What it takes from the functions
+        and modules around it, such as a model, is not changed any more.
     *examples : array or float
         Arguments of the shapes that it will be called with.
 
@@ -44,7 +43,10 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
         The same function: NumPy arrays in, a list of NumPy arrays (of double precision, read-only)
         out. It neither depends on nor changes JAX's settings.
     """
-    key = _content(function), tuple(np.shape(example) for example in examples)
+    try:
+        key = _content(function), tuple(np.shape(example) for example in examples)
+    except (pickle.PicklingError, AttributeError, TypeError, ValueError, RecursionError):
+        return _compiled(function, *examples)  # takes something that has no content to compare
     program = _kept.pop(key, None) or _compiled(function, *examples)
     _kept[key] = program
     if len(_kept) > _MOST_KEPT:
@@ -54,10 +56,12 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
 
 def _content(value: Any) -> Hashable:
     """Tell what a value, or a function with what it takes from around it, consists of."""
-    value = inspect.unwrap(value) if callable(value) else value
     if isinstance(value, FunctionType):
         around = tuple(_content(cell.cell_contents) for cell in value.__closure__ or ())
-        return value.__module__, value.__code__, _content(value.__defaults__), around
+        defaults = _content(value.__defaults__), _content(value.__kwdefaults__)
+        return value.__module__, value.__code__, defaults, around
+    if hasattr(value, "__wrapped__"):  # compiled by JAX
+        return type(value).__qualname__, _content(value.__wrapped__)
     return value.__name__ if isinstance(value, ModuleType) else pickle.dumps(value)
 
 

@@ -20,10 +20,9 @@ from airpuck.identification.interest import (
     values_of,
 )
 from airpuck.model.presets import preset
-from airpuck.model_file import Model
 from airpuck.twin.design import Design
 from airpuck.twin.design_judge import Candidate
-from airpuck.twin.radio import queued_delay
+from airpuck.twin.radio import as_received
 from airpuck.twin.rehearsal import Crew, Stage, World
 
 #: Far from the seeds of rehearsals.
@@ -145,17 +144,10 @@ def _identified(
         **fit_settings(truth),
     )
     wanted = interests(truth)
-    missed = values_of(fit.model, wanted) - values_of(_as_received(stage), wanted)
+    if truth.delay_learned:
+        truth = as_received(truth, stage.settings, stage.tuning.period_s)
+    missed = values_of(fit.model, wanted) - values_of(truth, wanted)
     return relative_errors(fit.model, wanted), missed / scales_of(wanted), flown.clearance
-
-
-def _as_received(stage: Stage) -> Model:
-    """Return the truth with the mean delay of packets that wait for each other."""
-    if not stage.model.delay_learned:
-        return stage.model
-    radio = stage.settings.with_delay(stage.model.transport_delay).radio
-    delay, _ = queued_delay(radio, stage.tuning.period_s)
-    return stage.model.with_delay(delay)
 
 
 def _obtained(candidate: Candidate, results: list[Any]) -> Obtained:

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from airpuck.twin.settings import Radio
+from airpuck.model_file import Model
+from airpuck.twin.settings import Radio, TwinSettings
 
 
 def passage(
@@ -70,6 +71,27 @@ def queued_delay(
     there = np.isfinite(arrival)
     delay = np.maximum.accumulate(arrival[there]) - sent[there]
     return float(delay.mean()), float(delay.std())
+
+
+def as_received(model: Model, settings: TwinSettings, period: float) -> Model:
+    """Return a model with the delay that its packets have on average, and that fits find.
+
+    Parameters
+    ----------
+    model : Model
+        The truth of a twin.
+    settings : TwinSettings
+        Its radio; one without a delay of its own has that of the model.
+    period : float
+        Time between packets [s].
+
+    Returns
+    -------
+    Model
+        With the mean of `queued_delay`.
+    """
+    radio = settings.with_delay(model.transport_delay).radio
+    return model.with_delay(queued_delay(radio, period)[0])
 
 
 class RadioLink:

@@ -24,7 +24,7 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.trajectory import Trajectory
 from airpuck.twin.experiments import fly_excitation
 from airpuck.twin.plant import Plant
-from airpuck.twin.radio import queued_delay
+from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import build_plant
 
@@ -146,8 +146,7 @@ class Stage:
         model, delays = self.model, ()
         if model.delay_learned:
             # As `identify` will: with the mean delay of this radio, and packets where they arrived.
-            radio = self.settings.with_delay(model.transport_delay).radio
-            model = model.with_delay(queued_delay(radio, self.tuning.period_s)[0])
+            model = as_received(model, self.settings, self.tuning.period_s)
             (trajectory,), delays = refined((trajectory,), model)
         information = information_of(trajectory, model, plan.duration_s, delays)
         return Rehearsal(plan, seed, flown.clearance, flown.paused, information)
