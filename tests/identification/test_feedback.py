@@ -54,6 +54,8 @@ def test_rounds_add_up():
     """K = 1/2: an error, half of it again, and a quarter."""
     half = Feedback(-np.eye(3), 2 * np.eye(3), 2)
     np.testing.assert_allclose(half.growth(np.eye(3)), 1.75 * np.eye(3))
+    blind = Feedback(np.diag([-1.0, -1.0, 0.0]), np.diag([2.0, 2.0, 0.0]), 2)
+    np.testing.assert_allclose(blind.growth(np.eye(3)), np.diag([1.75, 1.75, 1.0]))
     np.testing.assert_allclose(replace(half, rounds=0).growth(np.eye(3)), np.eye(3))
 
 

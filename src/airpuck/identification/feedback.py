@@ -27,6 +27,8 @@ from airpuck.windows import make_windows
 _ENOUGH = 120.0
 #: Windows that begin within a window's length: what each says is noisy.
 _DENSE = 3
+#: Eigenvalue of the information, over the largest, below which a direction has none.
+_BLIND = 1e-8
 #: Step of the difference quotients, in standard errors: so small that packets move by a small part
 #: of a sample.
 _STEP = 0.1
@@ -67,7 +69,9 @@ class Feedback:
             1 + K + K² + … up to K to the power of `rounds`, along those directions. The first
             estimate, whose data nobody had prepared, is taken to err like the others.
         """
-        once = -np.linalg.solve(basis.T @ self.hessian @ basis, basis.T @ self.mixed @ basis)
+        # A motor may stand all the time in that part of the recordings: nothing goes round then.
+        inverse = np.linalg.pinv(basis.T @ self.hessian @ basis, rcond=_BLIND, hermitian=True)
+        once = -inverse @ (basis.T @ self.mixed @ basis)
         total = np.eye(len(once))
         for _ in range(self.rounds):
             total = np.eye(len(once)) + once @ total
