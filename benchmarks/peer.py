@@ -28,7 +28,7 @@ class Peer:
     def residual(self, theta):
         """Predict all windows; returns the weighted errors."""
         a, b, c = theta[:18].reshape(6, 3).T[:, :, None]
-        inertia, tau, offset, rx, ry = theta[18:]
+        inertia, tau, offset, rx, ry = theta[18:23]
         angle = self.angle + offset
         along = np.stack([np.cos(angle), np.sin(angle)])
         arm = self.place.T - np.array([[rx], [ry]])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification import objective
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import EFFECTS
 from airpuck.model.presets import TERMS, preset
@@ -153,6 +154,17 @@ def test_padding_of_batches_does_not_count(windows, count):
     result = PredictionLoss(some, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters)
     expected = plain_residuals(np, parameters, some, PaperEncoder(), "body")
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-12)
+
+
+def test_larger_batches_give_the_same_sums(windows, monkeypatch):
+    many = replace(windows, starts=np.resize(windows.starts, 130))
+    loss = PredictionLoss(many, VEHICLE, PaperEncoder(), WEIGHTS)
+    plain = loss.quadratic(moved("M3"))
+    monkeypatch.setattr(objective, "_LARGE", 1)
+    large = loss.quadratic(moved("M3"))
+    assert large.loss == pytest.approx(plain.loss, rel=1e-12)
+    np.testing.assert_allclose(large.gradient, plain.gradient, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(large.hessian, plain.hessian, rtol=1e-9, atol=1e-15)
 
 
 def test_one_window_over_the_whole_flight():

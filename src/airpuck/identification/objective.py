@@ -30,6 +30,8 @@ PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
 #: enough that a block of two seconds fills one (`airpuck.identification.blocks`).
 BATCH = 64
+#: Of how many windows on it is twice as many: an eighth less time each, for another program.
+_LARGE = 10_000
 #: Of how many windows on, and how far, `PredictionLoss.thinned` thins them out.
 _MANY, _THINNED = 1000, 4
 
@@ -279,7 +281,8 @@ def _split(
     counted: Float[np.ndarray, " W"],
 ) -> list[_Batch]:
     """Split windows into batches of one size, so that one program serves all; pad with weight 0."""
-    size = min(BATCH, 1 << (len(starts) - 1).bit_length())
+    most = BATCH if len(starts) < _LARGE else 2 * BATCH
+    size = min(most, 1 << (len(starts) - 1).bit_length())
     batches = []
     for first in range(0, len(members), size):
         own = members[first : first + size]
