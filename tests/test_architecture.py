@@ -98,7 +98,6 @@ def test_the_physics_computes_and_nothing_else():
             "collections",
             "dataclasses",
             "functools",
-            "inspect",
             "itertools",
             "jax",
             "jaxtyping",

@@ -126,23 +126,24 @@ def test_a_linear_model_whose_covariance_is_known():
     assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
 
 
-def test_what_is_between_blocks_widens_all():
+def shares_at_the_truth():
     windows = make_windows(noisy(), 40, 50, 29)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
     parameters = TRUTH.parameters
     free = PRESETS["M3"].mask(parameters)
     shares = loss.by_cluster(parameters, cluster_windows(windows))
+    return shares, parameters, free
+
+
+def test_what_is_between_blocks_widens_all():
+    shares, parameters, free = shares_at_the_truth()
     plain, wide = (sandwich(shares, parameters, free, shared=q) for q in (0.0, 0.19))
     np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
 
 
 def test_what_goes_round_in_the_data_widens_all():
     """A gradient that follows its data by half of the information: 1 + 1/2 + 1/4 errors."""
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
-    parameters = TRUTH.parameters
-    free = PRESETS["M3"].mask(parameters)
-    shares = loss.by_cluster(parameters, cluster_windows(windows))
+    shares, parameters, free = shares_at_the_truth()
     plain = sandwich(shares, parameters, free)
     hessian = shares.hessian.sum(axis=0)
     wide = sandwich(shares, parameters, free, feedback=Feedback(-0.5 * hessian, hessian, 2))

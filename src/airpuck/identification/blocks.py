@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from airpuck.identification.objective import BATCH
 from airpuck.windows import Windows
@@ -30,8 +30,7 @@ def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
         two seconds, or five windows where these are longer, and never reach from one trajectory
         into another.
     """
-    trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
-    _, stride = _steps(windows)
+    trajectory, stride = _steps(windows)
     period = float(np.median(np.diff(windows.time)))
     span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
     size = max(1, round(span / (stride * period)))
@@ -67,15 +66,15 @@ def shared_at_borders(windows: Windows, clusters: Int[np.ndarray, " W"]) -> floa
         0.06 for minutes of flight with the usual windows; 1/3 at most.
     """
     blocks = int(clusters.max()) + 1
-    inside, stride = _steps(windows)
+    trajectory, stride = _steps(windows)
+    inside = np.diff(trajectory) == 0
     length = windows.encoder_length + windows.prediction_length
     borders = int(np.sum(inside & (np.diff(clusters) != 0) & (np.diff(windows.starts) < length)))
     return borders / blocks * length / (3 * max(stride * len(windows) / blocks, length))
 
 
-def _steps(windows: Windows) -> tuple[Bool[np.ndarray, " V"], float]:
-    """Say which next windows are of the same trajectory, and how many samples on, typically."""
+def _steps(windows: Windows) -> tuple[Int[np.ndarray, " W"], float]:
+    """Return the trajectory of each window, and how many samples on the next begins, typically."""
     trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
-    inside = np.diff(trajectory) == 0
-    steps = np.diff(windows.starts)[inside]
-    return inside, float(np.median(steps)) if len(steps) else 1.0
+    steps = np.diff(windows.starts)[np.diff(trajectory) == 0]
+    return trajectory, float(np.median(steps)) if len(steps) else 1.0

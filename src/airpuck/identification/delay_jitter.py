@@ -57,6 +57,23 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     )
 
 
+def spread_of(delays: Sequence[PacketDelays]) -> float:
+    """Return the standard deviation of the packets' delays.
+
+    Parameters
+    ----------
+    delays : sequence of PacketDelays
+        From each recording.
+
+    Returns
+    -------
+    float
+        That of `delay_jitter` [s]; zero where there is none.
+    """
+    jitter = delay_jitter(delays)
+    return jitter.standard_deviation_s if jitter else 0.0
+
+
 def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
     """Return the variance of the known packets' mean delay about that of all packets.
 

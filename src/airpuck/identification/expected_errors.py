@@ -21,7 +21,7 @@ from jaxtyping import Float
 from airpuck.errors import InputError
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.blocks import cluster_windows, shared_at_borders
-from airpuck.identification.delay_jitter import delay_jitter, variance_of_mean
+from airpuck.identification.delay_jitter import spread_of, variance_of_mean
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.uncertainty import (
@@ -139,14 +139,13 @@ def information_of(
     count, blocks = len(windows), len(shares.gradient)
     spread = shares.gradient - shares.gradient.mean(axis=0)
     spread /= np.sqrt(1 - shared_at_borders(windows, clusters))
-    jitter = delay_jitter(delays)
     return Information(
         hessian=count * shares.hessian.sum(axis=0) / duration,
         scores=count**2 * blocks / (blocks - 1) * (spread.T @ spread) / duration,
         loss=float(shares.loss.sum()),
         duration=duration,
         blocks=blocks,
-        packets=duration * variance_of_mean(delays, jitter.standard_deviation_s) if jitter else 0.0,
+        packets=duration * variance_of_mean(delays, spread_of(delays)),
     )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.identification.delay_jitter import delay_jitter
+from airpuck.identification.delay_jitter import spread_of
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays, delay_response
 from airpuck.identification.refinement import modelled_acceleration, retimed, smoothed_along
@@ -108,12 +108,11 @@ def preparation_feedback(
     -------
     Feedback
         At θ' = θ, from windows that overlap by two thirds, of two minutes at most, that all
-        count once;
-        columns of parameters that are left out are zero.
+        count once; columns of parameters that are left out are zero.
     """
     windows = loss.windows
     ahead, past = windows.prediction_length, windows.encoder_length
-    spread = _jitter(delays)
+    spread = spread_of(delays)
     parameters, vector = model.parameters, model.parameters.to_vector()
     moved = np.flatnonzero(standard_errors > 0)
     steps = _STEP * standard_errors[moved]
@@ -143,12 +142,6 @@ def _within(part: Trajectory, delays: PacketDelays) -> PacketDelays:
     return PacketDelays(
         delays.packet[inside], delays.deviation[inside], delays.standard_error[inside]
     )
-
-
-def _jitter(delays: Sequence[PacketDelays]) -> float:
-    """Return the standard deviation of the packets' delays [s]."""
-    jitter = delay_jitter(delays)
-    return jitter.standard_deviation_s if jitter else 0.0
 
 
 def _parts(trajectories: Sequence[Trajectory], length: int) -> list[Trajectory]:

@@ -173,17 +173,20 @@ def identify(
             return first.minimize(loss, start, free, progress)
         return minimize_on(first, loss, outcome, free, progress)
 
+    def model_of(outcome: Outcome) -> Model:
+        return Model(rung.name, vehicle, outcome.parameters, free, frame)
+
     # Where a fit only serves to prepare the data, a part of the windows will do.
     if faults == "exclude" and prediction_length is not None:
         outcome = lowered(loss.thinned)
-        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
-        exclusion = exclude_faults(trajectories, rough, encoder.length + prediction_length, stride)
+        exclusion = exclude_faults(
+            trajectories, model_of(outcome), encoder.length + prediction_length, stride
+        )
         trajectories = exclusion.trajectories
         loss = loss_on(trajectories)
     for _ in range(_REFINEMENTS if continuous and rung.lag else 0):
         outcome = lowered(loss.thinned)
-        rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
-        prepared, packets = refined(trajectories, rough)
+        prepared, packets = refined(trajectories, model_of(outcome))
         loss = loss_on(prepared)
     outcome = lowered(loss) if first is method else method.minimize(loss, start, free, progress)
     windows = loss.windows
@@ -195,8 +198,7 @@ def identify(
     shares = outcome.shares if outcome.parameters is found else None
     if shares is None:
         shares = loss.by_cluster(outcome.parameters, clusters)
-    rough = Model(rung.name, vehicle, outcome.parameters, free, frame)
-    uncertainty = _uncertainty(loss, shares, rough, trajectories, packets)
+    uncertainty = _uncertainty(loss, shares, model_of(outcome), trajectories, packets)
     known = identifiability_of(
         shares.hessian.sum(axis=0), outcome.parameters, free, vehicle.propeller_names
     )

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.identification.delay_jitter import delay_jitter
+from airpuck.identification.delay_jitter import spread_of
 from airpuck.identification.packet_delays import PacketDelays, packet_delays
 from airpuck.model.motor import motor_speeds
 from airpuck.model.rigid_body import acceleration
@@ -46,8 +46,7 @@ def refined(
     delays = tuple(packet_delays(trajectory, model) for trajectory in trajectories)
     if not float(model.dynamics.motor_time_constant) > 0:
         return tuple(trajectories), delays
-    jitter = delay_jitter(delays)
-    spread = jitter.standard_deviation_s if jitter else 0.0
+    spread = spread_of(delays)
     again = (
         smoothed_along(retimed(trajectory, own, spread), model)
         for trajectory, own in zip(trajectories, delays, strict=True)
