@@ -3,12 +3,12 @@
 Sensitivities of the prediction are propagated forward beside the state and summed up inside the
 time loop: what leaves it is a number, a vector and a small matrix, whatever the number of windows.
 The equations of motion are not differentiated by hand: at each Runge-Kutta stage JAX gives the
-local Jacobian of the accelerations, in reverse mode, since there are three of them and many
-parameters.
+local Jacobian of the accelerations, in forward mode, by the thrusts instead of the many
+coefficients behind them, which the polynomials' powers add.
 
 How arrays are put together decides the time: XLA does not vectorise a loop that joins them. So
-the sensitivities of yaw and velocities are kept apart, and what the local coordinates do directly
-is added in place, each kind to its own part.
+the batch is the last axis of all, the sensitivities of yaw and velocities are kept apart, and what
+the local coordinates do directly is added in place, each kind to its own part.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.model.motor import motor_step
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
+from airpuck.model.thrust import thrust, thrust_slope
 from airpuck.windows import gather_past
 
 
@@ -77,7 +78,7 @@ def normal_equations(
         Sums over windows, steps and channels.
     """
     coefficients, linear, center, tau = dynamics
-    n, batch = command.shape[1], starts.shape[0]
+    (n, degree), batch = coefficients.shape, starts.shape[0]
     by_tau = jnp.array([1.0, 0.0])
 
     past = gather_past(jnp, time, state, command, starts, encoder.length)
@@ -87,18 +88,29 @@ def normal_equations(
         model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
         return encoder.encode(jnp, model, replace(past, command=command))
 
-    def accelerate(coefficients: Any, direction: Any, center: Any, motion: Any, speed: Any) -> Any:
-        """Accelerations of one window, with Π and the effects moved by `direction` in the basis."""
+    def accelerate(force: Any, direction: Any, center: Any, motion: Any) -> Any:
+        """Accelerations under given thrusts, Π and the effects moved by `direction`."""
         matrix, effects = jax.tree.map(
             lambda value, slopes: value + jnp.tensordot(direction, slopes, 1), linear, basis
         )
-        model = Dynamics(coefficients, matrix, center, tau, frame, effects)
-        return jnp.stack(acceleration(jnp, model, motion, speed))
+        # As if propellers pushed as strongly as they turn.
+        model = Dynamics(jnp.ones((n, 1)), matrix, center, tau, frame, effects)
+        return jnp.stack(acceleration(jnp, model, motion, force))
 
-    origin = (coefficients, jnp.zeros(len(basis[0])), center)
-    over_batch = {"in_axes": (None, None, None, -1, -1), "out_axes": -1}
-    value = jax.vmap(accelerate, **over_batch)
-    jacobian = jax.vmap(jax.jacrev(accelerate, argnums=(0, 1, 2, 3, 4)), **over_batch)
+    def local(force: Any, motion: Any) -> tuple[Any, list[Any]]:
+        """Accelerations, and their derivatives by each argument of `accelerate`, (3, ·, B)."""
+        point = force, jnp.zeros(len(basis[0])), center, motion
+        value, push = jax.linearize(accelerate, *point)
+
+        def along(k: int, unit: Any) -> Any:
+            tangents = [jnp.zeros_like(part) for part in point]
+            tangents[k] = (unit * jnp.ones_like(point[k].T)).T
+            return push(*tangents)
+
+        return value, [
+            jax.vmap(partial(along, k), out_axes=1)(jnp.eye(len(part)))
+            for k, part in enumerate(point)
+        ]
 
     # Without effects nothing depends on the velocity.
     felt = range(4) if linear[1] else (0, 3)
@@ -109,14 +121,18 @@ def normal_equations(
         motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any
     ) -> tuple[Any, Any]:
         """Time derivative of (γ, vx, vy, ω), and of the sensitivities of (vx, vy, ω)."""
-        by_thrust, by_direction, by_center, by_motion, by_speed = jacobian(*origin, motion, speed)
+        value, slopes = local(thrust(coefficients, speed), motion)
+        by_force, by_direction, by_center, by_motion = slopes
+        powers = jnp.stack([speed**power for power in range(1, degree + 1)], axis=1)
+        by_thrust = (by_force[:, :, None] * powers).reshape(3, -1, batch)
+        by_speed = by_force * thrust_slope(coefficients, speed)
         by_motor = sum(by_speed[:, None, i] * d_speed[:, i] for i in range(n))
         d_motion = (d_yaw, *d_velocity)
         d_acceleration: Any = sum(by_motion[:, k, None] * d_motion[k] for k in felt)
-        directly = (by_thrust.reshape(3, -1, batch), by_direction, by_center, by_motor)
+        directly = (by_thrust, by_direction, by_center, by_motor)
         for part, (first, last) in zip(directly, pairwise(edges), strict=True):
             d_acceleration = d_acceleration.at[:, first:last].add(part)
-        return jnp.concatenate([motion[3:], value(*origin, motion, speed)]), d_acceleration
+        return jnp.concatenate([motion[3:], value]), d_acceleration
 
     def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
         end, push = jax.linearize(

@@ -13,6 +13,7 @@ import numpy as np
 
 from airpuck.model.effects import BodyMotion, Effect
 from airpuck.model.linear_map import linear_map
+from airpuck.model.rotation import cos_sin
 from airpuck.model.thrust import thrust
 
 #: In which frame the offset of the centre of mass is constant. Physically it is the body; the
@@ -118,7 +119,7 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
         ax, ay in the world frame [m/s²], ω' [rad/s²].
     """
     yaw, vx, vy, spin = motion
-    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    cos, sin = cos_sin(xp, yaw)
     force = thrust(dynamics.thrust, motor_speed)
     added = []
     if dynamics.effects:
