@@ -10,16 +10,44 @@ from __future__ import annotations
 import argparse
 import gc
 import time
+from collections import Counter, deque
 
 import numpy as np
 
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
+from airpuck.model.compiled import at_once
 from airpuck.model.rollout import step
-from airpuck.model_file import read_model
+from airpuck.model_file import Model, read_model
 
-POSES_PER_STEP = (2, 3, 2, 3, 2)  # 240 Hz against 100 Hz
+FRAME, PERIOD = 1 / 240, 1 / 100
+
+
+class Craft:
+    """The nominal plant: commands begin to act a transport delay after they were sent."""
+
+    def __init__(self, model: Model) -> None:
+        idle = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
+        self.model, self.time = model, 0.0
+        self.state = np.concatenate([np.zeros(6), idle])
+        self._acting, self._pending = idle, deque[tuple[float, np.ndarray]]()
+
+    def sent(self, time: float, command: np.ndarray) -> None:
+        """Take a command on its way."""
+        self._pending.append((time + self.model.transport_delay, command))
+
+    def fly(self, until: float) -> None:
+        """Move on to a time."""
+        while self._pending and self._pending[0][0] <= until:
+            begins, command = self._pending.popleft()
+            self._step(begins)
+            self._acting = command
+        self._step(until)
+
+    def _step(self, until: float) -> None:
+        self.state = step(np, self.model.dynamics, self.state, self._acting, until - self.time)
+        self.time = until
 
 
 def main() -> None:
@@ -27,9 +55,11 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--model", default="paper:M4")
     parser.add_argument("--solver", default="daqp", choices=("daqp", "piqp"))
+    parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
     options = parser.parse_args()
 
-    tuning = default_tuning()
+    at_once()
+    tuning = default_tuning().with_estimator(options.estimator)
     allocation = tuning.allocation.model_copy(update={"solver": options.solver})
     tuning = tuning.model_copy(update={"allocation": allocation})
     model = read_model(options.model)
@@ -37,33 +67,33 @@ def main() -> None:
     times = np.arange(0, options.steps / 100 + 2, 2.0)
     reference = SetPoints(times, [poses[k % 3] for k in range(len(times))])
     controller = TrackingController(model, reference, tuning)
-    n = model.vehicle.n_propellers
-    state = np.concatenate([np.zeros(6), np.full(n, model.vehicle.command_min)])
+    craft, statuses = Craft(model), Counter()
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(options.steps * 3, 3)) * [5e-5, 5e-5, 6e-4]
-    in_flight = [np.full(n, model.vehicle.command_min)] * 2
     spent = {"poses": [], "step": [], "total": []}
     frame = 0
     gc.disable()  # as a real-time process does
     for k in range(options.steps):
-        now = k / 100
+        now = (k + 1) * PERIOD
         measured = []
-        for _ in range(POSES_PER_STEP[k % 5]):
-            measured.append((frame / 240, state[:3] + noise[frame]))
+        while frame * FRAME <= now:
+            craft.fly(frame * FRAME)
+            measured.append((frame * FRAME, craft.state[:3] + noise[frame]))
             frame += 1
         started = time.perf_counter_ns()
         for stamp, pose in measured:
             controller.pose(stamp, pose)
         between = time.perf_counter_ns()
-        result = controller.step(now + 0.009)
-        controller.sent(now + 0.009, result.command)
+        result = controller.step(now)
+        controller.sent(now, result.command)
         ended = time.perf_counter_ns()
         spent["poses"].append(between - started)
         spent["step"].append(ended - between)
         spent["total"].append(ended - started)
-        in_flight.append(result.command)
-        state = step(np, model.dynamics, state, in_flight.pop(0), 0.01)
-    print(f"{options.steps} steps, {options.model}, {options.solver}")
+        statuses[result.status] += 1
+        craft.sent(now, result.command)
+    print(f"{options.steps} steps, {options.model}, {options.solver}, {options.estimator}")
+    print(", ".join(f"{status} {count}" for status, count in statuses.most_common()))
     for name, values in spent.items():
         micro = np.array(values) / 1e3
         p50, p99 = np.percentile(micro, [50, 99])

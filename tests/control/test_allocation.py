@@ -1,5 +1,6 @@
 """Thrust allocation, against linear programming, Lawson and Hanson's least distance, and BVLS."""
 
+import copy
 from functools import cache
 from typing import Any, Literal
 
@@ -9,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear, nnls
 
-from airpuck.control.allocation import Daqp, Piqp, ThrustAllocator
+from airpuck.control.allocation import ThrustAllocator
 from airpuck.control.discretization import motor_lag
+from airpuck.control.qp_solvers import Daqp, Piqp
 from airpuck.model.rigid_body import acceleration_map
 from airpuck.model.thrust import thrust
 from airpuck.model_file import read_model
@@ -314,3 +316,25 @@ def test_a_failing_solver_gives_the_lowest_thrusts(monkeypatch, kind, answer):
     np.testing.assert_array_equal(found.thrust, problem[3])
     assert found.thrust is not problem[3]
     assert ours.allocate(*problem).outcome != "failed"
+
+
+@pytest.mark.parametrize("kind", [Daqp, Piqp])
+def test_bounds_that_cross_have_no_solution_and_no_after_effect(kind):
+    solver, a = kind(np.full(8, 2.0), np.full(8, 1e-8)), np.eye(3, 8)
+    lower, upper = np.zeros(11), np.ones(11)
+    lower[8:] = upper[8:] = 0.5
+    expected = [0.5, 0.5, 0.5, 0, 0, 0, 0, 0]
+    np.testing.assert_allclose(solver.constrained(a, lower, upper), expected, atol=5e-6)
+    crossed = upper.copy()
+    crossed[1] = -1.0
+    assert solver.constrained(a, lower, crossed) is None
+    np.testing.assert_allclose(solver.constrained(a, lower, upper), expected, atol=5e-6)
+
+
+def test_a_copied_allocator_works_by_itself():
+    ours = allocator()
+    one, other = (problem for problem, _ in sample()[:2])
+    expected = ours.allocate(*one)
+    copied = copy.deepcopy(ours)
+    ours.allocate(*other)
+    np.testing.assert_array_equal(copied.allocate(*one).thrust, expected.thrust)

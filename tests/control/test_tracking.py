@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from airpuck.control import tracking
 from airpuck.control.discretization import motor_lag
 from airpuck.control.reference import SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
@@ -83,6 +84,26 @@ def test_compiled_and_numpy_give_the_same_commands():
         for one, step in zip(pair, steps, strict=True):
             one.sent(now + 0.002, step.command)
     assert len(outcomes) > 1
+
+
+def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch):
+    # Where JAX hands programs of any size to no other thread, the controller has one for both.
+    monkeypatch.setattr(tracking, "runs_at_once", lambda: True)
+    point, random = SetPoint(0.4, -0.2, 2.0), np.random.default_rng(1)
+    pair = [controller(point, compiled=c) for c in (True, False)]
+    for k in range(60):
+        now = k / 100
+        pose = 0.003 * k * np.array([1.0, -0.5, 2.0]) + 1e-4 * random.normal(size=3)
+        for one in pair:
+            one.pose(now, pose)
+            whole, parts = one.step(now), one.steer(one.predict(now), point.at(now, 0.0))
+            assert whole.status == parts.status
+            np.testing.assert_allclose(whole.request, parts.request, rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(whole.command, parts.command, atol=1e-11)
+            assert whole.estimate is not None
+            assert parts.estimate is not None
+            np.testing.assert_allclose(whole.estimate.state, parts.estimate.state, atol=1e-13)
+            one.sent(now, whole.command)
 
 
 @pytest.mark.parametrize("far", [SetPoint(100, -100, 0), SetPoint(0, 0, 3.1), SetPoint(1e6, 0, 0)])

@@ -5,7 +5,7 @@ from itertools import count, takewhile
 import numpy as np
 import pytest
 
-from airpuck.control.allocation import Daqp
+from airpuck.control.qp_solvers import Daqp
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import Step, TrackingController
 from airpuck.errors import InputError

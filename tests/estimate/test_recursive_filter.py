@@ -200,6 +200,27 @@ def test_a_reset_forgets_everything(make):
     np.testing.assert_array_equal(used.predict(0.3).state, fresh.predict(0.3).state)
 
 
+def test_what_follows_a_prediction_is_computed_from_it(make):
+    def energy(xp, state, speed, disturbance, effectiveness, weight):
+        moving = xp.sum(weight * state[3:] ** 2)
+        return xp.stack([moving, xp.sum(disturbance)]), speed * effectiveness
+
+    ours, weight = make(), np.array([1.0, 2.0, 0.1])
+    composed = ours.composed(energy, weight)
+    for command in some_commands(0.2, 5):
+        ours.command(*command)
+    for k in range(20):
+        ours.pose(k / 100, np.array([0.002 * k, 0.001 * k * k, 0.01 * k]))
+    expected = ours.predict(0.23)
+    found, (sums, thrusting) = ours.predict_with(composed, 0.23, weight)
+    for name in ("state", "motor_speed", "disturbance", "effectiveness"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+    moving, pushed = weight @ expected.state[3:] ** 2, expected.disturbance.sum()
+    np.testing.assert_allclose(sums, [moving, pushed], rtol=1e-10)
+    np.testing.assert_allclose(thrusting, expected.motor_speed * expected.effectiveness, rtol=1e-10)
+    assert (found.time, found.actuation is None) == (0.23, expected.actuation is None)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_not_a_number_never_gets_in(make, bad):
     seen, spared = (TrackingController(MODEL, SetPoint(0, 0, 0), compiled=False) for _ in range(2))

@@ -1,5 +1,7 @@
 """Compiled programs: what they compute, and when one serves another function."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from airpuck.model import compiled
-from airpuck.model.compiled import for_real_time
+from airpuck.model.compiled import for_real_time, program
 from airpuck.model.rollout import step
 from airpuck.model_file import published_model
 
@@ -111,3 +113,46 @@ def test_the_oldest_is_let_go(monkeypatch):
     times(3.0)
     assert times(1.0) is first
     assert times(2.0) is not second
+
+
+def test_a_function_is_given_its_namespace():
+    def turned(xp, angle, vector):
+        return xp.stack([xp.cos(angle), xp.sin(angle)]) * vector, xp.isfinite(vector).all()
+
+    angle, vector = np.array(0.3), np.array([1.0, 2.0])
+    for choice in (True, False):
+        result, finite = program(turned, angle, vector, compiled=choice)(angle, vector)
+        np.testing.assert_allclose(result, [np.cos(0.3), 2 * np.sin(0.3)], rtol=1e-15)
+        assert finite
+        result[0] = 5  # the caller's own
+
+
+#: How much of a program's time the thread spends that called it.
+SHARE = """
+import sys, time
+import jax, numpy as np
+from airpuck.model.compiled import at_once, for_real_time, runs_at_once
+
+if "at once" in sys.argv:
+    at_once()
+
+def long(vector):
+    matrix = vector.reshape(12, 12)
+    return (jax.lax.fori_loop(0, 20_000, lambda _, m: matrix @ m / 12, matrix),)
+
+run, ones = for_real_time(long, np.ones(144)), np.ones(144)
+run(ones)
+begun, wall = time.thread_time(), time.perf_counter()
+run(ones)
+share = (time.thread_time() - begun) / (time.perf_counter() - wall)
+print(runs_at_once(), share)
+"""
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_programs_run_where_they_are_called_if_told_so(at_once):
+    command = [sys.executable, "-c", SHARE, *(["at once"] if at_once else [])]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    told, share = done.stdout.split()
+    assert told == str(at_once)
+    assert (float(share) > 0.2) == at_once

@@ -157,6 +157,7 @@ def fly(
         check_inside,
         read_setpoints,
     )
+    from airpuck.model.compiled import at_once
     from airpuck.model_file import nominal_model
     from airpuck.table import Table
     from airpuck.vehicle import default_vehicle
@@ -185,6 +186,7 @@ def fly(
     points = _points(setpoints, dwell) if setpoints_file is None else read_setpoints(setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
+    at_once()
 
     def pilot() -> Pilot:
         if excite:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.allocation import Outcome, ThrustAllocator
-from airpuck.control.discretization import motor_lag, point_mass
+from airpuck.control.control_law import control_law
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import Reference, Target
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
@@ -20,9 +20,8 @@ from airpuck.estimate.actuation_filter import ActuationFilter
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import Estimate, Estimator
 from airpuck.estimate.kalman import KalmanFilter
-from airpuck.model.compiled import for_real_time
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model.thrust import InverseThrust, inverse_thrust, thrust
+from airpuck.model.compiled import program, runs_at_once
+from airpuck.model.thrust import InverseThrust
 from airpuck.model_file import Model
 
 #: What callers may give for an array of one dimension.
@@ -43,11 +42,6 @@ _REMEMBERED = 0.5
 #: Poses that agree with each other for this long, but not with the prediction, are believed [s];
 #: rounding of stamps must not cost a frame.
 _BELIEVED_AFTER = _STALE - 1e-6
-
-#: Where the effectiveness that the allocation reckons with is kept: a motor that seems dead is
-#: still asked for a little, so that it is found out when it comes back; and no estimate may make
-#: the controller timid.
-_EFFECTIVENESS = (0.1, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +137,17 @@ class TrackingController:
             tuning.allocation.solver,
         )
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
-        self._plan, self._command = self._programs(compiled)
+        n, period, slack_weight = len(self._idle), tuning.period_s, tuning.allocation.slack_weight
+        law = control_law(model, period, slack_weight, reject_disturbance)
+        state, axes, motors, bounds = np.zeros(6), np.zeros(3), np.zeros(n), np.zeros(n + 5)
+        given, asked = (state, motors, axes, motors), (state, axes, self.gain)
+        self._plan = program(law.plan, *given, *asked, compiled=compiled)
+        self._command = program(
+            law.command, np.zeros(n + 2), bounds, bounds, motors, compiled=compiled
+        )
+        # As one program it is too large to run where it is called, unless all of them do.
+        one = not compiled or runs_at_once()
+        self._predict_and_plan = self.filter.composed(law.plan, *asked) if one else None
         #: Stamps of the last pose that was heard of, and of the last that was used.
         self._heard: float | None = None
         self._used = -math.inf
@@ -175,7 +179,7 @@ class TrackingController:
             If the pose is not three numbers.
         """
         pose = _copied(pose, 3, "pose")
-        self._bad_pose = not math.isfinite(time + float(pose.sum()))
+        self._bad_pose = not (math.isfinite(time) and _finite(pose))
         heard = self._heard
         if self._bad_pose or (heard is not None and heard - _STALE <= time <= heard):
             return
@@ -212,7 +216,7 @@ class TrackingController:
             Spin [rad/s].
         """
         acceleration = _copied(acceleration, 2, "acceleration")
-        if self._too_early(time) or not math.isfinite(float(acceleration.sum()) + gyro):
+        if self._too_early(time) or not (_finite(acceleration) and math.isfinite(gyro)):
             return
         noise = self.tuning.estimation
         self.filter.imu(time, acceleration, gyro, (noise.imu_acceleration_m_s2, noise.gyro_rad_s))
@@ -231,7 +235,7 @@ class TrackingController:
             Along the body's x and y axes [m/s].
         """
         velocity = _copied(velocity, 2, "velocity")
-        if self._too_early(time) or not math.isfinite(float(velocity.sum())):
+        if self._too_early(time) or not _finite(velocity):
             return
         self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
 
@@ -254,7 +258,7 @@ class TrackingController:
             If there is not one command for each propeller.
         """
         command = _copied(command, len(self._idle), "command")
-        if not math.isfinite(float(command.sum())):
+        if not _finite(command):
             return
         late = self._clock is not None and time > self._clock + _STALE
         if self._clock is not None and (late or not math.isfinite(time)):
@@ -281,9 +285,15 @@ class TrackingController:
         refusal = self.refusal(time)
         if refusal is not None:
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
-        estimate = self.predict(time)
-        ahead = self.model.transport_delay + self.tuning.period_s
-        return self.steer(estimate, self.reference.at(time, ahead))
+        delay = self.model.transport_delay
+        target = self.reference.at(time, delay + self.tuning.period_s)
+        if self._predict_and_plan is None or not self.compensate_delay:
+            return self.steer(self.predict(time), target)
+        return self._fulfilled(
+            *self.filter.predict_with(
+                self._predict_and_plan, time + delay, target.state, target.acceleration, self.gain
+            )
+        )
 
     def predict(self, time: float) -> Estimate:
         """Predict the craft to when a command sent now begins to act.
@@ -319,7 +329,7 @@ class TrackingController:
         Step
             The command.
         """
-        request, matrix, offset, low, high, coasting = self._plan(
+        plan = self._plan(
             estimate.state,
             estimate.motor_speed,
             estimate.disturbance,
@@ -328,66 +338,19 @@ class TrackingController:
             target.acceleration,
             self.gain,
         )
-        allocated = self._allocator.allocate(request, matrix, offset, low, high)
-        (command,) = self._command(allocated.thrust, coasting)
-        if allocated.outcome == "failed" or not math.isfinite(float(command.sum())):
+        return self._fulfilled(estimate, plan)
+
+    def _fulfilled(self, estimate: Estimate, plan: Sequence[Any]) -> Step:
+        """Return the step that does what is planned."""
+        request, coasting, *posed = plan
+        solution, outcome = self._allocator.solve(*posed)
+        if solution is None:
             return Step(self._idle.copy(), "failed", request, estimate)
-        # What compiled programs return cannot be written to.
-        return Step(np.array(command), allocated.outcome, request, estimate)
-
-    def _programs(self, compiled: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Return what runs before and after the allocation, in NumPy or compiled."""
-        dynamics, vehicle = self.model.dynamics, self.model.vehicle
-        period = self.tuning.period_s
-        a, b = point_mass(period)
-        lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
-        rejected = 1.0 if self.reject_disturbance else 0.0
-        least, most = vehicle.command_min, vehicle.command_max
-
-        def programs(xp: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
-            def plan(
-                state: Any,
-                speed: Any,
-                disturbance: Any,
-                effectiveness: Any,
-                target: Any,
-                feedforward: Any,
-                gain: Any,
-            ) -> tuple[Any, ...]:
-                # What the motors do in the coming period is settled; go on to the next one.
-                # A thrust that is believed weaker than it is counts the less, none is divided by.
-                effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
-                matrix, offset = acceleration_map(xp, dynamics, state[2], state[5])
-                matrix = matrix * effectiveness
-                settled = matrix @ thrust(dynamics.thrust, speed) + offset + disturbance
-                following = a @ state + b @ settled
-                error = following - target
-                turn = (error[2] + np.pi) % (2 * np.pi) - np.pi
-                error = xp.concatenate([error[:2], turn[None], error[3:]])
-                request = feedforward - gain @ error - rejected * disturbance
-                matrix, offset = acceleration_map(xp, dynamics, following[2], following[5])
-                matrix = matrix * effectiveness
-                coasting = lag * speed
-                low = thrust(dynamics.thrust, coasting + drive * least)
-                high = thrust(dynamics.thrust, coasting + drive * most)
-                return request, matrix, offset, low, high, coasting
-
-            def command(force: Any, coasting: Any) -> tuple[Any]:
-                speed = inverse_thrust(xp, dynamics.thrust, force)
-                return (xp.clip((speed - coasting) / drive, least, most),)
-
-            return plan, command
-
-        if not compiled:
-            return programs(np)
-        import jax.numpy as jnp
-
-        plan, command = programs(jnp)
-        state, axes = np.zeros(6), np.zeros(3)
-        return (
-            for_real_time(plan, state, self._idle, axes, self._idle, state, axes, self.gain),
-            for_real_time(command, self._idle, self._idle),
-        )
+        _, lower, upper, _ = posed
+        (command,) = self._command(solution, lower, upper, coasting)
+        if not _finite(command):
+            return Step(self._idle.copy(), "failed", request, estimate)
+        return Step(command, outcome, request, estimate)
 
     def refusal(self, time: float) -> Status | None:
         """Say why the craft cannot be steered now, if it cannot.
@@ -439,6 +402,11 @@ def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
     if copied.shape != (count,):
         raise InputError(f"give {count} numbers, not an array of shape {copied.shape}", field=name)
     return copied
+
+
+def _finite(values: Float[np.ndarray, " k"]) -> bool:
+    """Say whether a few numbers are all finite, in less time than NumPy takes for any question."""
+    return all(map(math.isfinite, values.tolist()))
 
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:

@@ -7,7 +7,7 @@ disturbance. The equations are in `airpuck.estimate.multiple_models`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -43,7 +43,7 @@ from airpuck.estimate.recursive_filter import (
     Pieces,
     RecursiveFilter,
 )
-from airpuck.model.compiled import for_real_time
+from airpuck.model.compiled import program
 from airpuck.model_file import Model
 
 
@@ -77,7 +77,7 @@ class ActuationFilter(RecursiveFilter):
         delay_deviation: float = 3e-3,
         compiled: bool = True,
     ) -> None:
-        super().__init__(model)
+        super().__init__(model, compiled)
         encoder = encoder or ActuationEncoder()
         n = model.vehicle.n_propellers
         covariance = np.zeros((len(encoder.priors), n + 1, n + 1))
@@ -91,56 +91,60 @@ class ActuationFilter(RecursiveFilter):
             weight / weight.sum(), covariance, lasting, encoder.tail, encoder.tempering
         )
         self._noise = noise
-        self._predict, self._advance_by, self._measure_pose = self._programs(compiled)
+        self._advance_by, self._measure_pose = self._programs()
+        self._predict = self.composed(lambda *_: ())
 
-    def _programs(self, compiled: bool) -> tuple[Callable[..., Any], ...]:
-        """Return what runs at every prediction, piece of time and pose."""
+    def _programs(self) -> tuple[Callable[..., Any], ...]:
+        """Return what runs at every piece of time and pose."""
         dynamics, states, noise = self.model.dynamics, self._states, self._noise
         size, n = 10 + len(self._idle), len(self._idle)
         variances, rows = np.square(noise.pose), np.eye(size)[POSITION]
 
-        def programs(xp: Any) -> tuple[Callable[..., Any], ...]:
-            def predict(means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
-                mean = xp.sum(weights[:, None] * means, axis=0)
-                # The delay is told, but not used: commands on their way have one of their own.
-                effective = replace(
-                    dynamics, thrust=dynamics.thrust * (1 + mean[9 : 9 + n])[:, None]
-                )
-                axes = xp.reshape(mean[:9], (3, 3)).T
-                axes, speed = propagate(xp, effective, axes, *given)
-                variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
-                spread = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
-                return axes.T, mean[ACTUATION], spread, speed
+        def move(xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
+            belief = means, covariances, weights
+            belief, speed = advance(xp, dynamics, states, noise, belief, *given)
+            return *belief, speed
 
-            def move(means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
-                belief = means, covariances, weights
-                belief, speed = advance(xp, dynamics, states, noise, belief, *given)
-                return *belief, speed
+        def use(xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
+            *moving, pose = given
+            *belief, speed = move(xp, means, covariances, weights, *moving)
+            expected = xp.sum(belief[2][:, None] * belief[0], axis=0)[POSITION]
+            innovation = wrapped(xp, pose - expected)
+            belief = measure(xp, states, tuple(belief), rows, innovation, variances)
+            return *belief, speed, innovation
 
-            def use(means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
-                *moving, pose = given
-                *belief, speed = move(means, covariances, weights, *moving)
-                expected = xp.sum(belief[2][:, None] * belief[0], axis=0)[POSITION]
-                innovation = wrapped(xp, pose - expected)
-                belief = measure(xp, states, tuple(belief), rows, innovation, variances)
-                return *belief, speed, innovation
-
-            return predict, move, use
-
-        if not compiled:
-            return programs(np)
-        import jax.numpy as jnp
-
-        predict, move, use = programs(jnp)
         h = len(states.weight)
         belief = np.zeros((h, size)), np.zeros((h, size, size)), np.zeros(h)
-        to_predict = np.zeros(PIECES_TO_PREDICT), np.zeros((PIECES_TO_PREDICT, n))
+        to_advance = np.zeros(PIECES_TO_PREDICT), np.zeros((PIECES_TO_PREDICT, n))
         to_measure = np.zeros(PIECES_TO_MEASURE), np.zeros((PIECES_TO_MEASURE, n))
         return (
-            for_real_time(predict, *belief, self._idle, *to_predict),
-            for_real_time(move, *belief, self._idle, *to_predict),
-            for_real_time(use, *belief, self._idle, *to_measure, np.zeros(3)),
+            program(move, *belief, self._idle, *to_advance, compiled=self._compiled),
+            program(use, *belief, self._idle, *to_measure, np.zeros(3), compiled=self._compiled),
         )
+
+    def _prediction(self) -> Callable[..., tuple[Any, ...]]:
+        dynamics = self.model.dynamics
+
+        def predict(xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
+            mean = xp.sum(weights[:, None] * means, axis=0)
+            e = mean[ACTUATION]
+            # The delay is told, but not used: commands on their way have one of their own.
+            effective = replace(dynamics, thrust=dynamics.thrust * (1 + e[:-1])[:, None])
+            axes = xp.reshape(mean[:9], (3, 3)).T
+            axes, speed = propagate(xp, effective, axes, *given)
+            variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
+            spread = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
+            delay = xp.stack([e[-1], spread[-1]])
+            motion = xp.ravel(axes[:, :2].T), speed, axes[:, 2]
+            return *motion, 1 + e[:-1], spread[:-1], weights, delay
+
+        return predict
+
+    def _estimate(self, time: float, results: Sequence[Any]) -> tuple[Estimate, Sequence[Any]]:
+        state, speed, disturbance, effectiveness, deviation, weights, delay, *following = results
+        probability = dict(zip(self._names, weights.tolist(), strict=True))
+        actuation = ActuationEstimate(effectiveness, deviation, probability, *delay.tolist())
+        return Estimate(time, state, speed, disturbance, actuation), following
 
     def _begun(
         self, pose: Float[np.ndarray, " 3"], before: Belief | None, elapsed: float
@@ -204,16 +208,3 @@ class ActuationFilter(RecursiveFilter):
         rows = np.eye(len(mean))[3:5]
         innovation = np.array(turned(velocity, mean[2])) - mean[3:5]
         return measure(np, self._states, belief, rows, innovation, np.full(2, noise**2))
-
-    def _estimate(
-        self, time: float, belief: Belief, speed: Float[np.ndarray, " n"], pieces: Pieces
-    ) -> Estimate:
-        motion, e, spread, speed = self._predict(*belief, speed, *pieces)
-        actuation = ActuationEstimate(
-            effectiveness=1 + e[:-1],
-            deviation=spread[:-1],
-            probability=dict(zip(self._names, belief[2].tolist(), strict=True)),
-            delay=float(e[-1]),
-            delay_deviation=float(spread[-1]),
-        )
-        return Estimate(time, motion[:2].ravel(), speed, motion[2], actuation)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -107,6 +108,16 @@ class Estimator(Protocol):
 
     def predict(self, time: float) -> Estimate:
         """Predict with the commands that are known; see `RecursiveFilter.predict`."""
+        ...
+
+    def composed(self, then: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
+        """Make one program of prediction and what follows; see `RecursiveFilter.composed`."""
+        ...
+
+    def predict_with(
+        self, composed: Callable[..., Any], time: float, *more: Any
+    ) -> tuple[Estimate, Sequence[Any]]:
+        """Predict, and compute what follows; see `RecursiveFilter.predict_with`."""
         ...
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:

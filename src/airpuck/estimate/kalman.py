@@ -10,7 +10,7 @@ books are `RecursiveFilter`'s.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from airpuck.estimate.recursive_filter import (
     Pieces,
     RecursiveFilter,
 )
-from airpuck.model.compiled import for_real_time
+from airpuck.model.compiled import program
 from airpuck.model.rigid_body import acceleration
 from airpuck.model_file import Model
 
@@ -52,45 +52,49 @@ class KalmanFilter(RecursiveFilter):
     """
 
     def __init__(self, model: Model, noise: Noise, *, compiled: bool = True) -> None:
-        super().__init__(model)
+        super().__init__(model, compiled)
         self._pose_variance = np.square(noise.pose)
         self._noise = np.square(noise.acceleration), np.square(noise.disturbance)
-        self._predict, self._advance_by, self._measure_pose = self._programs(compiled)
+        self._advance_by, self._measure_pose = self._programs()
+        self._predict = self.composed(lambda *_: ())
 
-    def _programs(self, compiled: bool) -> tuple[Callable[..., Any], ...]:
-        """Return what runs at every prediction, piece of time and pose."""
+    def _programs(self) -> tuple[Callable[..., Any], ...]:
+        """Return what runs at every piece of time and pose."""
         dynamics, noise, pose_variance = self.model.dynamics, self._noise, self._pose_variance
 
-        def programs(xp: Any) -> tuple[Callable[..., Any], ...]:
-            def predict(mean: Any, speed: Any, durations: Any, commands: Any) -> Any:
-                return propagate(xp, dynamics, mean, speed, durations, commands)
+        def advance(xp: Any, mean: Any, covariance: Any, speed: Any, *pieces: Any) -> Any:
+            mean, speed = propagate(xp, dynamics, mean, speed, *pieces)
+            return mean, spread(xp, covariance, xp.sum(pieces[0]), *noise), speed
 
-            def advance(mean: Any, covariance: Any, speed: Any, durations: Any, *given: Any) -> Any:
-                mean, speed = propagate(xp, dynamics, mean, speed, durations, *given)
-                return mean, spread(xp, covariance, xp.sum(durations), *noise), speed
+        def measure(xp: Any, mean: Any, covariance: Any, speed: Any, *given: Any) -> Any:
+            *pieces, pose = given
+            mean, covariance, speed = advance(xp, mean, covariance, speed, *pieces)
+            innovation = wrapped(xp, pose - mean[:, 0])
+            mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
+            return mean, covariance, speed, innovation
 
-            def measure(mean: Any, covariance: Any, speed: Any, *given: Any) -> Any:
-                *pieces, pose = given
-                mean, covariance, speed = advance(mean, covariance, speed, *pieces)
-                innovation = wrapped(xp, pose - mean[:, 0])
-                mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
-                return mean, covariance, speed, innovation
-
-            return predict, advance, measure
-
-        if not compiled:
-            return programs(np)
-        import jax.numpy as jnp
-
-        predict, advance, measure = programs(jnp)
         n, belief = len(self._idle), (np.zeros((3, 3)), np.zeros((3, 3, 3)))
-        to_predict = np.zeros(PIECES_TO_PREDICT), np.zeros((PIECES_TO_PREDICT, n))
+        to_advance = np.zeros(PIECES_TO_PREDICT), np.zeros((PIECES_TO_PREDICT, n))
         to_measure = np.zeros(PIECES_TO_MEASURE), np.zeros((PIECES_TO_MEASURE, n))
         return (
-            for_real_time(predict, belief[0], self._idle, *to_predict),
-            for_real_time(advance, *belief, self._idle, *to_predict),
-            for_real_time(measure, *belief, self._idle, *to_measure, np.zeros(3)),
+            program(advance, *belief, self._idle, *to_advance, compiled=self._compiled),
+            program(
+                measure, *belief, self._idle, *to_measure, np.zeros(3), compiled=self._compiled
+            ),
         )
+
+    def _prediction(self) -> Callable[..., tuple[Any, ...]]:
+        dynamics = self.model.dynamics
+
+        def predict(xp: Any, mean: Any, covariance: Any, *given: Any) -> tuple[Any, ...]:
+            mean, speed = propagate(xp, dynamics, mean, *given)
+            return xp.ravel(mean[:, :2].T), speed, mean[:, 2], xp.ones(speed.shape)
+
+        return predict
+
+    def _estimate(self, time: float, results: Sequence[Any]) -> tuple[Estimate, Sequence[Any]]:
+        state, speed, disturbance, _, *following = results
+        return Estimate(time, state, speed, disturbance), following
 
     def _begun(
         self, pose: Float[np.ndarray, " 3"], before: Belief | None, elapsed: float
@@ -144,12 +148,6 @@ class KalmanFilter(RecursiveFilter):
         vx, vy = turned(velocity, mean[2, 0])
         innovation = np.array([vx - mean[0, 1], vy - mean[1, 1], 0.0])
         return correct(mean, covariance, 1, innovation, np.array([noise**2, noise**2, np.inf]))
-
-    def _estimate(
-        self, time: float, belief: Belief, speed: Float[np.ndarray, " n"], pieces: Pieces
-    ) -> Estimate:
-        mean, speed = self._predict(belief[0], speed, *pieces)
-        return Estimate(time, mean[:, :2].T.ravel(), speed, mean[:, 2])
 
 
 def turned(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.estimate.estimator import Estimate
+from airpuck.model.compiled import program
 from airpuck.model.motor import motor_step
 from airpuck.model_file import Model
 
@@ -40,6 +42,8 @@ class RecursiveFilter(ABC):
     ----------
     model : Model
         The craft, with its transport delay.
+    compiled : bool
+        Whether to compile the mathematics or to run it in NumPy.
 
     Notes
     -----
@@ -51,8 +55,11 @@ class RecursiveFilter(ABC):
     after it are used again.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, compiled: bool) -> None:
         self.model = model
+        self._compiled = compiled
+        #: The prediction with nothing that follows; made by each kind when it is ready to.
+        self._predict: Callable[..., Any]
         self._idle = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
         self.reset()
 
@@ -96,10 +103,17 @@ class RecursiveFilter(ABC):
         """Return what is believed after a measured velocity."""
 
     @abstractmethod
-    def _estimate(
-        self, time: float, belief: Belief, speed: Float[np.ndarray, " n"], pieces: Pieces
-    ) -> Estimate:
-        """Return the estimate after at most `PIECES_TO_PREDICT` pieces."""
+    def _prediction(self) -> Callable[..., tuple[Any, ...]]:
+        """Return what is predicted as a pure function.
+
+        Of an array namespace, belief, motor speeds, and durations and commands of
+        `PIECES_TO_PREDICT` pieces; to state, motor speeds, disturbance, effectiveness of the
+        motors, and what else an estimate says.
+        """
+
+    @abstractmethod
+    def _estimate(self, time: float, results: Sequence[Any]) -> tuple[Estimate, Sequence[Any]]:
+        """Return the estimate that says what is predicted, and the results that follow."""
 
     def reset(self) -> None:
         """Forget everything."""
@@ -271,8 +285,58 @@ class RecursiveFilter(ABC):
         Estimate
             The prediction.
         """
+        return self.predict_with(self._predict, time)[0]
+
+    def composed(self, then: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
+        """Make one program of a prediction and what follows: two would take twice the time to call.
+
+        Parameters
+        ----------
+        then : callable
+            Pure function of an array namespace, the predicted state, motor speeds, disturbance and
+            effectiveness of the motors (as in `Estimate`), and more arrays; to a tuple of arrays.
+        *examples : array or float
+            More arrays of the shapes that it will be called with.
+
+        Returns
+        -------
+        callable
+            For `predict_with`.
+        """
+        predict = self._prediction()
+        pieces = _arrays([(0.0, self._idle)], PIECES_TO_PREDICT)
+        believed = *self._begun(np.zeros(3), None, 0.0), self._idle, *pieces
+        count = len(believed)
+
+        def both(xp: Any, *given: Any) -> tuple[Any, ...]:
+            predicted = predict(xp, *given[:count])
+            return *predicted, *then(xp, *predicted[:4], *given[count:])
+
+        return program(both, *believed, *examples, compiled=self._compiled)
+
+    def predict_with(
+        self, composed: Callable[..., Any], time: float, *more: Any
+    ) -> tuple[Estimate, Sequence[Any]]:
+        """Predict, and compute what follows from it.
+
+        Parameters
+        ----------
+        composed : callable
+            What `composed` made, of this filter or one like it.
+        time : float
+            See `predict` [s].
+        *more : array or float
+            Arguments of the function that follows.
+
+        Returns
+        -------
+        estimate : Estimate
+            The prediction.
+        results : sequence of array
+            What the function returns.
+        """
         belief, speed, pieces, _ = self._pieces(time, PIECES_TO_PREDICT)
-        return self._estimate(time, belief, speed, pieces)
+        return self._estimate(time, composed(*belief, speed, *pieces, *more))
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Begin anew at a pose, at rest; commands and motor speeds are kept.
@@ -398,7 +462,6 @@ class RecursiveFilter(ABC):
 
 def _arrays(pieces: list[tuple[float, Float[np.ndarray, " n"]]], size: int) -> Pieces:
     """Lay pieces out as arrays of a fixed size, filled up with pieces of no length."""
-    durations = np.zeros(size)
-    durations[: len(pieces)] = [duration for duration, _ in pieces]
-    commands = [command for _, command in pieces]
-    return durations, np.array(commands + commands[-1:] * (size - len(commands)))
+    filled = pieces + [(0.0, pieces[-1][1])] * (size - len(pieces))
+    durations, commands = zip(*filled, strict=True)
+    return np.array(durations), np.array(commands)

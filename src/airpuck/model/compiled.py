@@ -25,6 +25,57 @@ import numpy as np
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
 
+#: XLA may give the parts of a program to several threads, which costs more than all the arithmetic.
+_ONE_AFTER_THE_OTHER: dict[str, str | bool] = {
+    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED"
+}
+
+
+def at_once() -> None:
+    """Let JAX run programs on a CPU where they are called, in this process.
+
+    By default it hands those of more than a thousand operations to another thread, which takes
+    10 µs. To be said before JAX computes anything; a setting of the whole process, so a command
+    may change it, not a library.
+    """
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def runs_at_once() -> bool:
+    """Say whether JAX runs programs of any size where they are called; see `at_once`."""
+    import jax
+
+    return not jax.config.read("jax_cpu_enable_async_dispatch")
+
+
+def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Callable[..., Any]:
+    """Give a function of a namespace and arrays its namespace.
+
+    Parameters
+    ----------
+    function : callable
+        Takes an array namespace and arrays, returns a tuple of arrays; pure.
+    *examples : array or float
+        Arrays of the shapes that it will be called with.
+    compiled : bool
+        Whether the namespace is jax.numpy, and the function compiled (`for_real_time`), or numpy.
+
+    Returns
+    -------
+    callable
+        NumPy arrays in, NumPy arrays out.
+    """
+    xp: Any = np
+    if compiled:
+        import jax.numpy as xp
+
+    def bound(*arrays: Any) -> Any:
+        return function(xp, *arrays)
+
+    return for_real_time(bound, *examples) if compiled else bound
+
 
 def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
     """Compile a pure function of arrays, in double precision, for the CPU.
@@ -40,8 +91,8 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
     Returns
     -------
     callable
-        The same function: NumPy arrays in, a list of NumPy arrays (of double precision, read-only)
-        out. It neither depends on nor changes JAX's settings.
+        The same function: NumPy arrays in, a list of NumPy arrays (of double precision, the
+        caller's own) out. It neither depends on nor changes JAX's settings.
     """
     try:
         key = _content(function), tuple(np.shape(example) for example in examples)
@@ -70,28 +121,36 @@ def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any
     import jax
     import jax.numpy as jnp
 
-    double_precision, concatenate, asarray = jax.enable_x64, np.concatenate, np.asarray
+    double_precision, concatenate, array = jax.enable_x64, np.concatenate, np.array
     taken = _places([np.shape(example) for example in examples])
-    given: list[tuple[int, int, tuple[int, ...]]] = []
+    given: list[tuple[slice, tuple[int, ...]]] = []
 
     def on_vectors(vector: Any) -> Any:
-        results = function(*(vector[a:b].reshape(shape) for a, b, shape in taken))
+        results = function(*(vector[part].reshape(shape) for part, shape in taken))
         given[:] = _places([result.shape for result in results])
         return jnp.concatenate([result.ravel() for result in results])
 
     cpu = jax.local_devices(backend="cpu")[0]
     with double_precision(True), jax.default_device(cpu):
-        program = jax.jit(on_vectors).lower(np.zeros(taken[-1][1])).compile()
+        lowered = jax.jit(on_vectors).lower(np.zeros(taken[-1][0].stop))
+        try:
+            program = lowered.compile(_ONE_AFTER_THE_OTHER)
+        except jax.errors.JaxRuntimeError:  # a version that does not know it
+            program = lowered.compile()
+    parts = [(part, shape if len(shape) != 1 else None) for part, shape in given]
 
     def call(*arguments: Any) -> list[np.ndarray]:
         with double_precision(True):
-            results = asarray(program(concatenate(arguments, axis=None)))
-        return [results[a:b].reshape(shape) for a, b, shape in given]
+            results = array(program(concatenate(arguments, axis=None)))
+        return [
+            results[part] if shape is None else results[part].reshape(shape)
+            for part, shape in parts
+        ]
 
     return call
 
 
-def _places(shapes: list[tuple[int, ...]]) -> list[tuple[int, int, tuple[int, ...]]]:
-    """Lay arrays out one after the other: begin, end and shape of each."""
+def _places(shapes: list[tuple[int, ...]]) -> list[tuple[slice, tuple[int, ...]]]:
+    """Lay arrays out one after the other: place and shape of each."""
     edges = accumulate(map(math.prod, shapes), initial=0)
-    return [(a, b, shape) for (a, b), shape in zip(pairwise(edges), shapes, strict=True)]
+    return [(slice(a, b), shape) for (a, b), shape in zip(pairwise(edges), shapes, strict=True)]
