@@ -6,8 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from airpuck.model.rotation import cos_sin
+from airpuck.model.rotation import cos_sin, polynomials
 
 ANGLES = np.linspace(-7, 7, 57)
 
@@ -31,8 +33,35 @@ def test_derivatives_of_both_modes():
             np.testing.assert_allclose(by_sin, np.diag(np.cos(ANGLES)), atol=1e-15)
 
 
-def test_keeps_the_precision():
-    assert {value.dtype for value in cos_sin(jnp, jnp.ones(3, np.float32))} == {np.dtype("f4")}
+@pytest.mark.parametrize("double", [True, False])
+def test_keeps_single_precision(double):
+    angle = ANGLES.astype("f4")
+    with jax.enable_x64(double):
+        found = jnp.stack(cos_sin(jnp, jnp.asarray(angle)))
+    assert found.dtype == np.dtype("f4")
+    expected = np.cos(angle, dtype="f8"), np.sin(angle, dtype="f8")
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1.5e-7)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20))
+def test_polynomials_are_exact_to_rounding(angles):
+    angle = np.array(angles)
+    cos, sin = polynomials(np, angle)
+    np.testing.assert_allclose(cos, np.cos(angle), rtol=0, atol=2.3e-16)
+    np.testing.assert_allclose(sin, np.sin(angle), rtol=0, atol=2.3e-16)
+    # Also where they are small.
+    np.testing.assert_allclose(sin, np.sin(angle), rtol=1e-11, atol=1e-300)
+
+
+def test_polynomials_at_quarter_turns():
+    turns = np.arange(-8, 9)
+    cos, sin = polynomials(np, turns * (np.pi / 2))
+    np.testing.assert_allclose(cos + 1j * sin, 1j ** turns.astype(float), atol=1e-14)
+
+
+def test_what_is_no_number_stays_so():
+    with jax.enable_x64(True):
+        assert not jnp.isfinite(jnp.stack(cos_sin(jnp, jnp.array([np.nan, np.inf])))).any()
 
 
 def test_a_compiled_program_has_one_sine_and_one_cosine():

@@ -17,7 +17,7 @@ from numbers import Integral
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from airpuck.errors import InputError
 from airpuck.model.pytrees import register_pytrees
@@ -25,15 +25,15 @@ from airpuck.model.rigid_body import Dynamics
 from airpuck.model_file import Model
 from airpuck.recording.stream import Recording
 from airpuck.table import Table
+from airpuck.twin.fleet_radio import heard_commands
 from airpuck.twin.plant import LONGEST_STEP, Disc, advance, scaled
-from airpuck.twin.radio import passage
-from airpuck.twin.settings import Radio, TwinSettings, default_twin_settings
+from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import EPOCH_NS, build_plant, check_seed, command_stream, pose_sensor
 
 #: Craft of one batch on a CPU: enough that the loop costs little, few enough for its cache.
 BATCH = 512
 #: Events of all craft between two transfers of their states.
-SEGMENT = 512
+SEGMENT = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,9 @@ def fly_fleet(
     frames, stride = _frames(settings, len(command) * period, every)
     # Craft that differ in neither hear the same.
     radios = max(len(seeds), len(delays))
-    times, heard = _heard(settings, sent, _each(seeds, radios), _each(delays.tolist(), radios))
+    times, heard = heard_commands(
+        settings, sent, _each(seeds, radios), _each(delays.tolist(), radios)
+    )
     # One more, for motors that stop.
     commands = np.concatenate([command, np.zeros((1, *command.shape[1:]))])
     fleet = _Fleet(
@@ -340,51 +342,6 @@ def _stacked(each: list[Dynamics]) -> Dynamics:
 
     _register()
     return jax.tree.map(lambda *values: np.stack(values, axis=-1).astype(float), *each)
-
-
-def _heard(
-    settings: TwinSettings,
-    sent: Float[np.ndarray, " K"],
-    seeds: tuple[int, ...],
-    delays: tuple[float, ...],
-) -> tuple[Float[np.ndarray, "E B"], Int[np.ndarray, "E B"]]:
-    """Return what the motors of each craft follow, and from when on; filled up to one length."""
-    changes = []
-    for seed, delay in zip(seeds, delays, strict=True):
-        # The very numbers that a `RadioLink` draws.
-        chance = np.random.default_rng([seed, 0]).random((len(sent), 2))
-        radio = settings.radio.model_copy(update={"delay_s": delay})
-        changes.append(_changes(radio, settings.motors.unarmed_s, sent, chance))
-    # There is always one more to wait for.
-    times = np.full((max(len(one) for one, _ in changes) + 1, len(seeds)), np.inf)
-    heard = np.full(times.shape, len(sent), dtype=np.int32)
-    for b, (when, what) in enumerate(changes):
-        times[: len(when), b], heard[: len(what), b] = when, what
-    return times, heard
-
-
-def _changes(
-    radio: Radio,
-    unarmed: float,
-    sent: Float[np.ndarray, " K"],
-    chance: Float[np.ndarray, "K 2"],
-) -> tuple[Float[np.ndarray, " E"], Int[np.ndarray, " E"]]:
-    """Return when what a craft's motors follow changes, and the number of the command, K: stop."""
-    arrival = passage(radio, sent, chance)
-    packet = np.flatnonzero(np.isfinite(arrival))
-    # No packet overtakes another.
-    arrival = np.maximum.accumulate(arrival[packet])
-    silent = np.diff(arrival, append=np.inf) > radio.timeout_s
-    times = np.concatenate([arrival, arrival[silent] + radio.timeout_s])
-    commands = np.concatenate([packet, np.full(np.count_nonzero(silent), len(sent))])
-    order = np.argsort(times, kind="stable")
-    times, commands = times[order], commands[order]
-    if unarmed > 0:
-        late = np.searchsorted(times, unarmed, side="right")
-        in_force = commands[late - 1] if late else len(sent)
-        times = np.concatenate([[unarmed], times[late:]])
-        commands = np.concatenate([[in_force], commands[late:]])
-    return times, commands
 
 
 @cache

@@ -14,27 +14,32 @@ from airpuck.twin.settings import Radio, TwinSettings
 
 
 def passage(
-    settings: Radio, time: Float[np.ndarray, " K"], chance: Float[np.ndarray, "K 2"]
-) -> Float[np.ndarray, " K"]:
+    settings: Radio,
+    delay: float | Float[np.ndarray, "*batch 1"] | None,
+    time: Float[np.ndarray, " K"],
+    chance: Float[np.ndarray, "*batch K 2"],
+) -> Float[np.ndarray, "*batch K"]:
     """Say when packets arrive that do not meet each other.
 
     Parameters
     ----------
     settings : Radio
-        Delay (it must have one), jitter, loss, outages.
+        Jitter, loss, outages.
+    delay : float or array, shape (..., 1)
+        Mean delay, of all radios or of each [s].
     time : array, shape (K,)
         When they are sent [s].
-    chance : array, shape (K, 2)
+    chance : array, shape (..., K, 2)
         Uniform random numbers: of the delay, and of the loss.
 
     Returns
     -------
-    array, shape (K,)
+    array, shape (..., K)
         Arrivals; infinite for those lost [s].
     """
-    assert settings.delay_s is not None
-    arrival = time + np.maximum(settings.delay_s + settings.jitter_s * ndtri(chance[:, 0]), 0.0)
-    lost = chance[:, 1] < settings.loss
+    assert delay is not None
+    arrival = time + np.maximum(delay + settings.jitter_s * ndtri(chance[..., 0]), 0.0)
+    lost = chance[..., 1] < settings.loss
     for start, stop in settings.outages_s:
         lost |= (start <= arrival) & (arrival < stop)
     return np.where(lost, np.inf, arrival)
@@ -67,7 +72,7 @@ def queued_delay(
     """
     sent = period * np.arange(packets)
     chance = np.random.default_rng(seed).random((packets, 2))
-    arrival = passage(settings, sent, chance)
+    arrival = passage(settings, settings.delay_s, sent, chance)
     there = np.isfinite(arrival)
     delay = np.maximum.accumulate(arrival[there]) - sent[there]
     return float(delay.mean()), float(delay.std())
@@ -125,7 +130,8 @@ class RadioLink:
             Its content.
         """
         chance = self._rng.random((1, 2))
-        alone = float(passage(self._settings, np.array([time]), chance)[0])
+        delay = self._settings.delay_s
+        alone = float(passage(self._settings, delay, np.array([time]), chance)[0])
         if math.isinf(alone):
             return
         arrival = max(alone, self._last_arrival)
