@@ -88,29 +88,27 @@ def normal_equations(
         model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
         return encoder.encode(jnp, model, replace(past, command=command))
 
-    def accelerate(force: Any, direction: Any, center: Any, motion: Any) -> Any:
-        """Accelerations under given thrusts, Π and the effects moved by `direction`."""
-        matrix, effects = jax.tree.map(
-            lambda value, slopes: value + jnp.tensordot(direction, slopes, 1), linear, basis
-        )
+    def accelerate(*by: Any) -> Any:
+        """Accelerations given thrusts, Π and the effects, centre of mass, and motion."""
+        force, (matrix, effects), center, motion = by
         # As if propellers pushed as strongly as they turn.
         model = Dynamics(jnp.ones((n, 1)), matrix, center, tau, frame, effects)
         return jnp.stack(acceleration(jnp, model, motion, force))
 
     def local(force: Any, motion: Any) -> tuple[Any, list[Any]]:
         """Accelerations, and their derivatives by each argument of `accelerate`, (3, ·, B)."""
-        point = force, jnp.zeros(len(basis[0])), center, motion
-        value, push = jax.linearize(accelerate, *point)
+        point = force, linear, center, motion
+        each = jnp.ones(batch)
+        along = jnp.eye(n)[..., None] * each, basis, jnp.eye(2), jnp.eye(4)[..., None] * each
 
-        def along(k: int, unit: Any) -> Any:
-            tangents = [jnp.zeros_like(part) for part in point]
-            tangents[k] = (unit * jnp.ones_like(point[k].T)).T
-            return push(*tangents)
+        def slopes(k: int) -> Any:
+            # One argument at a time: XLA would multiply by the zeros of the others.
+            _, push = jax.linearize(
+                lambda part: accelerate(*point[:k], part, *point[k + 1 :]), point[k]
+            )
+            return jax.vmap(push, out_axes=1)(along[k])
 
-        return value, [
-            jax.vmap(partial(along, k), out_axes=1)(jnp.eye(len(part)))
-            for k, part in enumerate(point)
-        ]
+        return accelerate(*point), [slopes(k) for k in range(len(point))]
 
     # Without effects nothing depends on the velocity.
     felt = range(4) if linear[1] else (0, 3)

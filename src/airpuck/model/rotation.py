@@ -61,13 +61,16 @@ def _kept() -> Any:
     import jax
     import jax.numpy as jnp
 
+    # In one array without joining two: XLA would multiply each part by itself, and fuse that.
+    first = np.array([True, False])
+
     def plain(angle: Any) -> Any:
-        return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        return jnp.where(_rows(first, angle), jnp.cos(angle), jnp.sin(angle))
 
     def kept(angle: Any) -> Any:
         double = jax.dtypes.canonicalize_dtype(float) == np.float64
         rows = polynomials(jnp, angle.astype(float)) if double else plain(angle)
-        return jnp.tensordot(jnp.eye(2, dtype=angle.dtype), rows.astype(angle.dtype), 1)
+        return jnp.tensordot(np.eye(2, dtype=angle.dtype), rows.astype(angle.dtype), 1)
 
     @jax.custom_jvp
     def both(angle: Any) -> tuple[Any, Any]:
@@ -108,9 +111,14 @@ def polynomials(xp: Any, angle: Any) -> Any:
     sine = rest + rest * square * _horner(_SINE, square)
     cosine = 1 - square / 2 + square * square * _horner(_COSINE, square)
     # One array from the start, cos(r) being sin(r + π/2): what joins two is not vectorised.
-    quadrant = turns.astype(int) + xp.array([1, 0]).reshape(2, *(1,) * angle.ndim)
+    quadrant = turns.astype(int) + _rows(np.array([1, 0]), angle)
     value = xp.where(quadrant & 1, cosine, sine)
     return xp.where(quadrant & 2, -value, value)
+
+
+def _rows(values: np.ndarray, angle: Any) -> np.ndarray:
+    """Shape values so that one goes with each row of what is computed from angles."""
+    return values.reshape(-1, *(1,) * angle.ndim)
 
 
 def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
