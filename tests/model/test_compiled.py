@@ -127,6 +127,30 @@ def test_a_function_is_given_its_namespace():
         result[0] = 5  # the caller's own
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.arange(6.0).reshape(3, 2).T,
+        np.arange(12.0).reshape(2, 6)[:, ::2],
+        np.arange(6).reshape(2, 3),
+        np.arange(6, dtype=np.float32).reshape(2, 3),
+        np.arange(6.0).reshape(2, 3).astype(">f8"),
+        np.array([[True, False, True], [False, False, True]]),
+        [[1, 2, 3], [4, 5, 6]],
+    ],
+    ids=["plain", "transposed", "sliced", "integers", "single", "big-endian", "truths", "lists"],
+)
+def test_arguments_of_any_kind_and_layout_are_taken(given):
+    def weighted(xp, matrix, scale):
+        return (scale * matrix @ np.array([1.0, 10.0, 100.0]),)
+
+    run = program(weighted, np.zeros((2, 3)), 0.0, compiled=True)
+    expected = 0.5 * np.array(given, dtype=float) @ [1, 10, 100]
+    for scale in (0.5, np.float64(0.5), np.array(0.5)):
+        np.testing.assert_allclose(run(given, scale)[0], expected, rtol=1e-15)
+
+
 #: How much of a program's time the thread spends that called it.
 SHARE = """
 import sys, time

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+_DOUBLE = np.dtype(float)
 #: Programs by what they compute, the last used last: those of a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
@@ -121,7 +122,7 @@ def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any
     import jax
     import jax.numpy as jnp
 
-    double_precision, concatenate, array = jax.enable_x64, np.concatenate, np.array
+    double_precision, array = jax.enable_x64, np.array
     taken = _places([np.shape(example) for example in examples])
     given: list[tuple[slice, tuple[int, ...]]] = []
 
@@ -141,13 +142,26 @@ def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any
 
     def call(*arguments: Any) -> list[np.ndarray]:
         with double_precision(True):
-            results = array(program(concatenate(arguments, axis=None)))
+            results = array(program(_joined(arguments)))
         return [
             results[part] if shape is None else results[part].reshape(shape)
             for part, shape in parts
         ]
 
     return call
+
+
+def _joined(arguments: tuple[Any, ...]) -> np.ndarray:
+    """Lay arguments out one after the other, in double precision.
+
+    Joining bytes takes half the time, where all are arrays of double precision without gaps.
+    """
+    try:
+        if [argument.dtype for argument in arguments].count(_DOUBLE) == len(arguments):
+            return np.frombuffer(b"".join(arguments))
+    except (AttributeError, TypeError):  # a plain number, or an array with gaps
+        pass
+    return np.concatenate(arguments, axis=None, dtype=float)
 
 
 def _places(shapes: list[tuple[int, ...]]) -> list[tuple[slice, tuple[int, ...]]]:
