@@ -9,7 +9,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Bool
 
 from airpuck.identification.method import Iteration, Outcome
@@ -67,6 +66,8 @@ class Adam:
         n_test = round(self.test_share * len(order))
         test, train = order[:n_test], order[n_test:]
         size = min(self.batch_size, len(train))
+        import optax  # as long to import as all of this package
+
         rate = self.learning_rate or (1e-3 if parameters.configuration_matrix is not None else 1e-4)
         rates = np.where(free, rate, 0.0)
         rates[parameters.mask(frozenset({"inertia"}))] *= self.inertia_factor

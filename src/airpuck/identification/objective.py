@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -219,26 +218,24 @@ class PredictionLoss:
         slope = windows.input_slope
         if slope is None:
             slope = np.zeros_like(windows.input)
+        dynamics = (
+            parameters.thrust,
+            values,
+            parameters.center_of_mass,
+            np.asarray(parameters.motor_time_constant, dtype=float),
+        )
+        samples = (windows.time, windows.state, windows.input, slope)
         with jax.enable_x64(True):
-            dynamics = jax.tree.map(
-                jnp.asarray,
-                (
-                    parameters.thrust,
-                    values,
-                    parameters.center_of_mass,
-                    float(parameters.motor_time_constant),
-                ),
+            # Put, not made by jax.numpy, which would compile a program for each shape.
+            model, data, weights = jax.device_put(
+                ((dynamics, slopes), tuple(map(_lengthened, samples)), np.array(self.weights))
             )
-            samples = (windows.time, windows.state, windows.input, slope)
-            data = tuple(jnp.asarray(_lengthened(values)) for values in samples)
-            basis, weights = jax.tree.map(jnp.asarray, slopes), jnp.asarray(self.weights)
 
         def sums(batch: _Batch) -> Any:
             with jax.enable_x64(True):
                 return jax.block_until_ready(
                     normal_equations(
-                        dynamics,
-                        basis,
+                        *model,
                         *data,
                         *batch,
                         weights,
