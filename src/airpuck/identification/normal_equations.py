@@ -13,8 +13,9 @@ the local coordinates do directly is added in place, each kind to its own part.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -25,10 +26,10 @@ from airpuck.estimate.encoder import StateEncoder
 from airpuck.model.motor import motor_step
 from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
 from airpuck.model.thrust import thrust, thrust_slope
+from airpuck.model.xla import for_batches
 from airpuck.windows import gather_past
 
 
-@partial(jax.jit, static_argnames=("encoder", "horizon", "frame"))
 def normal_equations(
     dynamics: tuple[Any, tuple[Any, Any], Any, Any],
     basis: tuple[Any, Any],
@@ -187,3 +188,9 @@ def normal_equations(
         (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
     )
     return jax.lax.scan(step, carry, jnp.arange(horizon))[0][-1]
+
+
+@cache
+def compiled_normal_equations() -> Callable[..., tuple[Any, Any, Any]]:
+    """Compile `normal_equations`; the last three arguments must have hashes."""
+    return for_batches(normal_equations, static_argnames=("encoder", "horizon", "frame"))

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from airpuck.cores import usable_cores
 from airpuck.estimate.encoder import StateEncoder
-from airpuck.identification.normal_equations import normal_equations
+from airpuck.identification.normal_equations import compiled_normal_equations
 from airpuck.model.parameters import Parameters
 from airpuck.model.pytrees import register_pytrees
 from airpuck.model.rigid_body import CenterOfMassFrame
@@ -230,6 +230,8 @@ class PredictionLoss:
             model, data, weights = jax.device_put(
                 ((dynamics, slopes), tuple(map(_lengthened, samples)), np.array(self.weights))
             )
+
+        normal_equations = compiled_normal_equations()
 
         def sums(batch: _Batch) -> Any:
             with jax.enable_x64(True):

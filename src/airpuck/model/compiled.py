@@ -21,15 +21,12 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.model.xla import cpu_options
+
 _DOUBLE = np.dtype(float)
 #: Programs by what they compute, the last used last: those of a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
-
-#: XLA may give the parts of a program to several threads, which costs more than all the arithmetic.
-_ONE_AFTER_THE_OTHER: dict[str, str | bool] = {
-    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED"
-}
 
 
 def at_once() -> None:
@@ -134,10 +131,7 @@ def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any
     cpu = jax.local_devices(backend="cpu")[0]
     with double_precision(True), jax.default_device(cpu):
         lowered = jax.jit(on_vectors).lower(np.zeros(taken[-1][0].stop))
-        try:
-            program = lowered.compile(_ONE_AFTER_THE_OTHER)
-        except jax.errors.JaxRuntimeError:  # a version that does not know it
-            program = lowered.compile()
+        program = lowered.compile(cpu_options())
     parts = [(part, shape if len(shape) != 1 else None) for part, shape in given]
 
     def call(*arguments: Any) -> list[np.ndarray]:

@@ -8,7 +8,6 @@ arrives, so that delays are exact and differ from craft to craft.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
@@ -19,9 +18,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.cores import usable_cores
 from airpuck.errors import InputError
 from airpuck.model.pytrees import register_pytrees
 from airpuck.model.rigid_body import Dynamics
+from airpuck.model.xla import for_batches
 from airpuck.model_file import Model
 from airpuck.recording.stream import Recording
 from airpuck.table import Table
@@ -383,7 +384,7 @@ def _program(table: Table, mass: float, radius: float, sag: float) -> Any:
 
         return jax.lax.scan(one, carry, length=SEGMENT)
 
-    return jax.jit(segment)
+    return for_batches(segment)
 
 
 def _integrate(
@@ -398,7 +399,7 @@ def _integrate(
     import jax
 
     on_cpu = jax.default_backend() == "cpu"
-    cores = (os.cpu_count() or 1) if on_cpu else 1
+    cores = usable_cores() if on_cpu else 1
     size = min(BATCH, math.ceil(fleet.size / cores)) if on_cpu else fleet.size
     vehicle, sag = model.vehicle, settings.effects.battery_sag_1_s
     # A frozen pydantic model has a hash, which the type checker does not see.
