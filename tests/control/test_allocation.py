@@ -331,6 +331,15 @@ def test_bounds_that_cross_have_no_solution_and_no_after_effect(kind):
     np.testing.assert_allclose(solver.constrained(a, lower, upper), expected, atol=5e-6)
 
 
+def test_an_answer_does_not_depend_on_the_question_before_it():
+    ours, random = allocator(), np.random.default_rng(21)
+    for _ in range(50):
+        one, other = random_problem(random), random_problem(random)
+        first = ours.allocate(*one)
+        ours.allocate(*other)
+        np.testing.assert_array_equal(ours.allocate(*one).thrust, first.thrust)
+
+
 def test_a_copied_allocator_works_by_itself():
     ours = allocator()
     one, other = (problem for problem, _ in sample()[:2])

@@ -86,11 +86,12 @@ def test_compiled_and_numpy_give_the_same_commands():
     assert len(outcomes) > 1
 
 
-def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch):
+@pytest.mark.parametrize("compensate", [True, False])
+def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch, compensate):
     # Where JAX hands programs of any size to no other thread, the controller has one for both.
     monkeypatch.setattr(tracking, "runs_at_once", lambda: True)
     point, random = SetPoint(0.4, -0.2, 2.0), np.random.default_rng(1)
-    pair = [controller(point, compiled=c) for c in (True, False)]
+    pair = [controller(point, compiled=c, compensate_delay=compensate) for c in (True, False)]
     for k in range(60):
         now = k / 100
         pose = 0.003 * k * np.array([1.0, -0.5, 2.0]) + 1e-4 * random.normal(size=3)

@@ -151,14 +151,17 @@ def test_arguments_of_any_kind_and_layout_are_taken(given):
         np.testing.assert_allclose(run(given, scale)[0], expected, rtol=1e-15)
 
 
-#: How much of a program's time the thread spends that called it.
+#: Whether it was said in time, and how much of a program's time the thread spends that called it:
+#: the most of several runs, since others may want the cores.
 SHARE = """
 import sys, time
 import jax, numpy as np
 from airpuck.model.compiled import at_once, for_real_time, runs_at_once
 
-if "at once" in sys.argv:
-    at_once()
+if "late" in sys.argv:
+    jax.numpy.ones(3)
+said = "early" in sys.argv or "late" in sys.argv
+in_time = at_once() if said else False
 
 def long(vector):
     matrix = vector.reshape(12, 12)
@@ -166,17 +169,20 @@ def long(vector):
 
 run, ones = for_real_time(long, np.ones(144)), np.ones(144)
 run(ones)
-begun, wall = time.thread_time(), time.perf_counter()
-run(ones)
-share = (time.thread_time() - begun) / (time.perf_counter() - wall)
-print(runs_at_once(), share)
+shares = []
+for _ in range(5):
+    begun, wall = time.thread_time(), time.perf_counter()
+    run(ones)
+    shares.append((time.thread_time() - begun) / (time.perf_counter() - wall))
+assert runs_at_once() == in_time
+print(in_time, max(shares))
 """
 
 
-@pytest.mark.parametrize("at_once", [True, False])
-def test_programs_run_where_they_are_called_if_told_so(at_once):
-    command = [sys.executable, "-c", SHARE, *(["at once"] if at_once else [])]
+@pytest.mark.parametrize("said", ["early", "late", "never"])
+def test_programs_run_where_they_are_called_if_told_so_in_time(said):
+    command = [sys.executable, "-c", SHARE, said]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    told, share = done.stdout.split()
-    assert told == str(at_once)
-    assert (float(share) > 0.2) == at_once
+    in_time, share = done.stdout.split()
+    assert in_time == str(said == "early")
+    assert (float(share) > 0.2) == (said == "early")

@@ -43,6 +43,44 @@ def test_keeps_single_precision(double):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1.5e-7)
 
 
+def test_derivatives_of_derivatives():
+    with jax.enable_x64(True):
+        second = jax.hessian(lambda angle: cos_sin(jnp, angle)[1].sum())(jnp.asarray(ANGLES))
+    np.testing.assert_allclose(second, -np.diag(np.sin(ANGLES)), atol=1e-14)
+
+
+def test_whole_numbers_are_angles_too():
+    for found in zip(cos_sin(jnp, jnp.arange(4)), cos_sin(np, np.arange(4)), strict=True):
+        np.testing.assert_allclose(*found, atol=1e-6)
+
+
+def test_coarse_products_of_matrices_do_not_reach_them():
+    with jax.enable_x64(True), jax.default_matmul_precision("BF16_BF16_F32"):
+        found = cos_sin(jnp, jnp.asarray(ANGLES))
+    np.testing.assert_allclose(found, [np.cos(ANGLES), np.sin(ANGLES)], atol=1e-15)
+
+
+@pytest.mark.parametrize("huge", [1e12, 1e18, 1e100, 1e300])
+def test_huge_angles_have_some_sine(huge):
+    with jax.enable_x64(True):
+        found = np.array(cos_sin(jnp, jnp.array([huge, -huge])))
+    assert (np.abs(found) <= 1 + 1e-15).all()
+
+
+def test_other_devices_need_no_product():
+    def turned(angle):
+        return cos_sin(jnp, angle)
+
+    lowered = {
+        device: str(jax.export.export(jax.jit(turned), platforms=[device])(ANGLES).mlir_module())
+        for device in ("cpu", "cuda")
+    }
+    assert {device: "dot_general" in text for device, text in lowered.items()} == {
+        "cpu": True,
+        "cuda": False,
+    }
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20))
 def test_polynomials_are_exact_to_rounding(angles):
     angle = np.array(angles)

@@ -151,7 +151,7 @@ class ThrustAllocator:
         offset : array, shape (3,)
             g(ω), acceleration without thrust.
         lower, upper : array, shape (n,)
-            Bounds of the thrusts [N].
+            Bounds of the thrusts, finite [N].
 
         Returns
         -------

@@ -129,6 +129,7 @@ class TrackingController:
         self.compensate_delay = compensate_delay
         self.gain = regulator(tuning.weights, tuning.period_s) if gain is None else gain
         InverseThrust(dynamics.thrust)  # refuses curves that fall
+        #: Not to be exchanged: the programs below are made for it.
         self.filter = _estimator(model, tuning.estimation, compiled)
         self._allocator = ThrustAllocator(
             vehicle.n_propellers,

@@ -116,6 +116,8 @@ def normal_equations(
     sizes = (coefficients.size, len(basis[0]), 2, 2)
     edges = list(accumulate(sizes, initial=0))
 
+    # Compiled in itself only so that it is traced once for all four stages.
+    @jax.jit
     def rates(
         motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any
     ) -> tuple[Any, Any]:

@@ -29,16 +29,24 @@ _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
 
 
-def at_once() -> None:
+def at_once() -> bool:
     """Let JAX run programs on a CPU where they are called, in this process.
 
     By default it hands those of more than a thousand operations to another thread, which takes
-    10 µs. To be said before JAX computes anything; a setting of the whole process, so a command
-    may change it, not a library.
+    10 µs. A setting of the whole process, so a command may change it, not a library.
+
+    Returns
+    -------
+    bool
+        Whether it was said in time: before JAX computed anything, so before a fit, too. Said later
+        it changes nothing.
     """
     import jax
+    from jax._src import xla_bridge  # nothing public tells whether JAX has computed yet
 
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    if not runs_at_once() and not xla_bridge.backends_are_initialized():
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
+    return runs_at_once()
 
 
 def runs_at_once() -> bool:

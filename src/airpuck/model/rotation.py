@@ -43,7 +43,7 @@ def cos_sin(xp: Any, angle: Any) -> tuple[Any, Any]:
     xp : module
         Array namespace.
     angle : float or array, shape (...)
-        Angles [rad]; exact to rounding below 10⁶.
+        Angles [rad]; exact to rounding below 10⁶, above 10¹² without meaning.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def cos_sin(xp: Any, angle: Any) -> tuple[Any, Any]:
     """
     if xp is np or xp.ndim(angle) == 0:
         return xp.cos(angle), xp.sin(angle)
-    return _kept()(angle)
+    return _kept()(angle if xp.issubdtype(angle.dtype, xp.floating) else angle.astype(float))
 
 
 @cache
@@ -61,16 +61,18 @@ def _kept() -> Any:
     import jax
     import jax.numpy as jnp
 
-    # In one array without joining two: XLA would multiply each part by itself, and fuse that.
     first = np.array([True, False])
 
     def plain(angle: Any) -> Any:
-        return jnp.where(_rows(first, angle), jnp.cos(angle), jnp.sin(angle))
+        return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
     def kept(angle: Any) -> Any:
-        double = jax.dtypes.canonicalize_dtype(float) == np.float64
-        rows = polynomials(jnp, angle.astype(float)) if double else plain(angle)
-        return jnp.tensordot(np.eye(2, dtype=angle.dtype), rows.astype(angle.dtype), 1)
+        if jax.dtypes.canonicalize_dtype(float) == np.float64:
+            rows = polynomials(jnp, angle.astype(float)).astype(angle.dtype)
+        else:
+            # Not joined: XLA would multiply each part by itself, and fuse that.
+            rows = jnp.where(_rows(first, angle), jnp.cos(angle), jnp.sin(angle))
+        return jnp.tensordot(np.eye(2, dtype=angle.dtype), rows, 1, precision="highest")
 
     @jax.custom_jvp
     def both(angle: Any) -> tuple[Any, Any]:
@@ -107,6 +109,8 @@ def polynomials(xp: Any, angle: Any) -> Any:
     rest = angle
     for part in _QUARTER:
         rest = rest - turns * part
+    # Only the rest of a huge angle is beyond: nobody knows its sine, but it is none above one.
+    rest = xp.clip(rest, -1.0, 1.0)
     square = rest * rest
     sine = rest + rest * square * _horner(_SINE, square)
     cosine = 1 - square / 2 + square * square * _horner(_COSINE, square)

@@ -10,8 +10,9 @@ from jaxtyping import Float, Int
 from airpuck.twin.radio import passage
 from airpuck.twin.settings import TwinSettings
 
-#: Craft that are handled together: so many that calls cost little, so few that arrays stay small.
-_TOGETHER = 512
+#: Craft that are handled together: enough that calls cost little, few enough that arrays of a long
+#: flight stay small.
+_TOGETHER = 64
 
 
 def heard_commands(
