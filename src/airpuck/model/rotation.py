@@ -114,8 +114,9 @@ def polynomials(xp: Any, angle: Any) -> Any:
     square = rest * rest
     sine = rest + rest * square * _horner(_SINE, square)
     cosine = 1 - square / 2 + square * square * _horner(_COSINE, square)
-    # One array from the start, cos(r) being sin(r + π/2): what joins two is not vectorised.
-    quadrant = turns.astype(int) + _rows(np.array([1, 0]), angle)
+    # One array from the start, cos(r) being sin(r + π/2): what joins two is not vectorised. Nor are
+    # conversions to 64 bits, on most processors.
+    quadrant = turns.astype(np.int32) + _rows(np.array([1, 0], np.int32), angle)
     value = xp.where(quadrant & 1, cosine, sine)
     return xp.where(quadrant & 2, -value, value)
 
