@@ -87,6 +87,22 @@ def problem(
     return a, lower, upper, finite
 
 
+def all_finite(values: Float[np.ndarray, " k"]) -> bool:
+    """Say whether a few numbers are all finite, in less time than NumPy takes for any question.
+
+    Parameters
+    ----------
+    values : array, shape (k,)
+        The numbers.
+
+    Returns
+    -------
+    bool
+        Whether none is infinite or NaN.
+    """
+    return all(map(math.isfinite, values.tolist()))
+
+
 class ThrustAllocator:
     """Distributes an acceleration over the propellers.
 
@@ -197,7 +213,7 @@ class ThrustAllocator:
             outcome, u = "nearest", self._unscale
             x = self._solver.nearest(a * u, upper[-3:], lower[:-3] / u, upper[:-3] / u)
             x = None if x is None else x * u
-        if x is None or not all(map(math.isfinite, x.tolist())):
+        if x is None or not all_finite(x):
             return None, "failed"
         if outcome == "scaled" and 1 - max(x[self._n :].tolist()) / self._root > 1 - _UNSCALED:
             outcome = "exact"

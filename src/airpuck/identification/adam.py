@@ -61,13 +61,14 @@ class Adam:
         progress: Callable[[Iteration], None] = lambda _: None,
     ) -> Outcome:
         """Minimise a prediction loss; see `Method.minimize`."""
+        # Here, since other methods share what imports this module, and it takes 0.15 s.
+        import optax
+
         rng = np.random.default_rng(self.seed)
         order = rng.permutation(loss.windows.starts)
         n_test = round(self.test_share * len(order))
         test, train = order[:n_test], order[n_test:]
         size = min(self.batch_size, len(train))
-        import optax  # as long to import as all of this package
-
         rate = self.learning_rate or (1e-3 if parameters.configuration_matrix is not None else 1e-4)
         rates = np.where(free, rate, 0.0)
         rates[parameters.mask(frozenset({"inertia"}))] *= self.inertia_factor

@@ -28,14 +28,17 @@ def cpu_options() -> dict[str, Any]:
 
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
         nothing = jax.jit(lambda same: same).lower(0.0)
-    known = {}
-    for name, value in _OPTIONS.items():
+
+    def known(options: dict[str, Any]) -> bool:
         try:
-            nothing.compile({name: value})
+            nothing.compile(options)
         except jax.errors.JaxRuntimeError:
-            continue
-        known[name] = value
-    return known
+            return False
+        return True
+
+    if known(_OPTIONS):  # one thing to compile instead of several
+        return dict(_OPTIONS)
+    return {name: value for name, value in _OPTIONS.items() if known({name: value})}
 
 
 def for_batches(function: Callable[..., Any], **settings: Any) -> Any:
