@@ -5,6 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
 
+# A comma would end the argument of a call.
+LIVE := .[ros2,view]
+
 # uv when present (fast), otherwise venv and pip.
 define install
 	@if command -v uv >/dev/null 2>&1; then \
@@ -33,7 +36,7 @@ $(VENV)/.installed-dev: pyproject.toml
 
 live: $(VENV)/.installed-live  ## set up .venv with what live flights need
 $(VENV)/.installed-live: pyproject.toml
-	$(call install,'.[ros2,view]')
+	$(call install,'$(LIVE)')
 	@touch $(VENV)/.installed
 
 demo: install  ## the whole way on a simulated recording, no download

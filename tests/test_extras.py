@@ -1,0 +1,73 @@
+"""Each extra, installed in a fresh environment, brings what its first command or import needs."""
+
+import subprocess
+import sys
+import tomllib
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+
+STATESPACE = "import airpuck; airpuck.read_model('paper:M3').to_statespace()"
+#: What is installed, and what its users run first. The view needs a graph to show.
+FIRST_USE = {
+    "control": ["python", "-c", STATESPACE],
+    "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet".split(),
+    "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91".split(),
+    "campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet".split(),
+}
+SPEC = 'kind = "tracking"\nseeds = 1\nbase.dwell_s = 0.2\n'
+
+
+def fresh(folder: Path) -> Path:
+    venv.create(folder, with_pip=True)
+    return folder / "bin" / "python"
+
+
+def site_packages(python: Path) -> Path:
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    return Path(subprocess.check_output([python, "-c", code], text=True).strip())
+
+
+def install(python: Path, what: str) -> None:
+    command = [python, "-m", "pip", "install", "--quiet", "--no-compile", "-e", what]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Path:
+    """An environment with the package and no extra."""
+    python = fresh(tmp_path_factory.mktemp("plain"))
+    install(python, ".")
+    return python
+
+
+def run(python: Path, command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "spec.toml").write_text(SPEC)
+    program = python.with_name(command[0])
+    return subprocess.run([program, *command[1:]], cwd=folder, capture_output=True, text=True)
+
+
+def test_every_extra_is_tested():
+    tested = {extra for extras in FIRST_USE for extra in extras.split(",")}
+    assert set(EXTRAS) - {"dev"} == tested
+
+
+@pytest.mark.parametrize("extras", FIRST_USE)
+def test_an_extra_brings_what_its_first_command_needs(extras, plain, tmp_path):
+    # What the package itself needs is borrowed from the plain environment.
+    python = fresh(tmp_path / "fresh")
+    (site_packages(python) / "plain.pth").write_text(f"{site_packages(plain)}\n")
+    install(python, f".[{extras}]")
+    done = run(python, FIRST_USE[extras], tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_its_extra_a_command_says_what_to_install(plain, tmp_path):
+    for extras, command in FIRST_USE.items():
+        done = run(plain, command, tmp_path)
+        assert done.returncode
+        assert "airpuck[" in done.stderr.splitlines()[-1], extras
