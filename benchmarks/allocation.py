@@ -16,9 +16,9 @@ from scipy.optimize import lsq_linear
 
 from airpuck.control.allocation import ThrustAllocator, problem
 from airpuck.control.discretization import motor_lag
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model.thrust import thrust
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
+from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import thrust
 
 #: One in so many infeasible requests is checked by scipy.
 CHECKED = 2000

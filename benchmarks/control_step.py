@@ -14,12 +14,12 @@ from collections import Counter, deque
 
 import numpy as np
 
+from airpuck.compute.compiled import at_once
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
-from airpuck.model.compiled import at_once
-from airpuck.model.rollout import step
-from airpuck.model_file import Model, read_model
+from airpuck.model.model_file import Model, read_model
+from airpuck.physics.rollout import step
 
 FRAME, PERIOD = 1 / 240, 1 / 100
 

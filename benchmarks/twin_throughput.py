@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.twin.fleet import fly_fleet
 
 

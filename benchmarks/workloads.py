@@ -46,10 +46,10 @@ def problem(stride: int = 7, horizon: int = 50, copies: int = 1, share: float = 
     """Return the loss of M3 over the training experiment, or a part of its windows."""
     from dataclasses import replace
 
+    from airpuck.craft.vehicle import default_vehicle
+    from airpuck.data.windows import make_windows
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.identification.objective import PredictionLoss
-    from airpuck.vehicle import default_vehicle
-    from airpuck.windows import make_windows
 
     encoder = PaperEncoder(length=40)
     windows = make_windows(training(copies), encoder.length, horizon, stride)
@@ -79,7 +79,7 @@ def identify_again(options):
 
 def step(options):
     """One Gauss-Newton step: loss, gradient and Hessian, and the factorisation is nothing."""
-    from airpuck.model.presets import preset
+    from airpuck.model.rungs import preset
 
     loss = problem(options.stride, options.horizon, options.copies, options.share)
     # M4 has more free parameters than M3.
@@ -97,7 +97,7 @@ def step(options):
 
 def peer(options):
     """Fit M3 by NumPy and SciPy to the windows of `identify`, and compare the losses."""
-    from airpuck.model.presets import preset
+    from airpuck.model.rungs import preset
 
     from .peer import Peer
 
@@ -169,7 +169,7 @@ def bootstrap(options):
 def bag(options):
     """Write a bag of an excitation flight, repeated up to a length."""
     from airpuck import excite, write_bag
-    from airpuck.model_file import published_model
+    from airpuck.model.model_file import published_model
     from airpuck.recording.stream import Recording
 
     flown = excite(published_model("M3"), 60.0, settings=None)

@@ -18,15 +18,15 @@ from recovery import truth
 
 from airpuck import evaluate, identify, load_trajectory, preprocess
 from airpuck.control.excitation import Excitation
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import make_windows
 from airpuck.evaluation.evaluate import PROTOCOLS
 from airpuck.flight.loop import fly
-from airpuck.model.rollout import rollout
-from airpuck.model_file import Model, nominal_model
+from airpuck.model.model_file import Model, nominal_model
+from airpuck.physics.rollout import rollout
 from airpuck.recording import dataset_folder
-from airpuck.trajectory import Trajectory
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import Twin, build_plant
-from airpuck.windows import make_windows
 
 DURATION, SEEDS, STEP = 98.0, (2, 3, 4), 48
 HOW = (

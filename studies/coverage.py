@@ -17,9 +17,9 @@ import numpy as np
 from recovery import true_delay, truth
 
 from airpuck import identify, preprocess
-from airpuck.cores import usable_cores
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.compute.cores import usable_cores
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust
 from airpuck.twin.experiments import excite
 
 #: Speeds at which thrust is compared.

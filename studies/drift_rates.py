@@ -17,9 +17,9 @@ from functools import partial
 import numpy as np
 
 from airpuck import drift, identify, preprocess
-from airpuck.cores import usable_cores
+from airpuck.compute.cores import usable_cores
 from airpuck.evaluation.drift import Drift
-from airpuck.model_file import Model, published_model
+from airpuck.model.model_file import Model, published_model
 from airpuck.twin.experiments import excite
 
 

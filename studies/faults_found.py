@@ -21,14 +21,14 @@ import numpy as np
 from recovery import truth
 
 from airpuck import Span, find_faults, identify, preprocess
+from airpuck.compute.cores import usable_cores
 from airpuck.control.excitation import Excitation
-from airpuck.cores import usable_cores
+from airpuck.data.trajectory import hold, runs
 from airpuck.flight.loop import fly
-from airpuck.model.motor import motor_speeds
-from airpuck.model.thrust import thrust
-from airpuck.model_file import nominal_model
+from airpuck.model.model_file import nominal_model
+from airpuck.physics.motor import motor_speeds
+from airpuck.physics.thrust import thrust
 from airpuck.recording.stream import Recording
-from airpuck.trajectory import hold, runs
 from airpuck.twin.settings import Stall, TwinSettings, default_twin_settings
 from airpuck.twin.twin import EPOCH_NS, Twin
 

@@ -15,10 +15,10 @@ import numpy as np
 from recovery import truth
 
 from airpuck import compare, identify, load_trajectory, preprocess
+from airpuck.data.trajectory import Trajectory
 from airpuck.recording import dataset_folder
 from airpuck.report.likeness import likeness_figure
 from airpuck.report.style import png
-from airpuck.trajectory import Trajectory
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 

@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.model_file import published_model
+from airpuck.experiment_design.check import Obtained, check_design
+from airpuck.experiment_design.design import design
+from airpuck.model.model_file import published_model
 from airpuck.report.design_figure import write_design_figure
-from airpuck.twin.design import design
-from airpuck.twin.design_check import Obtained, check_design
 
 
 def told(done: int, total: int) -> None:

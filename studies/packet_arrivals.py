@@ -19,9 +19,9 @@ from recovery import true_delay, truth
 
 from airpuck import identify, preprocess
 from airpuck.campaigns.recovery import thrust_error
+from airpuck.data.trajectory import Trajectory
 from airpuck.identification import fit as fit_module
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.model.model_file import Model
 from airpuck.twin import experiments
 from airpuck.twin import twin as twin_module
 from airpuck.twin.plant import Plant

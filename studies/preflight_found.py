@@ -23,7 +23,7 @@ from one_line import run
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight import Preflight, judge_pulses
 from airpuck.flight.pulses import PulseTest
-from airpuck.model_file import Model, nominal_model, published_model
+from airpuck.model.model_file import Model, nominal_model, published_model
 from airpuck.twin.plant import Plant
 from airpuck.twin.settings import Motors, Weakness, default_twin_settings
 from airpuck.twin.twin import Twin, build_plant

@@ -15,7 +15,7 @@ import numpy as np
 from airpuck import identify, preprocess
 from airpuck.campaigns.recovery import recovery_errors
 from airpuck.control.tuning import default_tuning
-from airpuck.model_file import Model, published_model
+from airpuck.model.model_file import Model, published_model
 from airpuck.twin.experiments import excite
 from airpuck.twin.plant import Plant
 from airpuck.twin.radio import as_received

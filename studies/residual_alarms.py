@@ -15,12 +15,12 @@ from functools import partial
 
 import numpy as np
 
-from airpuck.cores import usable_cores
+from airpuck.compute.cores import usable_cores
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.residuals import BODY_CHANNELS, resid
 from airpuck.evaluation.whiteness import LEVEL
-from airpuck.model.rollout import rollout
-from airpuck.model_file import Model, published_model
-from airpuck.trajectory import Trajectory
+from airpuck.model.model_file import Model, published_model
+from airpuck.physics.rollout import rollout
 
 #: Rate of the motion capture [Hz]; samples over which a command is held.
 RATE, HOLD = 240.0, 24

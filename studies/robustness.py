@@ -18,7 +18,7 @@ import numpy as np
 
 from airpuck.control.reference import SetPoints
 from airpuck.flight.track import Track
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from airpuck import Model, evaluate, identify, load_trajectory
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import ENCODERS
 from airpuck.model.parameters import QUANTITIES
-from airpuck.model.presets import TERMS, preset
+from airpuck.model.rungs import TERMS, preset
 from airpuck.recording import dataset_folder
-from airpuck.trajectory import Trajectory
 
 MODELS = ("M3", *(f"M3+{term}" for term in TERMS), "M5", "M5+drag", "M5+drag+sag")
 

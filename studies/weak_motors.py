@@ -18,7 +18,7 @@ import numpy as np
 from airpuck.control.reference import SetPoints
 from airpuck.control.tuning import ESTIMATORS, default_tuning
 from airpuck.flight.track import Track
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import Motors, Stall, TwinSettings, Weakness, default_twin_settings
 from airpuck.twin.twin import build_plant

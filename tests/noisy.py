@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.model_file import Model, published_model
-from airpuck.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory
+from airpuck.model.model_file import Model, published_model
 
 from .synthetic import fly
 

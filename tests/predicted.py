@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from airpuck.estimate.command_pieces import cut_at_commands
-from airpuck.estimate.innovations import Innovations
-from airpuck.model.motor import motor_step
-from airpuck.model.rollout import rollout
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.command_pieces import cut_at_commands
+from airpuck.evaluation.innovations import Innovations
+from airpuck.model.model_file import Model
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rollout import rollout
 
 
 def predicted(

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.model.pytrees import register_pytrees
-from airpuck.model.rigid_body import Dynamics
-from airpuck.model.rollout import rollout
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.pytrees import register_pytrees
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rollout import rollout
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 
 #: Rates of motion capture and commands [Hz].
@@ -41,7 +41,7 @@ def fast_rollout(
     commands: Float[np.ndarray, "T n *batch"],
     durations: Float[np.ndarray, "T *batch"],
 ) -> Float[np.ndarray, "T z *batch"]:
-    """Do what `airpuck.model.rollout.rollout` does, to rounding errors.
+    """Do what `airpuck.physics.rollout.rollout` does, to rounding errors.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.model.parameters import Parameters
-from airpuck.model.thrust import thrust
+from airpuck.physics.thrust import thrust
 
 
 def assert_recovered(found: Parameters, truth: Parameters) -> None:

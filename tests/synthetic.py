@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from airpuck.model_file import Model, published_model
+from airpuck.data.trajectory import Trajectory
+from airpuck.model.model_file import Model, published_model
 from airpuck.recording.stream import Recording
-from airpuck.trajectory import Trajectory
 from tests.random_flight import POSE_RATE as RATE
 from tests.random_flight import random_flight, random_recording
 

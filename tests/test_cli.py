@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import airpuck as package
 from airpuck import demo
 from airpuck.cli.app import app
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.recording import write_bag, write_csv
 
 from .command_line import airpuck, airpuck_process, refused
@@ -55,7 +55,7 @@ def test_help_texts_keep_their_units(name):
 
 
 def test_commands_are_verbs_of_the_package():
-    # airpuck.demo and airpuck.faults are modules, and to check what would remain open. Others start
+    # airpuck.faults is a room, and to check what would remain open. Others start
     # a process on the graph; their functions are in airpuck.live.
     others = {"demo", "faults", "check"} | {"fly", "record", "twin", "view", "watch"}
     verbs = set(get_command(app).commands) - others  # pyright: ignore
@@ -125,7 +125,7 @@ def test_compare_prints_a_table(bag, identified):
 
 def test_check_agrees_and_disagrees(bag, tmp_path):
     assert airpuck("check", bag).returncode == 0
-    from airpuck.vehicle import default_vehicle
+    from airpuck.craft.vehicle import default_vehicle
 
     vehicle = default_vehicle()
     names = list(vehicle.propeller_names)
@@ -301,7 +301,7 @@ def test_identify_on_the_training_experiment(experiments, tmp_path):
 
 def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
     # Flights of 90 s are for the reader of its report.
-    monkeypatch.setattr("airpuck.demo.demo", partial(demo.demo, duration=25.0))
+    monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=25.0))
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr
     page = Path(process.stdout.strip())

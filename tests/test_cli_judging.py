@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.recording import write_bag
 
 from .command_line import airpuck, refused

@@ -114,7 +114,7 @@ def test_the_demo_deletes_nothing_of_yours(tmp_path):
 
 
 def test_what_a_file_makes_the_controller_refuse_is_told_with_its_name(tmp_path):
-    from airpuck.model_file import published_model
+    from airpuck.model.model_file import published_model
 
     published = published_model("M3")
     thrust = published.parameters.thrust.copy()
@@ -140,7 +140,7 @@ def test_what_a_file_makes_the_controller_refuse_is_told_with_its_name(tmp_path)
     ],
 )
 def test_wrong_types_in_a_model_file(archive, tmp_path, old, new, word):
-    from airpuck.model_file import published_model
+    from airpuck.model.model_file import published_model
 
     path = tmp_path / "model.toml"
     published_model("M3").save(path)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.recording import write_bag
 
 from .command_line import airpuck, refused

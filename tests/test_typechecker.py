@@ -40,7 +40,7 @@ def test_of_many_calls_the_first_are_checked(time):
 
 
 def test_the_package_is_checked():
-    from airpuck.model.thrust import is_monotone
+    from airpuck.physics.thrust import is_monotone
 
     with pytest.raises(TypeCheckError):
         is_monotone(np.ones(3))

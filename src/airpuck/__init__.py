@@ -15,27 +15,30 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from airpuck.boundary.errors import InputError
     from airpuck.campaigns.campaign import campaign
     from airpuck.control.reference import SetPoint, SetPoints, TimedPath
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import Tuning, read_tuning
-    from airpuck.errors import InputError
+    from airpuck.craft.vehicle import Vehicle, default_vehicle, read_vehicle
+    from airpuck.data.trajectory import Span, Trajectory, read_trajectory
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.evaluation.drift import Drift, drift
     from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
     from airpuck.evaluation.prediction_bands import PredictionBands, prediction_bands
     from airpuck.evaluation.presentation import Presentation, present
     from airpuck.evaluation.residuals import ResidualTests, resid
+    from airpuck.experiment_design.design import design
     from airpuck.faults.find import find_faults
+    from airpuck.faults.layout_check import check_layout
     from airpuck.flight.preflight import preflight
     from airpuck.flight.replay import Replay, replay
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import identifiability, identify
     from airpuck.identification.fit_result import Fit
-    from airpuck.identification.layout_check import check_layout
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.model.model_file import Model, read_model
     from airpuck.model.parameters import Parameters
-    from airpuck.model_file import Model, read_model
     from airpuck.preprocessing.load import load_trajectory
     from airpuck.preprocessing.pipeline import preprocess
     from airpuck.recording.bag_writer import write_bag
@@ -45,14 +48,11 @@ if TYPE_CHECKING:
     from airpuck.recording.stream import Recording, Stream
     from airpuck.report.animation import animate
     from airpuck.report.reproduce import reproduce
-    from airpuck.trajectory import Span, Trajectory, read_trajectory
-    from airpuck.twin.design import design
     from airpuck.twin.experiments import excite, track
     from airpuck.twin.fleet import fly_fleet
     from airpuck.twin.settings import TwinSettings, read_twin_settings
     from airpuck.twin.tracking_study import tracking_study
     from airpuck.twin.twin import Twin
-    from airpuck.vehicle import Vehicle, default_vehicle, read_vehicle
 
 #: Public name -> the module that defines it.
 _HOME = {
@@ -60,9 +60,9 @@ _HOME = {
     "Drift": "airpuck.evaluation.drift",
     "Evaluation": "airpuck.evaluation.evaluate",
     "Fit": "airpuck.identification.fit_result",
-    "InputError": "airpuck.errors",
+    "InputError": "airpuck.boundary.errors",
     "LevenbergMarquardt": "airpuck.identification.levenberg_marquardt",
-    "Model": "airpuck.model_file",
+    "Model": "airpuck.model.model_file",
     "PaperEncoder": "airpuck.estimate.encoder",
     "Parameters": "airpuck.model.parameters",
     "PredictionBands": "airpuck.evaluation.prediction_bands",
@@ -72,21 +72,21 @@ _HOME = {
     "ResidualTests": "airpuck.evaluation.residuals",
     "SetPoint": "airpuck.control.reference",
     "SetPoints": "airpuck.control.reference",
-    "Span": "airpuck.trajectory",
+    "Span": "airpuck.data.trajectory",
     "Stream": "airpuck.recording.stream",
     "TimedPath": "airpuck.control.reference",
     "TrackingController": "airpuck.control.tracking",
-    "Trajectory": "airpuck.trajectory",
+    "Trajectory": "airpuck.data.trajectory",
     "Tuning": "airpuck.control.tuning",
     "Twin": "airpuck.twin.twin",
     "TwinSettings": "airpuck.twin.settings",
-    "Vehicle": "airpuck.vehicle",
+    "Vehicle": "airpuck.craft.vehicle",
     "animate": "airpuck.report.animation",
     "campaign": "airpuck.campaigns.campaign",
-    "check_layout": "airpuck.identification.layout_check",
+    "check_layout": "airpuck.faults.layout_check",
     "compare": "airpuck.evaluation.evaluate",
-    "default_vehicle": "airpuck.vehicle",
-    "design": "airpuck.twin.design",
+    "default_vehicle": "airpuck.craft.vehicle",
+    "design": "airpuck.experiment_design.design",
     "drift": "airpuck.evaluation.drift",
     "evaluate": "airpuck.evaluation.evaluate",
     "excite": "airpuck.twin.experiments",
@@ -100,12 +100,12 @@ _HOME = {
     "preflight": "airpuck.flight.preflight",
     "present": "airpuck.evaluation.presentation",
     "preprocess": "airpuck.preprocessing.pipeline",
-    "read_model": "airpuck.model_file",
+    "read_model": "airpuck.model.model_file",
     "read_recording": "airpuck.recording.read",
-    "read_trajectory": "airpuck.trajectory",
+    "read_trajectory": "airpuck.data.trajectory",
     "read_tuning": "airpuck.control.tuning",
     "read_twin_settings": "airpuck.twin.settings",
-    "read_vehicle": "airpuck.vehicle",
+    "read_vehicle": "airpuck.craft.vehicle",
     "replay": "airpuck.flight.replay",
     "reproduce": "airpuck.report.reproduce",
     "resid": "airpuck.evaluation.residuals",

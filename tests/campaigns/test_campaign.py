@@ -18,7 +18,7 @@ from airpuck.campaigns.fleet import Fleet
 from airpuck.campaigns.item import varied
 from airpuck.campaigns.recovery import recovery_errors
 from airpuck.campaigns.tracking import Tracking
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.recording import write_csv
 
 from ..command_line import airpuck, refused

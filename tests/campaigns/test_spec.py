@@ -6,7 +6,7 @@ import pytest
 
 from airpuck import InputError
 from airpuck.campaigns.spec import read_spec
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 
 TRACKING = """

@@ -4,8 +4,8 @@ import numpy as np
 
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import Step, TrackingController
-from airpuck.model.rigid_body import derivative
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
+from airpuck.physics.rigid_body import derivative
 
 MODEL = read_model("paper:M4")
 LEAST = MODEL.vehicle.command_min

@@ -13,9 +13,9 @@ from scipy.optimize import linprog, lsq_linear, nnls
 from airpuck.control.allocation import ThrustAllocator
 from airpuck.control.discretization import motor_lag
 from airpuck.control.qp_solvers import Daqp, Piqp
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model.thrust import thrust
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
+from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import thrust
 
 MODEL = read_model("paper:M4")
 ARM = float(np.sqrt(MODEL.parameters.inertia / MODEL.vehicle.mass_kg))

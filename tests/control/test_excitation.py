@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import kstest
 
 import airpuck.control.excitation as excitation_module
+from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
 from airpuck.control.reference import SetPoint
-from airpuck.errors import InputError
-from airpuck.model_file import nominal_model
-from airpuck.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.model.model_file import nominal_model
 
 VEHICLE = default_vehicle()
 MODEL = nominal_model(VEHICLE)

@@ -2,8 +2,8 @@
 
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
-from airpuck.errors import InputError
 
 
 @pytest.mark.parametrize("amplitude", [0.7, (0.1 + 0.2, 0.0, 1.0)])

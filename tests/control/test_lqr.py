@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import point_mass
 from airpuck.control.lqr import lqr, regulator
 from airpuck.control.tuning import Weights, default_tuning
-from airpuck.errors import InputError
 
 weight = st.floats(0.01, 100)
 

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference, SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
-from airpuck.errors import InputError
 from airpuck.estimate.estimator import Estimate
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 
 time = st.floats(-100, 100)
 

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from airpuck.boundary.errors import InputError
 from airpuck.control import tracking
 from airpuck.control.discretization import motor_lag
 from airpuck.control.reference import SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
-from airpuck.errors import InputError
+from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
-from airpuck.model.rigid_body import acceleration
-from airpuck.vehicle import Vehicle
+from airpuck.physics.rigid_body import acceleration
 
 from .flights import (
     HOME,

@@ -5,10 +5,10 @@ from itertools import count, takewhile
 import numpy as np
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.qp_solvers import Daqp
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import Step, TrackingController
-from airpuck.errors import InputError
 
 from .flights import (
     FRAME,

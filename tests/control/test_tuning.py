@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import point_mass
 from airpuck.control.lqr import regulator
 from airpuck.control.tuning import (
@@ -17,7 +18,6 @@ from airpuck.control.tuning import (
     default_tuning,
     read_tuning,
 )
-from airpuck.errors import InputError
 
 positive = st.floats(1e-9, 1e9)
 non_negative = st.just(0.0) | positive

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from airpuck.estimate.axis_filter import Noise
-from airpuck.model.rigid_body import derivative
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
+from airpuck.physics.rigid_body import derivative
 
 MODEL = read_model("paper:M4")
 DELAY = MODEL.transport_delay

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.windows import Past, make_windows
 from airpuck.estimate.actuation import (
     ActuationEncoder,
     EffectivenessPrior,
@@ -20,11 +21,10 @@ from airpuck.estimate.actuation import (
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
 from airpuck.identification.fit import identify
-from airpuck.model.effects import Drag, Inflow, PairInteraction
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
+from airpuck.physics.effects import Drag, Inflow, PairInteraction
+from airpuck.physics.rigid_body import acceleration
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.windows import Past, make_windows
 
 from ..conftest import TRAINING, VALIDATION
 from ..synthetic import fly

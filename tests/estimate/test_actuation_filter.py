@@ -9,15 +9,15 @@ import pytest
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
+from airpuck.data.windows import Past
 from airpuck.estimate import actuation
 from airpuck.estimate.actuation import ActuationEncoder, EffectivenessPrior
 from airpuck.estimate.actuation_filter import ActuationFilter
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate, Estimator
 from airpuck.estimate.kalman import KalmanFilter
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import published_model
-from airpuck.windows import Past
+from airpuck.model.model_file import published_model
+from airpuck.physics.rigid_body import acceleration
 
 from ..random_flight import random_flight
 from .flights import IDLE, MODEL, NOISE, some_commands

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag, expm
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import KalmanFilter
-from airpuck.model.rigid_body import acceleration
+from airpuck.physics.rigid_body import acceleration
 
 from .flights import (
     IDLE,

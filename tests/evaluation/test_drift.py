@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.evaluation.drift import drift
+from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.model_file import published_model
 
 from ..noisy import TRUTH
 

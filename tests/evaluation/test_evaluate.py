@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import Protocol, compare, evaluate
-from airpuck.model_file import published_model, read_model
-from airpuck.trajectory import Span
+from airpuck.model.model_file import published_model, read_model
 
 from ..conftest import VALIDATION
 from ..identification.test_fit import TABLE_2, four_propellers

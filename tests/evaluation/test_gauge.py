@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from airpuck.evaluation.gauge import largest_accelerations, physical_thrust, thrust_scale
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 
 from ..report.conftest import random_scales
 

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.innovations import innovations
 from airpuck.evaluation.goodness import fit_percent, fitted_parameters, goodness
+from airpuck.evaluation.innovations import innovations
 
 from ..noisy import POSE_NOISE, TRUTH, noisy
 

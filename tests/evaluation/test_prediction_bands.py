@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.innovations import innovations
+from airpuck.evaluation.innovations import innovations
 from airpuck.evaluation.prediction_bands import BAND, prediction_bands
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.pipeline import preprocess

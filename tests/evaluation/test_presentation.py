@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from airpuck.evaluation.presentation import largest_acceleration, present
+from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.model_file import published_model
 
 MODEL = published_model("M3")
 

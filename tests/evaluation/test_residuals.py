@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.evaluation.cross_correlation import cross_correlations, suspicions
 from airpuck.evaluation.multiple_testing import holm
 from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, resid
 from airpuck.evaluation.whiteness import ljung_box
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 
 from ..noisy import TRUTH, noisy
 

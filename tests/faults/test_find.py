@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Span
 from airpuck.faults.find import find_faults
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.trajectory import Span
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 

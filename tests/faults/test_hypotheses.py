@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from airpuck.data.trajectory import Span
 from airpuck.faults.hypotheses import Fault, predict_faults, usable_steps
-from airpuck.model.motor import motor_speeds
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import published_model
-from airpuck.trajectory import Span
+from airpuck.model.model_file import published_model
+from airpuck.physics.motor import motor_speeds
+from airpuck.physics.rigid_body import acceleration
 
 from ..synthetic import fly
 

@@ -11,7 +11,7 @@ from airpuck.control.reference import SetPoints
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.flight.deviations import Judged, deviations
 from airpuck.flight.health import Health, HealthMonitor
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track

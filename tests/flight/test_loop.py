@@ -9,7 +9,7 @@ from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import FLYING, Step, TrackingController
 from airpuck.flight.link import Measurement
 from airpuck.flight.loop import control, fly
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 

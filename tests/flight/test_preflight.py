@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.effect_match import match_effects, turned
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight import (
@@ -21,12 +22,11 @@ from airpuck.flight.pulse_response import find_pulses, pulse_responses
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.preflight import ANYWHERE
 from airpuck.live.safety import Guard, GuardedPilot
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model_file import nominal_model, published_model
+from airpuck.model.model_file import nominal_model, published_model
+from airpuck.physics.rigid_body import acceleration_map
 from airpuck.recording.stream import Recording
 from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
 from airpuck.twin.twin import Twin, build_plant
-from airpuck.vehicle import Vehicle
 from tests.report.conftest import four_propellers
 
 MODEL = published_model("M3")

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.stats import pearsonr
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import Status
 from airpuck.control.tuning import default_tuning
-from airpuck.errors import InputError
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.replay import Gains, Replay, replay
 from airpuck.flight.track import Track
-from airpuck.model_file import nominal_model, published_model
+from airpuck.model.model_file import nominal_model, published_model
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import MotionCapture, Radio, default_twin_settings
 from airpuck.twin.twin import EPOCH_NS, build_plant
-from airpuck.vehicle import Vehicle, default_vehicle
 
 M4 = published_model("M4")
 LEAST = M4.vehicle.command_min

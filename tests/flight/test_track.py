@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
-from airpuck.errors import InputError
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.track import TOLERANCE, Track, recorded_set_points
 from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.vehicle import default_vehicle
 
 VEHICLE = default_vehicle()
 MOTORS = VEHICLE.propeller_names

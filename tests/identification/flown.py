@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from airpuck.model_file import published_model
+from airpuck.data.trajectory import Trajectory
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.trajectory import Trajectory
 from airpuck.twin import experiments
 from airpuck.twin import twin as twin_module
 from airpuck.twin.plant import Plant

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.adam import Adam
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
-from airpuck.model.presets import PRESETS
-from airpuck.model_file import published_model
-from airpuck.vehicle import default_vehicle
-from airpuck.windows import make_windows
+from airpuck.model.model_file import published_model
+from airpuck.model.rungs import PRESETS
 
 from ..synthetic import fly
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from airpuck.data.windows import make_windows
 from airpuck.identification.blocks import cluster_windows, shared_at_borders
-from airpuck.windows import make_windows
 
 from .test_uncertainty import noisy
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from airpuck.identification.fit import identify
-from airpuck.model_file import published_model, read_model
+from airpuck.model.model_file import published_model, read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import Effects, Radio, default_twin_settings

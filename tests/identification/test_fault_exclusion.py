@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.data.trajectory import Span
 from airpuck.identification import fault_exclusion
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
-from airpuck.model.rollout import rollout
-from airpuck.model_file import read_model
-from airpuck.trajectory import Span
+from airpuck.model.model_file import read_model
+from airpuck.physics.rollout import rollout
 
 from ..synthetic import fly
 from .test_robust import MODEL, clean, off

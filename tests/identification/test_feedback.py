@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.data.trajectory import Span
 from airpuck.identification import feedback
 from airpuck.identification.blocks import shared_at_borders
 from airpuck.identification.delay_jitter import variance_of_mean
@@ -13,7 +14,6 @@ from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.refinement import refined
 from airpuck.identification.uncertainty import sandwich, widened
-from airpuck.trajectory import Span
 
 from .flown import TRUTH, flown
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
+from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.parameters import Parameters
-from airpuck.model.thrust import is_monotone
-from airpuck.model_file import Model, published_model, read_model
-from airpuck.vehicle import Vehicle
+from airpuck.physics.thrust import is_monotone
 
 from ..conftest import TRAINING, VALIDATION
 from ..synthetic import fly

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
-from airpuck.model.presets import PRESETS, preset
-from airpuck.model.rollout import rollout
-from airpuck.model.thrust import is_monotone
-from airpuck.model_file import published_model
-from airpuck.vehicle import default_vehicle
-from airpuck.windows import make_windows
+from airpuck.model.model_file import published_model
+from airpuck.model.rungs import PRESETS, preset
+from airpuck.physics.rollout import rollout
+from airpuck.physics.thrust import is_monotone
 
 from ..synthetic import fly
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.identification.monotone import SlopeConstraints, monotone_penalty
-from airpuck.model.thrust import lowest_slope, thrust_slope
+from airpuck.physics.thrust import lowest_slope, thrust_slope
 
 coefficient = st.floats(-2, 2).map(lambda x: round(x, 3))
 

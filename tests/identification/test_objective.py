@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification import objective
 from airpuck.identification.objective import PredictionLoss
+from airpuck.model.model_file import published_model
 from airpuck.model.parameters import EFFECTS
-from airpuck.model.presets import TERMS, preset
-from airpuck.model.rollout import rollout
-from airpuck.model_file import published_model
-from airpuck.vehicle import default_vehicle
-from airpuck.windows import Windows, make_windows
+from airpuck.model.rungs import TERMS, preset
+from airpuck.physics.rollout import rollout
 
 from ..synthetic import fly
 

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.campaigns.recovery import thrust_error
+from airpuck.data.trajectory import Trajectory
 from airpuck.identification import fit as fit_module
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.refinement import retimed, smoothed_along
 from airpuck.preprocessing.derivative import velocity
-from airpuck.trajectory import Trajectory
 
 from .flown import TRUTH, flown
 

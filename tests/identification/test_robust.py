@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.robust import window_weights
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.windows import make_windows
 
 from ..conftest import TRAINING, VALIDATION
 from ..synthetic import fly

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import make_windows
+from airpuck.data.zero_order_hold import mean_hold
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import PredictionLoss
-from airpuck.model.presets import PRESETS
-from airpuck.model.rollout import rollout
-from airpuck.model_file import Model, published_model, read_model
-from airpuck.trajectory import Trajectory
-from airpuck.vehicle import default_vehicle
-from airpuck.windows import make_windows
-from airpuck.zero_order_hold import mean_hold
+from airpuck.model.model_file import Model, published_model, read_model
+from airpuck.model.rungs import PRESETS
+from airpuck.physics.rollout import rollout
 
 from ..random_flight import fast_rollout, random_flight
 from ..synthetic import fly

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.adam import Adam
@@ -21,12 +23,10 @@ from airpuck.identification.uncertainty import (
     widened,
 )
 from airpuck.model.gauge import fix_gauge, gauge_directions
-from airpuck.model.presets import PRESETS, preset
-from airpuck.model.rollout import rollout
+from airpuck.model.model_file import published_model, read_model
+from airpuck.model.rungs import PRESETS, preset
 from airpuck.model.uncertainty import Bootstrap
-from airpuck.model_file import published_model, read_model
-from airpuck.vehicle import default_vehicle
-from airpuck.windows import make_windows
+from airpuck.physics.rollout import rollout
 
 from ..synthetic import fly
 
@@ -464,8 +464,8 @@ def commands_at_random(seed, duration):
 
 @pytest.mark.study
 def test_intervals_hold_the_truth():
+    from airpuck.craft.table import Table
     from airpuck.preprocessing.pipeline import preprocess
-    from airpuck.table import Table
     from airpuck.twin.fleet import fly_fleet
     from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.cli import app as application
-from airpuck.errors import InputError
 
 MODEL = ("--model", "paper:M3")
 

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.live.domain import domain_config, domain_id
 
 LOOPBACK = next(name for _, name in socket.if_nameindex() if name.startswith("lo"))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.safety import Limits
-from airpuck.vehicle import default_vehicle
 
 from .processes import CODECS, COMMANDS, POSES
 

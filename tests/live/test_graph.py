@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.live.graph import SENSOR, STATE
 from airpuck.recording.message import StreamCodec
 

@@ -7,7 +7,7 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.live import process
 from airpuck.live.graph import SENSOR
 from airpuck.live.process import refuse_second, unhurried

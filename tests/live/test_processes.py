@@ -18,7 +18,7 @@ import pytest
 from airpuck import identify, preprocess, read_recording
 from airpuck.flight.track import Track
 from airpuck.live.graph import SENSOR, STATE, Graph
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.recording.message import MessageCodec, StreamCodec
 from airpuck.recording.message_types import definitions
 from airpuck.recording.stream import Recording, Stream

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
-from airpuck.errors import InputError
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints, check_inside, read_setpoints
 
 FENCE = (1.0, 0.5)

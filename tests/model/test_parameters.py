@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.parameters import change_degree, nominal_parameters
-from airpuck.model.presets import PRESETS, preset
-from airpuck.model.thrust import thrust
-from airpuck.vehicle import default_vehicle
+from airpuck.model.rungs import PRESETS, preset
+from airpuck.physics.thrust import thrust
 
 VEHICLE = default_vehicle()
 GRID = np.tile(np.linspace(0, 1, 201), (6, 1))

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from airpuck.model.motor import motor_speeds
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.model.model_file import published_model
 from airpuck.model.parameters import nominal_parameters
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import published_model
+from airpuck.physics.motor import motor_speeds
+from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.delay import estimate_delay
-from airpuck.vehicle import default_vehicle
 
 from ..synthetic import fly
 

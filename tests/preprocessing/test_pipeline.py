@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.windows import make_windows
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording, Stream
-from airpuck.windows import make_windows
 
 from ..conftest import BLUE
 from ..synthetic import RATE, fly, record

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import median_filter
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.preprocessing.quality import check_poses, find_jumps
 from airpuck.recording.stream import COLUMNS, Stream
 

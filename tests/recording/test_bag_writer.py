@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 import airpuck.recording.bag_writer as module
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.message_types import yaw_of
 from airpuck.recording.read import read_recording

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import airpuck.recording.dataset as module
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.dataset import (
     BASE_URL,
     dataset_files,

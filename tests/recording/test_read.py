@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording

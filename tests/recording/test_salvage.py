@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording
 from airpuck.recording.salvage import salvage_mcap

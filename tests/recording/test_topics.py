@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.topics import Topics, read_topics
 
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import compare
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
-from airpuck.model.presets import PRESETS
-from airpuck.model_file import Model, published_model
+from airpuck.model.model_file import Model, published_model
+from airpuck.model.rungs import PRESETS
 from airpuck.report.reproduce import Reproduction, reproduce
 from airpuck.report.study import Study
-from airpuck.trajectory import Span
-from airpuck.vehicle import Vehicle, default_vehicle
 
 from ..synthetic import fly
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.vehicle import Vehicle, default_vehicle
 
 CRAFT = default_vehicle()
 EPOCH = 1_700_000_000_000_000_000

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.report.animation import animate
-from airpuck.vehicle import Vehicle
 
 from .conftest import VEHICLES, four_propellers
 from .flights import CRAFT, EPOCH, flight, stream, with_pose

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.report.animation_shapes import (
     arrow_shapes,
     propeller_size,
@@ -10,7 +11,6 @@ from airpuck.report.animation_shapes import (
     short_names,
     thrust_arrows,
 )
-from airpuck.vehicle import Vehicle
 
 from .conftest import VEHICLES, four_propellers
 from .flights import CRAFT

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
+from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.report.fault_report import confidence, fault_report
 from airpuck.report.fault_timeline import fault_color, fault_timeline_figure
-from airpuck.trajectory import Span
 
 from ..synthetic import fly
 

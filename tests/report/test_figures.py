@@ -12,7 +12,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from airpuck.model.thrust import thrust
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.physics.thrust import thrust
 from airpuck.report.architecture_diagram import learning_architecture_figure
 from airpuck.report.craft import craft_figure, frames_figure
 from airpuck.report.error_distribution import error_distribution_figure
@@ -31,7 +32,6 @@ from airpuck.report.side_claims import compare_largest_thrusts
 from airpuck.report.style import RESOLUTION, png, propeller_colors, propeller_groups
 from airpuck.report.thrust_curves import thrust_figure
 from airpuck.report.trial import Trial
-from airpuck.vehicle import Vehicle, default_vehicle
 
 from .conftest import fit_of, model_of
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
+from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.model_file import published_model
 from airpuck.report.parameter_table import main_rows
 from airpuck.report.thrust_curves import thrust_figure
 

@@ -6,12 +6,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.model.uncertainty_section import DelayJitter
 from airpuck.report.fit_report import fit_report
 from airpuck.report.page import Picture, Section, Table, Text, write_page
 from airpuck.report.style import new_figure
-from airpuck.uncertainty_section import DelayJitter
 
 from .conftest import model_of
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.model_file import published_model, read_model
+from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.report.error_timeline import touched_by
 from airpuck.report.paper_sections import PRINTED

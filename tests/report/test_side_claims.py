@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.report.full_trajectory import sample_landscapes
 from airpuck.report.reproduce import TRAINING, VALIDATION, reproduce

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
 from airpuck.identification.fit import identify
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.table import Table
 from airpuck.twin import fleet as fleet_module
 from airpuck.twin.fleet import fly_fleet
 from airpuck.twin.settings import (

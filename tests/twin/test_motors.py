@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.twin.motors import MotorUnit
 from airpuck.twin.settings import Motors, Stall, Weakness
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from airpuck.model.effects import GRAVITY
-from airpuck.model.rigid_body import Dynamics
-from airpuck.model.rollout import step
-from airpuck.model_file import published_model
-from airpuck.table import Table
+from airpuck.craft.table import Table
+from airpuck.model.model_file import published_model
+from airpuck.physics.effects import GRAVITY
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rollout import step
 from airpuck.twin.plant import LONGEST_STEP, Disc, advance
 from airpuck.twin.settings import Effects, default_twin_settings
 from airpuck.twin.twin import build_plant

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from airpuck.errors import InputError
-from airpuck.model_file import published_model
-from airpuck.table import Table
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
+from airpuck.model.model_file import published_model
 from airpuck.twin.settings import (
     Effects,
     MotionCapture,

@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.cli.output import print_tracks, write_json
 from airpuck.control.reference import SetPoints
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.report.tracking_report import tracking_sections
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
-from airpuck.errors import InputError
-from airpuck.model.rollout import rollout
-from airpuck.model_file import nominal_model, published_model
+from airpuck.model.model_file import nominal_model, published_model
+from airpuck.physics.rollout import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording

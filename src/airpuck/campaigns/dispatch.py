@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from airpuck import __version__
+from airpuck.boundary.errors import InputError
 from airpuck.campaigns.item import Entry, Item
 from airpuck.campaigns.results import Result
-from airpuck.errors import InputError
 
 #: An item is given up when this many workers have died of it.
 DEADLY = 3

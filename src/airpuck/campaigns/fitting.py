@@ -10,6 +10,8 @@ import numpy as np
 import pydantic
 
 from airpuck.campaigns.item import Item, Row, Rung, Spread, fingerprint, moved, named
+from airpuck.craft.vehicle import Vehicle, default_vehicle, read_vehicle
+from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import bootstrap
@@ -17,10 +19,8 @@ from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.transport_delay import mean_delay
 from airpuck.model.parameters import Parameters
-from airpuck.model.presets import preset
+from airpuck.model.rungs import preset
 from airpuck.preprocessing.load import load_trajectory
-from airpuck.trajectory import Trajectory
-from airpuck.vehicle import Vehicle, default_vehicle, read_vehicle
 
 #: Of every fit, as in `identify`.
 ENCODER = PaperEncoder(length=40)

@@ -8,7 +8,7 @@ import numpy as np
 import pydantic
 
 from airpuck.campaigns.item import Item, Row, Spread, TwinTable, named, varied
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.twin.fleet import fly_fleet
 from airpuck.twin.settings import default_twin_settings
 

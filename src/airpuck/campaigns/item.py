@@ -13,12 +13,12 @@ import numpy as np
 import pydantic
 
 from airpuck import __version__
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, checked, laid_over
 from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.errors import InputError
-from airpuck.files import Section, checked, laid_over
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.model.presets import preset
-from airpuck.model_file import Model
+from airpuck.model.rungs import preset
 from airpuck.recording.fingerprint import sha256
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 

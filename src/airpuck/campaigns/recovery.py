@@ -12,8 +12,8 @@ from jaxtyping import Float
 from airpuck.campaigns.item import Item, Row, Rung, Spread, TwinTable, varied
 from airpuck.control.tuning import default_tuning
 from airpuck.identification.fit import identify
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model, read_model
+from airpuck.model.model_file import Model, read_model
+from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.radio import as_received

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from airpuck import __version__
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import replacing
 from airpuck.campaigns.item import Entry, Row
-from airpuck.errors import InputError
-from airpuck.files import replacing
 
 #: Of the rows of a setting.
 QUANTILES = (0.05, 0.5, 0.95)

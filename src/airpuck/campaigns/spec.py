@@ -12,13 +12,13 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.campaigns.fitting import Fitting
 from airpuck.campaigns.fleet import Fleet
 from airpuck.campaigns.item import Entry, Item, fingerprint
 from airpuck.campaigns.recovery import Recovery
 from airpuck.campaigns.tracking import Tracking
-from airpuck.errors import InputError
-from airpuck.files import Section, checked, laid_over, read_toml
 
 #: What an item can be.
 KINDS: dict[str, type[Item]] = {

@@ -9,7 +9,7 @@ import pydantic
 
 from airpuck.campaigns.item import Item, Row, Spread, TuningTable, TwinTable, named, varied
 from airpuck.control.tuning import default_tuning
-from airpuck.model_file import read_model
+from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.tracking_study import DWELL, Tracked, tracking_study
 

@@ -20,7 +20,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; bad usage and bad input end with one line and status 2."""
-    from airpuck.errors import InputError
+    from airpuck.boundary.errors import InputError
 
     _keep_compiled_programs()
     # Matrices here are small: threads of linear algebra would only wait for each other, and keep

@@ -19,10 +19,10 @@ from airpuck.cli.output import check_destinations, console, is_stdout, warn, wri
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.model_file import Model
-    from airpuck.twin.design import Design
-    from airpuck.twin.design_check import Obtained
-    from airpuck.twin.design_judge import Candidate
+    from airpuck.experiment_design.check import Obtained
+    from airpuck.experiment_design.design import Design
+    from airpuck.experiment_design.worth import Candidate
+    from airpuck.model.model_file import Model
 
 #: Candidates to print.
 _SHOWN = 8
@@ -65,9 +65,9 @@ def design(
     quiet: Quiet = False,
 ) -> None:
     """Propose the excitation that shrinks the worst-determined parameters most."""
-    from airpuck.model_file import read_model
-    from airpuck.twin.design import design
-    from airpuck.twin.design_check import check_design
+    from airpuck.experiment_design.check import check_design
+    from airpuck.experiment_design.design import design
+    from airpuck.model.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
 
     choose("--criterion", criterion, ("worst", "mean"))
@@ -117,9 +117,9 @@ def design(
 
 def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bool) -> Model:
     """Fit a model's rung to recordings, starting from it."""
-    from airpuck.identification.expected_errors import fit_settings
+    from airpuck.experiment_design.expected_errors import fit_settings
     from airpuck.identification.fit import identify
-    from airpuck.model.presets import preset
+    from airpuck.model.rungs import preset
 
     trajectories = [load(path, craft.vehicle, topics) for path in recordings]
     warn([w for t in trajectories for w in t.warnings], quiet)

@@ -14,7 +14,7 @@ from airpuck.cli.options import Json, Quiet, RecordingPath, Span, TopicsFile, Ve
 from airpuck.cli.output import check_destinations, console, is_stdout, warn, write_json
 
 if TYPE_CHECKING:
-    from airpuck.trajectory import Span as FoundSpan
+    from airpuck.data.trajectory import Span as FoundSpan
 
 
 @app.command(rich_help_panel=PANEL)
@@ -36,10 +36,10 @@ def faults(
     quiet: Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
-    from airpuck.errors import InputError
+    from airpuck.boundary.errors import InputError
     from airpuck.faults.find import find_faults
     from airpuck.identification.fit import identify
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
 
     if model is not None and vehicle is not None:
         raise InputError("is the model's; leave out one of both", field="--vehicle")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
     from airpuck.identification.fit_result import Fit
-    from airpuck.model_file import Model
+    from airpuck.model.model_file import Model
 
 
 def show_resampling(quiet: bool, total: int) -> Callable[[int], None]:

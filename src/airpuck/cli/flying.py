@@ -115,9 +115,9 @@ def excite(
     json_file: Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
+    from airpuck.boundary.errors import InputError
     from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
-    from airpuck.errors import InputError
-    from airpuck.model_file import nominal_model, read_model
+    from airpuck.model.model_file import nominal_model, read_model
     from airpuck.recording import write_bag, write_csv
     from airpuck.twin.experiments import fly_excitation
     from airpuck.twin.settings import read_twin_settings
@@ -190,9 +190,9 @@ def track(
     json_file: Json = None,
 ) -> None:
     """Fly the paper's set points on the twin, beside the real flights."""
+    from airpuck.boundary.errors import InputError
     from airpuck.control.tuning import ESTIMATORS, default_tuning
-    from airpuck.errors import InputError
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
     from airpuck.twin.tracking_study import DWELL, tracking_study
 

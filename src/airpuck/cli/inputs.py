@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from airpuck.control.tuning import Tuning
+    from airpuck.craft.vehicle import Vehicle
+    from airpuck.data.trajectory import Trajectory
     from airpuck.evaluation.evaluate import Protocol
-    from airpuck.model_file import Model
+    from airpuck.model.model_file import Model
     from airpuck.recording.stream import Recording
-    from airpuck.trajectory import Trajectory
-    from airpuck.vehicle import Vehicle
 
 
 def read_craft(path: Path | None) -> Vehicle | None:
     """Read the vehicle file, if one is given."""
     if path is None:
         return None
-    from airpuck.vehicle import read_vehicle
+    from airpuck.craft.vehicle import read_vehicle
 
     return read_vehicle(path)
 
@@ -44,7 +44,7 @@ def cut(trajectory: Trajectory, span: tuple[float, float] | None) -> Trajectory:
 @contextmanager
 def about(file: str | Path, field: str | None = None) -> Iterator[None]:
     """Name the file, and the field as the file calls it, in what is refused."""
-    from airpuck.errors import InputError
+    from airpuck.boundary.errors import InputError
 
     try:
         yield
@@ -56,8 +56,8 @@ def about(file: str | Path, field: str | None = None) -> Iterator[None]:
 
 def read_belief(name: str) -> Model:
     """Read a model for the controller, which inverts its thrust curves."""
-    from airpuck.model.thrust import InverseThrust
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
+    from airpuck.physics.thrust import InverseThrust
 
     model = read_model(name)
     with about(name, "parameters.thrust_N"):
@@ -80,7 +80,7 @@ def read_controls(path: Path | None) -> Tuning | None:
 
 def choose(option: str, value: str, choices: tuple[str, ...]) -> None:
     """Refuse a value that is not among the choices."""
-    from airpuck.errors import InputError
+    from airpuck.boundary.errors import InputError
 
     if value not in choices:
         raise InputError(f"{value!r} is none of {', '.join(choices)}", field=option)

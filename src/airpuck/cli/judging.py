@@ -31,7 +31,7 @@ def present(model: ModelName, json_file: Json = None) -> None:
     """Present a model: structure, parameters with errors, what follows, how it was learned."""
     from airpuck.cli.judgement_output import print_presentation
     from airpuck.evaluation.presentation import present
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
 
     presentation = present(read_model(model))
     write_json(json_file, presentation.to_json())
@@ -56,12 +56,12 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare models on one recording; of two learned models, say what drifted."""
+    from airpuck.boundary.errors import InputError
     from airpuck.cli.judgement_output import print_drift, print_goodness
-    from airpuck.errors import InputError
     from airpuck.evaluation.drift import Drift, drift
     from airpuck.evaluation.evaluate import compare
     from airpuck.evaluation.goodness import goodness
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
 
     chosen = choose_protocol(protocol, encoder)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
@@ -117,7 +117,7 @@ def resid(
     from airpuck.evaluation.goodness import goodness
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
     from airpuck.evaluation.residuals import resid
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
 
     check_destinations(output=output, json=json_file)
     known = read_model(model)

@@ -47,7 +47,7 @@ def preprocess(
 ) -> None:
     """Turn a recording into a trajectory: states, commands, delay, what not to use."""
     if output.suffix != ".npz":
-        from airpuck.errors import InputError
+        from airpuck.boundary.errors import InputError
 
         raise InputError("must end in .npz", file=output, field="-o")
     check_destinations(output=output, json=json_file)
@@ -128,12 +128,12 @@ def identify(
     quiet: Quiet = False,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
+    from airpuck.boundary.errors import InputError
     from airpuck.cli.fit_output import print_fit, show_resampling
-    from airpuck.errors import InputError
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import identify
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-    from airpuck.model.presets import preset
+    from airpuck.model.rungs import preset
 
     rung = preset(model)
     choose("--method", method, ("lm", "adam"))
@@ -202,7 +202,7 @@ def evaluate(
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.evaluation.evaluate import evaluate
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
 
     chosen = choose_protocol(protocol, encoder)
     known = read_model(model)
@@ -222,8 +222,8 @@ def check(
     json_file: Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
-    from airpuck.identification.layout_check import check_layout
-    from airpuck.vehicle import default_vehicle
+    from airpuck.craft.vehicle import default_vehicle
+    from airpuck.faults.layout_check import check_layout
 
     craft = read_craft(vehicle) or default_vehicle()
     result = check_layout(load(recording, craft, topics), craft)
@@ -235,7 +235,7 @@ def check(
         for sentence in result.remarks:
             print(sentence)
     if not result.agrees:
-        from airpuck.errors import InputError
+        from airpuck.boundary.errors import InputError
 
         wrong = [p.name for p in result.propellers if p.verdict != "agrees"]
         about = ", ".join(wrong) if result.conclusive else "nothing can be said"

@@ -60,7 +60,7 @@ def twin(
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
-    from airpuck.model_file import read_model
+    from airpuck.model.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
 
     check_destinations(json=json_file)
@@ -144,10 +144,13 @@ def fly(
     quiet: Quiet = False,
 ) -> None:
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
+    from airpuck.boundary.errors import InputError
+    from airpuck.compute.compiled import at_once
     from airpuck.control.excitation import Excitation
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import default_tuning
-    from airpuck.errors import InputError
+    from airpuck.craft.table import Table
+    from airpuck.craft.vehicle import default_vehicle
     from airpuck.flight.loop import Pilot
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import Limits
@@ -157,10 +160,7 @@ def fly(
         check_inside,
         read_setpoints,
     )
-    from airpuck.model.compiled import at_once
-    from airpuck.model_file import nominal_model
-    from airpuck.table import Table
-    from airpuck.vehicle import default_vehicle
+    from airpuck.model.model_file import nominal_model
 
     ways = [bool(setpoints), setpoints_file is not None, topic, excite]
     if sum(ways) > 1:
@@ -268,7 +268,7 @@ def topic_names(topics: Path | None) -> Topics | None:
 
 def run_length(duration: float | None) -> float:
     """Return how long to go on."""
-    from airpuck.errors import InputError
+    from airpuck.boundary.errors import InputError
 
     if duration is not None and not 0 < duration < float("inf"):
         raise InputError("must be a number of seconds above 0", field="--duration")
@@ -277,8 +277,8 @@ def run_length(duration: float | None) -> float:
 
 def _points(texts: list[str] | None, dwell: float | None) -> SetPoints:
     """Return set points one after the other; by default the middle of the table."""
+    from airpuck.boundary.errors import InputError
     from airpuck.control.reference import SetPoints
-    from airpuck.errors import InputError
 
     dwell = _DWELL if dwell is None else dwell
     if not 0 < dwell < float("inf"):

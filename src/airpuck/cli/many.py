@@ -44,8 +44,8 @@ def campaign(
     quiet: Quiet = False,
 ) -> None:
     """Run many independent flights or fits; what is done already is not done again."""
+    from airpuck.boundary.errors import InputError
     from airpuck.campaigns.campaign import campaign
-    from airpuck.errors import InputError
 
     if scheduler is not None and workers is not None:
         raise InputError("a running cluster has its own; give one of the two", field="--workers")
@@ -58,7 +58,7 @@ def campaign(
     except KeyboardInterrupt:
         print("airpuck: interrupted; run it again for what is missing", file=sys.stderr)
         raise typer.Exit(130) from None
-    from airpuck.files import replacing
+    from airpuck.boundary.files import replacing
 
     with replacing(output / "summary.json") as temporary:
         write_json(temporary, found.to_json())

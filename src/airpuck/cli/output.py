@@ -22,7 +22,7 @@ def check_destinations(**paths: Path | None) -> None:
     """Refuse places that cannot be written to, before any work is done for them."""
     import tempfile
 
-    from airpuck.errors import InputError
+    from airpuck.boundary.errors import InputError
 
     taken: dict[Path, str] = {}
     for option, path in paths.items():
@@ -79,7 +79,7 @@ def write_json(json_file: Path | None, figures: Any) -> None:
     if is_stdout(json_file):
         sys.stdout.write(text)
         return
-    from airpuck.files import replacing
+    from airpuck.boundary.files import replacing
 
     with replacing(json_file) as temporary:
         temporary.write_text(text, encoding="utf-8")

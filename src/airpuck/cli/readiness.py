@@ -40,12 +40,12 @@ def preflight(
     quiet: Quiet = False,
 ) -> None:
     """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
+    from airpuck.boundary.errors import InputError
     from airpuck.cli.inputs import read_flight
-    from airpuck.errors import InputError
+    from airpuck.craft.vehicle import default_vehicle
     from airpuck.flight.preflight import judge_recording
     from airpuck.flight.pulses import PulsePlan
-    from airpuck.model_file import nominal_model
-    from airpuck.vehicle import default_vehicle
+    from airpuck.model.model_file import nominal_model
 
     if model is not None and vehicle is not None:
         raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")

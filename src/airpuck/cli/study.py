@@ -61,7 +61,7 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Walk the whole way on recordings that are simulated: no download, no hardware."""
-    from airpuck.demo import demo
+    from airpuck.report.demo import demo
 
     check_destinations(output=output)
     print(demo(output, progress=say(quiet)))

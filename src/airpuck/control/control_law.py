@@ -13,9 +13,9 @@ import numpy as np
 
 from airpuck.control.allocation import problem
 from airpuck.control.discretization import motor_lag, point_mass
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model.thrust import inverse_thrust, thrust
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import inverse_thrust, thrust
 
 #: Where the effectiveness that the allocation reckons with is kept: a motor that seems dead is
 #: still asked for a little, so that it is found out when it comes back; and no estimate may make

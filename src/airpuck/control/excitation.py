@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import Numbers, Step, TrackingController
 from airpuck.control.tuning import Tuning
-from airpuck.errors import InputError
+from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
-from airpuck.model_file import Model
-from airpuck.table import Table
+from airpuck.model.model_file import Model
 
 #: Largest signal: of all, or of each.
 Amplitude = float | Sequence[float]

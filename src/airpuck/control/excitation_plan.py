@@ -7,7 +7,7 @@ from typing import Annotated
 
 import pydantic
 
-from airpuck.files import Section, read_toml, write_toml
+from airpuck.boundary.files import Section, read_toml, write_toml
 
 Share = Annotated[float, pydantic.Field(ge=0, le=1)]
 Positive = Annotated[float, pydantic.Field(gt=0)]

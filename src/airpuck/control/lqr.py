@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import point_mass
 from airpuck.control.tuning import Weights
-from airpuck.errors import InputError
 
 
 def lqr(

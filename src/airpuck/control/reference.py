@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,19 +10,19 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
+from airpuck.compute.compiled import program, runs_at_once
 from airpuck.control.allocation import Outcome, ThrustAllocator, all_finite
 from airpuck.control.control_law import control_law
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import Reference, Target
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
-from airpuck.errors import InputError
 from airpuck.estimate.actuation_filter import ActuationFilter
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import Estimate, Estimator
 from airpuck.estimate.kalman import KalmanFilter
-from airpuck.model.compiled import program, runs_at_once
-from airpuck.model.thrust import InverseThrust
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import InverseThrust
 
 #: What callers may give for an array of one dimension.
 Numbers = Sequence[float] | np.ndarray

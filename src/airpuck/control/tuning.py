@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from airpuck.files import Section, read_toml, write_toml
+from airpuck.boundary.files import Section, read_toml, write_toml
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")

@@ -16,10 +16,10 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import Dynamics, motor_accelerations
-from airpuck.model.thrust import thrust_slope
-from airpuck.windows import Past
+from airpuck.data.windows import Past
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+from airpuck.physics.thrust import thrust_slope
 
 
 @dataclass(frozen=True)

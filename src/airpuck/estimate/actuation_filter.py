@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.compute.compiled import program
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.axis_filter import (
     INITIAL_DISTURBANCE,
@@ -43,8 +44,7 @@ from airpuck.estimate.recursive_filter import (
     Pieces,
     RecursiveFilter,
 )
-from airpuck.model.compiled import program
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 
 
 class ActuationFilter(RecursiveFilter):

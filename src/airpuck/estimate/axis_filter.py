@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import Dynamics, acceleration
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics, acceleration
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import Dynamics
-from airpuck.model.rollout import scan
-from airpuck.windows import Past
+from airpuck.data.windows import Past
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rollout import scan
 
 
 @runtime_checkable

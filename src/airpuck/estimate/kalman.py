@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.compute.compiled import program
 from airpuck.estimate.axis_filter import (
     INITIAL_DISTURBANCE,
     INITIAL_VELOCITY,
@@ -33,9 +34,8 @@ from airpuck.estimate.recursive_filter import (
     Pieces,
     RecursiveFilter,
 )
-from airpuck.model.compiled import program
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration
 
 
 class KalmanFilter(RecursiveFilter):

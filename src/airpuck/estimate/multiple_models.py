@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.estimate.axis_filter import INITIAL_VELOCITY, Noise, process_noise
-from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import Dynamics, motor_accelerations
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 
 #: What surprises every state by this many standard deviations is a rail or a hand, no motor: those
 #: need ten frames for it. The velocities are unknown again, and the motors are not blamed.

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.compute.compiled import program
 from airpuck.estimate.estimator import Estimate
-from airpuck.model.compiled import program
-from airpuck.model.motor import motor_step
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.motor import motor_step
 
 #: Pieces of time with one command each that a call handles: few, since XLA gives programs above
 #: some size to several threads, which costs more than all the arithmetic. A command begins to act

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.evaluation.main_quantities import main_quantities
 from airpuck.evaluation.multiple_testing import holm
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 
 #: Chance of any false alarm among all quantities.
 LEVEL = 0.05

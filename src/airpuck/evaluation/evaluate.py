@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Trajectory, check_propellers
+from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.estimate.prediction import hold_for, prediction_errors
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory, check_propellers
-from airpuck.windows import Windows, make_windows
+from airpuck.evaluation.prediction import hold_for, prediction_errors
+from airpuck.model.model_file import Model
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import thrust_scale as parameters_scale
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.physics.thrust import thrust
 
 
 def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.estimate.innovations import Innovations, free_run, innovations
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import CHANNELS
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.evaluation.innovations import Innovations, free_run, innovations
+from airpuck.model.model_file import Model
 
 #: Length of the simulations that start anew [s]; poses before each, to know the speed from [s].
 RESTART, SETTLE = 2.0, 0.25

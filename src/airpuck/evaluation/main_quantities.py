@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from airpuck.evaluation.gauge import physical_thrust
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import Quantity
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.physics.thrust import thrust
 
 #: Symbol, unit and factor from SI where people use others than files do.
 _SHOWN = {

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.errors import InputError
-from airpuck.estimate.innovations import Innovations, innovations
-from airpuck.estimate.prediction_covariance import predict_with_errors
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import CHANNELS
 from airpuck.evaluation.goodness import RESTART, SETTLE
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.evaluation.innovations import Innovations, innovations
+from airpuck.evaluation.prediction_covariance import predict_with_errors
+from airpuck.model.model_file import Model
 
 #: 97.5 % quantile of the normal distribution: half of a 95 % band, in standard deviations.
 BAND = 1.959963984540054

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
-from airpuck.model.presets import PRESETS
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.model.rungs import PRESETS
+from airpuck.physics.thrust import thrust
 
 #: Ways to accelerate: row of Π, sign.
 _WAYS = (

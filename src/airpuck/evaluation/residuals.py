@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
-from airpuck.estimate.innovations import Innovations, innovations
-from airpuck.estimate.prediction import delay_for
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Trajectory, hold
 from airpuck.evaluation.cross_correlation import (
     CrossCorrelation,
     cross_correlations,
     suspicions,
 )
+from airpuck.evaluation.innovations import Innovations, innovations
+from airpuck.evaluation.prediction import delay_for
 from airpuck.evaluation.whiteness import Whiteness, ljung_box, p_text
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory, hold
+from airpuck.model.model_file import Model
 
 #: Channels of the innovations in the frame of the body.
 BODY_CHANNELS = ("forward", "left", "yaw")

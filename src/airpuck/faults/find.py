@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import gammaln
 
+from airpuck.data.trajectory import Span, Trajectory, check_propellers, runs
 from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain
 from airpuck.faults.hypotheses import STEP, Predicted, predict_faults, usable_steps
 from airpuck.faults.markov import state_probabilities
-from airpuck.model_file import Model
-from airpuck.trajectory import Span, Trajectory, check_propellers, runs
+from airpuck.model.model_file import Model
 
 NOT_ARMED, CONTACT = "not armed", "contact"
 

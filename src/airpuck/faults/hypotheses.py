@@ -15,9 +15,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.model.motor import lag_decay, motor_speeds
-from airpuck.model.rigid_body import Dynamics, acceleration
-from airpuck.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory
+from airpuck.physics.motor import lag_decay, motor_speeds
+from airpuck.physics.rigid_body import Dynamics, acceleration
 
 #: Length of a step [s]: about the motors' lag, and long enough that smoothed velocities at its two
 #: ends share no pose.

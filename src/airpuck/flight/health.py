@@ -13,13 +13,13 @@ from jaxtyping import Float
 
 from airpuck.control.tracking import assumed_noise
 from airpuck.control.tuning import Estimation, default_tuning
+from airpuck.craft.table import Table
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.flight.deviations import Deviations, Judged, deviations
-from airpuck.model.rigid_body import Dynamics, acceleration_map
-from airpuck.model.rollout import rollout
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
-from airpuck.table import Table
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import Dynamics, acceleration_map
+from airpuck.physics.rollout import rollout
+from airpuck.physics.thrust import thrust
 
 #: Time between predictions, as a share of the horizon.
 _APART = 0.5

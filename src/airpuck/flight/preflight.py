@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
 from airpuck.flight.effect_match import match_effects
 from airpuck.flight.link import Link
 from airpuck.flight.loop import fly
@@ -23,11 +24,10 @@ from airpuck.flight.preflight_checks import (
 )
 from airpuck.flight.pulse_response import pulse_responses
 from airpuck.flight.pulses import PulsePlan, PulseTest
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.clock import align_clocks
 from airpuck.recording.stream import Recording
-from airpuck.table import Table
 
 #: Share of the modelled effect below which a motor is said to do nothing.
 _SILENT = 0.15

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.model.motor import motor_step
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.motor import motor_step
+from airpuck.physics.thrust import thrust
 
 #: Poses that are looked at before a pulse begins and after it ends [s].
 _BEFORE, _AFTER = 0.15, 0.25

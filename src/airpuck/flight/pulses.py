@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import Numbers, Step
-from airpuck.errors import InputError
-from airpuck.table import Table
-from airpuck.vehicle import Vehicle
+from airpuck.craft.table import Table
+from airpuck.craft.vehicle import Vehicle
 
 #: Nothing is sent without a pose from the last 50 ms.
 _STALE = 0.05

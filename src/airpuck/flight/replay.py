@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import Target
 from airpuck.control.tracking import Status, TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.errors import InputError
+from airpuck.craft.vehicle import match_columns
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
-from airpuck.model.rigid_body import acceleration_map
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.clock import align_clocks, seconds
 from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
 from airpuck.recording.stream import Recording
-from airpuck.vehicle import match_columns
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
-from airpuck.errors import InputError
+from airpuck.craft.vehicle import Vehicle, match_columns
 from airpuck.preprocessing.clock import align_clocks, seconds
 from airpuck.preprocessing.derivative import unwrap_yaw
 from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
 from airpuck.recording.stream import Recording
-from airpuck.vehicle import Vehicle, match_columns
 
 #: A set point counts as reached within these distances [m, m, rad].
 TOLERANCE = (0.02, 0.02, 0.05)

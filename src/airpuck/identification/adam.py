@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
+from airpuck.data.windows import gather_past
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.monotone import monotone_penalty
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
-from airpuck.model.rollout import rollout
-from airpuck.windows import gather_past
+from airpuck.physics.rollout import rollout
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Int
 
+from airpuck.data.windows import Windows
 from airpuck.identification.objective import BATCH
-from airpuck.windows import Windows
 
 #: Length of a block [s]. Neighbouring blocks share what reaches across their border
 #: (`shared_at_borders`): shorter blocks share more, longer ones are too few in a minute of flight.

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.cores import usable_cores
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.compute.cores import usable_cores
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.gauge import fix_gauge

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.uncertainty_section import DelayJitter
+from airpuck.model.uncertainty_section import DelayJitter
 
 #: Fewer degrees of freedom than this have no spread to speak of.
 _FEWEST = 9

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from airpuck.model.thrust import lowest_slope
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import lowest_slope
 
 #: A motor whose command stays within this range says nothing about its thrust.
 _HARDLY = 0.02

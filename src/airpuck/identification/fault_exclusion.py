@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.faults.find import find_faults
-from airpuck.model_file import Model
-from airpuck.trajectory import Span, Trajectory
+from airpuck.model.model_file import Model
 
 #: Where faults would take more of the windows, it is the model that does not fit the recording.
 MOST = 0.5

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import make_windows
 from airpuck.identification.delay_jitter import spread_of
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays, delay_response
 from airpuck.identification.refinement import modelled_acceleration, retimed, smoothed_along
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
-from airpuck.windows import make_windows
+from airpuck.model.model_file import Model
 
 #: Seconds of flight that say enough.
 _ENOUGH = 120.0

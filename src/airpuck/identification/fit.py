@@ -12,7 +12,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from airpuck import __version__
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.data.trajectory import Trajectory, check_propellers
+from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.blocks import cluster_windows, shared_at_borders
 from airpuck.identification.bootstrap import bootstrap as resample
@@ -36,14 +39,11 @@ from airpuck.identification.transport_delay import (
 )
 from airpuck.identification.uncertainty import sandwich, widened
 from airpuck.model.gauge import fix_gauge
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.model.presets import Preset, preset
-from airpuck.model.rigid_body import CenterOfMassFrame
+from airpuck.model.rungs import Preset, preset
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory, check_propellers
-from airpuck.vehicle import Vehicle, default_vehicle
-from airpuck.windows import make_windows
+from airpuck.physics.rigid_body import CenterOfMassFrame
 
 #: Fits to data that were prepared anew with the last one.
 _REFINEMENTS = 2

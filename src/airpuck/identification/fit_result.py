@@ -12,8 +12,8 @@ from airpuck.identification.identifiability import Identifiability
 from airpuck.identification.method import Iteration
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.model_file import Model
 
 
 @dataclass(frozen=True)

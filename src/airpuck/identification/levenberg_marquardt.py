@@ -9,7 +9,7 @@ import numpy as np
 import piqp
 from jaxtyping import Bool, Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.monotone import SlopeConstraints
 from airpuck.identification.objective import PredictionLoss, Quadratic

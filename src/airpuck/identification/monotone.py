@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.model.thrust import lowest_slope, thrust_slope
+from airpuck.physics.thrust import lowest_slope, thrust_slope
 
 
 def monotone_penalty(xp: Any, coefficients: Any) -> Any:

@@ -22,12 +22,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from airpuck.compute.xla import for_batches
+from airpuck.data.windows import gather_past
 from airpuck.estimate.encoder import StateEncoder
-from airpuck.model.motor import motor_step
-from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, acceleration
-from airpuck.model.thrust import thrust, thrust_slope
-from airpuck.model.xla import for_batches
-from airpuck.windows import gather_past
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, acceleration
+from airpuck.physics.thrust import thrust, thrust_slope
 
 
 def normal_equations(
@@ -146,7 +146,7 @@ def normal_equations(
         now = starts + encoder.length - 1 + k
         held, h = command[now].T, time[now + 1] - time[now]
         d_held = jnp.stack([jnp.zeros_like(held), command_slope[now].T])
-        # As in `airpuck.model.rollout.step`, with every quantity beside its sensitivities.
+        # As in `airpuck.physics.rollout.step`, with every quantity beside its sensitivities.
         begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
         middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
         k1, a1 = rates(motion, d_yaw, d_velocity, *begin)

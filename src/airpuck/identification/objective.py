@@ -14,14 +14,14 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.cores import usable_cores
+from airpuck.compute.cores import usable_cores
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.windows import Windows
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.normal_equations import compiled_normal_equations
 from airpuck.model.parameters import Parameters
-from airpuck.model.pytrees import register_pytrees
-from airpuck.model.rigid_body import CenterOfMassFrame
-from airpuck.vehicle import Vehicle
-from airpuck.windows import Windows
+from airpuck.physics.pytrees import register_pytrees
+from airpuck.physics.rigid_body import CenterOfMassFrame
 
 #: Weights of the x, y and yaw errors before squaring, as in the published fits.
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.zero_order_hold import mean_hold
 from airpuck.estimate.actuation import twice_integrated
-from airpuck.model.motor import lag_decay, motor_speeds
-from airpuck.model.rigid_body import acceleration, motor_accelerations
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
-from airpuck.zero_order_hold import mean_hold
+from airpuck.model.model_file import Model
+from airpuck.physics.motor import lag_decay, motor_speeds
+from airpuck.physics.rigid_body import acceleration, motor_accelerations
 
 #: Samples before the expected arrival and in all: the motors' answer, at 240 Hz within 0.1 s.
 _LEAD, _LENGTH = 8, 32

@@ -14,14 +14,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.data.trajectory import Trajectory
 from airpuck.identification.delay_jitter import spread_of
 from airpuck.identification.packet_delays import PacketDelays, packet_delays
-from airpuck.model.motor import motor_speeds
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.motor import motor_speeds
+from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import ACCELERATION_WINDOW, velocity
 from airpuck.preprocessing.quality import stretches
-from airpuck.trajectory import Trajectory
 
 
 def refined(

@@ -12,13 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Method
-from airpuck.model.presets import Preset
-from airpuck.model_file import Model
-from airpuck.trajectory import Trajectory
-from airpuck.vehicle import Vehicle
+from airpuck.model.model_file import Model
+from airpuck.model.rungs import Preset
 
 #: Whether to learn the delay.
 DelayChoice = Literal["fit", "fixed"]

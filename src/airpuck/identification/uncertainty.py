@@ -20,8 +20,8 @@ from airpuck.identification.feedback import Feedback
 from airpuck.identification.objective import Shares
 from airpuck.model.gauge import gauge_constraints
 from airpuck.model.parameters import Parameters
-from airpuck.model.thrust import thrust_slope
 from airpuck.model.uncertainty import Uncertainty
+from airpuck.physics.thrust import thrust_slope
 
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
 #: below which its direction is not determined: rounding leaves about 1e-15.

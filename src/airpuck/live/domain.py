@@ -7,7 +7,7 @@ import socket
 from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 
 LOOPBACK = "lo"
 #: The highest domain whose ports exist: 7400 + 250 per domain.

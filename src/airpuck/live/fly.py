@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import Action, Pilot, control
 from airpuck.live.clock import Clock
 from airpuck.live.events import EventLog
@@ -28,7 +29,6 @@ from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.recording.message import StreamCodec
 from airpuck.recording.topics import Topics
-from airpuck.vehicle import Vehicle
 
 NAME = "airpuck fly"
 #: Idle commands at the end, since one may be lost.

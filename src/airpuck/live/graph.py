@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.live.discovery import Discovery, Endpoint
 from airpuck.live.domain import domain_config, domain_id
 from airpuck.live.idl import dds_topic, idl_struct, raw_type

@@ -23,7 +23,7 @@ from airpuck.live.events import (
 )
 from airpuck.live.graph import LOG, SENSOR, STATE, Graph, Subscription
 from airpuck.live.inbox import Inbox
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.recording.message import MessageCodec, StreamCodec
 from airpuck.recording.message_types import definitions
 from airpuck.recording.topics import Topics

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from airpuck.craft.table import Table
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.fly import fly_live
 from airpuck.live.safety import Limits
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.recording.topics import Topics
-from airpuck.table import Table
 
 #: For the graph to be found, and for the guard to believe the poses [s].
 _PATIENCE = 3.0

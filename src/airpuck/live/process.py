@@ -9,7 +9,7 @@ import signal
 import time
 from collections.abc import Iterator
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.live.domain import LEASE
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.recording.message import StreamCodec

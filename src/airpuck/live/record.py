@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.live.events import EventLog
 from airpuck.live.graph import Graph
 from airpuck.live.listener import Listener

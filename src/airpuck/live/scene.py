@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.craft.table import Table
 from airpuck.live.marker import SetPointMarker, turned
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
-from airpuck.table import Table
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust
 
 if TYPE_CHECKING:
     import viser

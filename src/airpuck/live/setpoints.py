@@ -7,9 +7,9 @@ import os
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_toml
 from airpuck.control.reference import SetPoint, SetPoints, Target
-from airpuck.errors import InputError
-from airpuck.files import Section, read_toml
 
 
 class _Entry(Section):

@@ -10,7 +10,7 @@ from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.inbox import Inbox
 from airpuck.live.process import hurry, orderly, refuse_second, settle_memory
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.recording.message import StreamCodec
 from airpuck.recording.topics import Topics
 from airpuck.twin.settings import TwinSettings

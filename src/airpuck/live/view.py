@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
 from airpuck.live.events import EventLog
 from airpuck.live.graph import STATE, Graph
 from airpuck.live.observer import Observer
 from airpuck.live.panel import Panel
 from airpuck.live.process import Ending, orderly, settle_memory
 from airpuck.live.scene import Scene
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.recording.message import StreamCodec
 from airpuck.recording.topics import Topics
-from airpuck.table import Table
 
 NAME = "airpuck view"
 #: Time between pictures, gauges, and reminders of the set point for those that come late [s].

@@ -9,7 +9,7 @@ from airpuck.live.events import EventLog
 from airpuck.live.graph import Graph
 from airpuck.live.observer import Observer
 from airpuck.live.process import orderly, settle_memory
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.recording.topics import Topics
 
 NAME = "airpuck watch"

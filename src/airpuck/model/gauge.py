@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, thrust_scale
-from airpuck.vehicle import Vehicle
 
 
 def gauge_directions(

@@ -1,6 +1,6 @@
 """Everything that can be learned, as one set for all rungs of the model ladder.
 
-A rung (`airpuck.model.presets`) only says which entries are free. `Quantity` states each
+A rung (`airpuck.model.rungs`) only says which entries are free. `Quantity` states each
 parameter's unit, shape and bounds once, for files, summaries and optimisers alike.
 """
 
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.model.effects import make_effects
-from airpuck.model.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
-from airpuck.vehicle import Vehicle
+from airpuck.craft.vehicle import Vehicle
+from airpuck.physics.effects import make_effects
+from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
 
 
 @dataclass(frozen=True)
@@ -194,9 +194,9 @@ QUANTITIES: tuple[Quantity, ...] = (
     ),
 )
 
-#: Quantities of the optional effects (`airpuck.model.effects`), with where a fit starts. Twins that
-#: oppose each other lose alike: their difference does not change with a small interaction, so that
-#: zero is a stationary point.
+#: Quantities of the optional effects (`airpuck.physics.effects`), with where a fit starts. Twins
+#: that oppose each other lose alike: a small interaction does not change their difference, so zero
+#: is a stationary point.
 EFFECTS: dict[str, float | tuple[float, ...]] = {
     "drag": (0.0, 0.0, 0.0, 0.0),
     "inflow": 0.0,
@@ -226,7 +226,7 @@ class Parameters:
         Π, where it is learned directly; None where it follows from the vehicle and the parameters
         above [1/kg, 1/kg, 1/(kg m)].
     drag : array, shape (4,), or None
-        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad] of `airpuck.model.effects.Drag`; None, as for the
+        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad] of `airpuck.physics.effects.Drag`; None, as for the
         optional effects below: not modelled.
     inflow : float or None
         Loss of thrust per air speed along the propeller's axis [s/m].

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.model.motor import motor_speeds
-from airpuck.model.rigid_body import Dynamics
-from airpuck.model.rigid_body import acceleration as model_acceleration
+from airpuck.physics.motor import motor_speeds
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rigid_body import acceleration as model_acceleration
 
 #: Longest delay that is looked for [s].
 LONGEST = 0.5

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory, read_trajectory
 from airpuck.recording.topics import Topics
-from airpuck.trajectory import Trajectory, read_trajectory
-from airpuck.vehicle import Vehicle
 
 
 def load_trajectory(

@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
+from airpuck.data.trajectory import Span, Trajectory
+from airpuck.data.zero_order_hold import hold
 from airpuck.model.parameters import nominal_parameters
-from airpuck.model.rigid_body import Dynamics
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.clock import align_clocks
 from airpuck.preprocessing.delay import LONGEST, DelayEstimate, estimate_delay
 from airpuck.preprocessing.derivative import (
@@ -29,9 +32,6 @@ from airpuck.preprocessing.quality import (
     stretches,
 )
 from airpuck.recording.stream import Recording
-from airpuck.trajectory import Span, Trajectory
-from airpuck.vehicle import Vehicle, default_vehicle, match_columns
-from airpuck.zero_order_hold import hold
 
 #: A command this far above the lowest one means that the experiment has begun.
 _BEGINS_ABOVE_MINIMUM = 0.02

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Span, runs
 from airpuck.recording.stream import Stream
-from airpuck.trajectory import Span, runs
 
 #: A pause longer than this many sample periods is a gap.
 GAP_PERIODS = 1.5

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.cdr import decode, flatten
 from airpuck.recording.fingerprint import sha256
 from airpuck.recording.listing import listing, one_line

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.bag_file import BagFile
 from airpuck.recording.cdr import Types, encode, flatten
 from airpuck.recording.message_types import PATHS, command_type, definitions, stamp_paths

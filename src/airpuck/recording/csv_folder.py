@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int64
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.fingerprint import sha256
 from airpuck.recording.listing import listing, one_line
 from airpuck.recording.message_types import PATHS, columns_of

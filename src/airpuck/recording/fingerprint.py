@@ -6,7 +6,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 
 
 @contextlib.contextmanager

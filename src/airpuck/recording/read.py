@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import is_csv_folder, read_csv_folder
 from airpuck.recording.listing import listing

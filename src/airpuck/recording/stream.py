@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float, Int64
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 
 #: Columns of the streams whose meaning is fixed. A command's columns are the propellers' names.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import pydantic
 
-from airpuck.files import Section, read_toml
+from airpuck.boundary.files import Section, read_toml
 
 TopicName = Annotated[str, pydantic.Field(pattern=r"^/[^\s]+$")]
 

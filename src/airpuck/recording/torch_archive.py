@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Trajectory
 from airpuck.recording.fingerprint import sha256
 from airpuck.recording.inert_pickle import Refused, Tensor, read_inert
 from airpuck.recording.listing import listing
 from airpuck.recording.message_types import HOLOHOVER_MOTORS
-from airpuck.trajectory import Trajectory
 
 _TENSORS = ("T", "X", "U", "dX")
 #: A command may lie outside [0, 1] by rounding.

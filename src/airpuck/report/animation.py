@@ -6,11 +6,11 @@ import math
 import os
 from pathlib import Path
 
-from airpuck.errors import InputError
-from airpuck.files import replacing
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import replacing
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.recording.stream import Recording
 from airpuck.report.animation_frames import TABLE, read_scene
-from airpuck.vehicle import Vehicle, default_vehicle
 
 #: A GIF of more frames would be hundreds of megabytes.
 _MOST_FRAMES = 10_000

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
+from airpuck.craft.vehicle import Vehicle, match_columns
 from airpuck.preprocessing.clock import Aligned, align_clocks
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
@@ -19,8 +21,6 @@ from airpuck.preprocessing.quality import (
     find_frozen,
 )
 from airpuck.recording.stream import Recording, Stream
-from airpuck.table import Table
-from airpuck.vehicle import Vehicle, match_columns
 
 #: Length and width of the authors' air-hockey table; its centre is the origin [m].
 TABLE = (Table().length_m, Table().width_m)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.report.animation_frames import TRAIL, Scene, thinned
 from airpuck.report.animation_shapes import (
     ASKED,
@@ -29,7 +30,6 @@ from airpuck.report.animation_shapes import (
     short_names,
 )
 from airpuck.report.style import BLACK, GREY, propeller_colors
-from airpuck.vehicle import Vehicle
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.model.thrust import thrust
-from airpuck.vehicle import Vehicle
+from airpuck.craft.vehicle import Vehicle
+from airpuck.physics.thrust import thrust
 
 #: Colours that only animations need: the table, and what the craft was asked to do.
 FLOOR, HOLES, GRID, RAIL = "#f4f7fa", "#cbd6e0", "#dfe6ed", "#a5b2bf"

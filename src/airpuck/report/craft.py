@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, FancyArrowPatch, Rectangle
 
+from airpuck.craft.table import Table
+from airpuck.craft.vehicle import Vehicle
 from airpuck.report.style import (
     BLACK,
     GREY,
@@ -21,8 +23,6 @@ from airpuck.report.style import (
     propeller_colors,
     styled,
 )
-from airpuck.table import Table
-from airpuck.vehicle import Vehicle
 
 #: Propellers whose radii or half-angles agree this well get one common annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3

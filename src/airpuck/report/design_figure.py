@@ -9,7 +9,9 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from airpuck.files import replacing
+from airpuck.boundary.files import replacing
+from airpuck.experiment_design.check import Obtained
+from airpuck.experiment_design.design import Design
 from airpuck.report.style import (
     BLUE,
     GREY,
@@ -20,8 +22,6 @@ from airpuck.report.style import (
     styled,
     top_legend,
 )
-from airpuck.twin.design import Design
-from airpuck.twin.design_check import Obtained
 
 
 def write_design_figure(

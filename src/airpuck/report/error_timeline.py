@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.report.horizon import CHANNELS
 from airpuck.report.style import (
@@ -24,7 +25,6 @@ from airpuck.report.style import (
     styled,
     top_legend,
 )
-from airpuck.trajectory import Span
 
 #: Share of the windows that is called the worst.
 WORST = 0.08

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.error_timeline import touched_by
 from airpuck.report.fault_timeline import fault_timeline_figure
 from airpuck.report.page import Picture, Section, Table, write_page
-from airpuck.trajectory import Span, Trajectory
 
 
 def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> Section:

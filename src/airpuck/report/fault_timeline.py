@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
 from airpuck.faults.find import CONTACT, NOT_ARMED
@@ -25,7 +26,6 @@ from airpuck.report.style import (
     styled,
     top_legend,
 )
-from airpuck.trajectory import Span
 
 _COLORS = {NOT_ARMED: PURPLE, RADIO_OUT: VERMILLION, CONTACT: ORANGE, UNEXPLAINED: SKY}
 #: What is sure fills this much of its colour; what is doubtful fills less.

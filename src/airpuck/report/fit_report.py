@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.fit_result import Fit
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.fault_report import fault_section
 from airpuck.report.packet_delay_figure import packet_delay_figure
 from airpuck.report.page import Picture, Section, Table, write_page
@@ -24,7 +25,6 @@ from airpuck.report.study_sections import (
     thrust_section,
     timeline_section,
 )
-from airpuck.trajectory import Trajectory
 
 
 def fit_report(

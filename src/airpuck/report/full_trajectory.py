@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.estimate.prediction import hold_for
+from airpuck.evaluation.prediction import hold_for
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import PredictionLoss
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.trial import Trial, judge
-from airpuck.trajectory import Trajectory
-from airpuck.windows import make_windows
 
 
 @dataclass(frozen=True, eq=False)

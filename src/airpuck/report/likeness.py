@@ -9,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from airpuck.data.trajectory import Trajectory
 from airpuck.report.style import (
     BLUE,
     GREEN,
@@ -21,7 +22,6 @@ from airpuck.report.style import (
     styled,
     top_legend,
 )
-from airpuck.trajectory import Trajectory
 
 _COLORS = (GREY, BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.style import BLUE, GREY, PAGE_WIDTH, VERMILLION, new_figure, styled, top_legend
 
 #: Standard errors that a bar shows to each side, and bins of the histogram.

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from matplotlib.figure import Figure
 
-from airpuck.files import replacing
+from airpuck.boundary.files import replacing
 from airpuck.report.style import png
 
 

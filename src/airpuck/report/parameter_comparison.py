@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from airpuck.evaluation.gauge import largest_accelerations
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.style import BLACK, PAGE_WIDTH, new_figure, rung_color, styled, top_legend
 
 

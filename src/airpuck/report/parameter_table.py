@@ -10,8 +10,8 @@ import numpy as np
 
 from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
 from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
-from airpuck.model.presets import preset as preset_of
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.model.rungs import preset as preset_of
 
 #: Quantities in the order of the paper's table:models.
 _COLUMNS = (
@@ -66,7 +66,7 @@ def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str
     Parameters
     ----------
     names : sequence of str
-        Rungs (`airpuck.model.presets.preset`).
+        Rungs (`airpuck.model.rungs.preset`).
     models : sequence of Model
         One for each rung, for the values of what is fixed.
 

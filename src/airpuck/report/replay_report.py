@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from airpuck.flight.replay import Replay
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.page import Picture, Section, Table, Text, write_page
 from airpuck.report.replay_figures import command_figure, flight_figure, rotation_error_figure
 

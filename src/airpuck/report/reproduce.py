@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import replacing
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import compare
-from airpuck.files import replacing
 from airpuck.identification.fit import identify
-from airpuck.model_file import published_model
+from airpuck.model.model_file import published_model
 from airpuck.report.fit_report import sources_section
 from airpuck.report.page import Section, write_page
 from airpuck.report.paper_sections import (
@@ -34,7 +35,6 @@ from airpuck.report.study_sections import (
     thrust_section,
     timeline_section,
 )
-from airpuck.trajectory import Span, Trajectory
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"

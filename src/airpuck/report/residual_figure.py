@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.evaluation.residuals import ResidualTests
 from airpuck.report.style import (
     BLUE,
@@ -20,7 +21,6 @@ from airpuck.report.style import (
     styled,
     top_legend,
 )
-from airpuck.vehicle import Vehicle
 
 
 @styled

@@ -6,15 +6,15 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.goodness import Goodness
 from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.evaluation.residuals import ResidualTests
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.report.fit_report import sources_section
 from airpuck.report.page import Picture, Section, Table, Text, write_page
 from airpuck.report.prediction_bands_figure import prediction_bands_figure
 from airpuck.report.residual_figure import residual_figure
-from airpuck.trajectory import Trajectory
 
 
 def residual_report(

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from airpuck.evaluation.gauge import physical_thrust
-from airpuck.model.thrust import lowest_slope, thrust_slope
+from airpuck.physics.thrust import lowest_slope, thrust_slope
 from airpuck.report.full_trajectory import FullTrajectory
 from airpuck.report.horizon import CHANNELS
 from airpuck.report.side_claims import LargestThrusts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from airpuck.evaluation.gauge import physical_thrust
-from airpuck.model.thrust import lowest_slope
+from airpuck.physics.thrust import lowest_slope
 from airpuck.report.page import Picture, Section, Table
 from airpuck.report.side_claim_figures import (
     degrees_figure,

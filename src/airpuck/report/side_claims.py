@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.fit import identify
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.model.thrust import thrust_slope
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust_slope
 from airpuck.report.full_trajectory import FullTrajectory, predict_whole_trajectory
 from airpuck.report.study import Study
 from airpuck.report.trial import Trial, judge
-from airpuck.trajectory import Trajectory
 
 Say = Callable[[str], None]
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.identification.fit_result import Fit
 from airpuck.report.craft import craft_figure, frames_figure
 from airpuck.report.error_distribution import error_distribution_figure
@@ -17,7 +18,6 @@ from airpuck.report.parameter_comparison import parameter_figure
 from airpuck.report.parameter_table import Row, coefficient_rows, effect_rows, main_rows
 from airpuck.report.study import Study, protocol_words
 from airpuck.report.thrust_curves import thrust_figure
-from airpuck.vehicle import Vehicle
 
 #: Factors and formats of x, y, yaw in tables.
 _FACTORS, _FORMATS = (1e3, 1e3, 1.0), (".2f", ".2f", ".4f")

@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from airpuck.vehicle import Vehicle
+from airpuck.craft.vehicle import Vehicle
 
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
 BLUE, ORANGE, GREEN, VERMILLION = "#0072b2", "#e69f00", "#009e73", "#d55e00"

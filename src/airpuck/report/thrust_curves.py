@@ -11,9 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.gauge import physical_thrust
-from airpuck.model.thrust import thrust
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust
 from airpuck.report.style import (
     BLACK,
     GREY,
@@ -26,8 +28,6 @@ from airpuck.report.style import (
     styled,
     top_legend,
 )
-from airpuck.trajectory import Trajectory
-from airpuck.vehicle import Vehicle
 
 #: Width of a bin of commands, and the share of samples at the top of the right-hand scale [%].
 _BIN, _TOP = 0.05, 30.0

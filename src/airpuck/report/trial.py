@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import CHANNELS, evaluate
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.fit_result import Fit
-from airpuck.model.thrust import lowest_slope
-from airpuck.trajectory import Trajectory
+from airpuck.physics.thrust import lowest_slope
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Amplitude, Excitation
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.errors import InputError
 from airpuck.flight.loop import FlightLog, fly
-from airpuck.model_file import Model, nominal_model
+from airpuck.model.model_file import Model, nominal_model
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings

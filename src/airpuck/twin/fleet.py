@@ -18,14 +18,14 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.cores import usable_cores
-from airpuck.errors import InputError
-from airpuck.model.pytrees import register_pytrees
-from airpuck.model.rigid_body import Dynamics
-from airpuck.model.xla import for_batches
-from airpuck.model_file import Model
+from airpuck.boundary.errors import InputError
+from airpuck.compute.cores import usable_cores
+from airpuck.compute.xla import for_batches
+from airpuck.craft.table import Table
+from airpuck.model.model_file import Model
+from airpuck.physics.pytrees import register_pytrees
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.recording.stream import Recording
-from airpuck.table import Table
 from airpuck.twin.fleet_radio import heard_commands
 from airpuck.twin.plant import LONGEST_STEP, Disc, advance, scaled
 from airpuck.twin.settings import TwinSettings, default_twin_settings

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
 from airpuck.twin.settings import Motors
 
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.model.compiled import for_real_time
-from airpuck.model.rigid_body import Dynamics
-from airpuck.model.rollout import if_any, step
-from airpuck.model_file import Model
-from airpuck.table import Table
+from airpuck.compute.compiled import for_real_time
+from airpuck.craft.table import Table
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rollout import if_any, step
 
 #: Longest step of the integration [s]: below half the period of control.
 LONGEST_STEP = 1 / 240

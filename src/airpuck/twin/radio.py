@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.twin.settings import Radio, TwinSettings
 
 

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import pydantic
 
-from airpuck.files import Section, read_toml, write_toml
-from airpuck.table import Table
+from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.craft.table import Table
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
@@ -101,7 +101,7 @@ class OnBoard(Section):
 
 
 class Effects(Section):
-    """Optional physics (`airpuck.model.effects`); zero: off.
+    """Optional physics (`airpuck.physics.effects`); zero: off.
 
     Attributes
     ----------

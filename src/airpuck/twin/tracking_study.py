@@ -14,7 +14,7 @@ from airpuck.control.reference import SetPoints
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
-from airpuck.model_file import Model
+from airpuck.model.model_file import Model
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import TwinSettings, default_twin_settings

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.errors import InputError
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
 from airpuck.flight.link import Kind, Measurement
-from airpuck.model.effects import Effect, Tilt, make_effects
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import thrust_scale
-from airpuck.model.rigid_body import acceleration
-from airpuck.model_file import Model
+from airpuck.physics.effects import Effect, Tilt, make_effects
+from airpuck.physics.rigid_body import acceleration
 from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.table import Table
 from airpuck.twin.motors import MotorUnit
 from airpuck.twin.plant import LONGEST_STEP, Plant, scaled
 from airpuck.twin.radio import RadioLink

@@ -1,0 +1,1 @@
+"""What comes from a user and goes back: the one error, TOML, files replaced in one step."""

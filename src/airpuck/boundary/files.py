@@ -1,0 +1,207 @@
+"""TOML in, TOML out, and files that are either the old or the new one, never half of it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import tempfile
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pydantic
+
+from airpuck.boundary.errors import InputError
+
+Schema = TypeVar("Schema", bound=pydantic.BaseModel)
+
+
+class Section(pydantic.BaseModel):
+    """Base of every table in our TOML files: immutable, and an unknown key is an error."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def read_toml(
+    path: str | os.PathLike[str], schema: type[Schema], *, base: Schema | None = None
+) -> Schema:
+    """Read a TOML file and check it against a schema.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    schema : type of pydantic model
+        What the file must contain.
+    base : instance of the schema, optional
+        What holds where the file says nothing; then no key is required.
+
+    Returns
+    -------
+    Schema
+        The checked content.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not TOML, or does not fit the schema; it names the first field.
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text ({error})", file=path) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML: {error}", file=path) from error
+    if base is not None:
+        content = laid_over(base.model_dump(mode="json"), content)
+    return checked(content, schema, file=path)
+
+
+def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace what the content names, table by table; arrays are replaced whole.
+
+    Parameters
+    ----------
+    base : mapping
+        What holds where the content says nothing.
+    content : mapping
+        What is named.
+
+    Returns
+    -------
+    dict
+        Both together.
+    """
+    merged = dict(base)
+    for key, value in content.items():
+        below = base.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            value = laid_over(below, value)
+        merged[key] = value
+    return merged
+
+
+def checked(
+    content: Mapping[str, Any], schema: type[Schema], *, file: str | os.PathLike[str] | None = None
+) -> Schema:
+    """Check a mapping against a schema.
+
+    Parameters
+    ----------
+    content : mapping
+        Parsed TOML.
+    schema : type of pydantic model
+        What it must contain.
+    file : path-like, optional
+        Where it came from, for the error message.
+
+    Returns
+    -------
+    Schema
+        The checked content.
+
+    Raises
+    ------
+    InputError
+        If it does not fit the schema.
+    """
+    try:
+        # As JSON: there, strictness is about types (no truth value is a number, no text either)
+        # and not about Python's containers.
+        return schema.model_validate_json(json.dumps(content, default=str), strict=True)
+    except pydantic.ValidationError as error:
+        # A misspelt key is missing, too, where it should be: its spelling is the mistake.
+        found = error.errors()
+        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
+        # Discriminator tags and function names are pydantic's business, not the user's.
+        field = ".".join(
+            str(part) for part in first["loc"] if not str(part).startswith("function-")
+        )
+        problem = first["msg"].removeprefix("Value error, ").rstrip(".")
+        if first["type"] == "extra_forbidden":
+            problem = "is not a known key; check its spelling"
+        elif first["type"] == "missing":
+            problem = "is required but missing"
+        raise InputError(problem, file=file, field=field or None) from error
+
+
+def write_toml(
+    path: str | os.PathLike[str], content: Mapping[str, Any], *, header: str = ""
+) -> None:
+    """Write a mapping as TOML, replacing the file in one step.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to write.
+    content : mapping
+        Plain Python values; floats are written so that they read back bit-equal.
+    header : str, optional
+        Comment lines for the top of the file, without the hash.
+    """
+    import tomli_w
+
+    comment = "".join(f"# {line}".rstrip() + "\n" for line in header.splitlines())
+    text = f"{comment}\n" if comment else ""
+    # tomli_w gives every number of an array its own line; rows of a matrix read better as rows.
+    rows = re.compile(r"\[\n((?:[ ]+[^\[\]\n]+,\n)+)[ ]*\]")
+    dumped = rows.sub(
+        lambda row: "[" + ", ".join(x.strip(" ,") for x in row[1].splitlines()) + "]",
+        tomli_w.dumps(content),
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(text + dumped, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary name beside `path`, and move it there when the block ends well.
+
+    An interrupted or failed block leaves an existing file as it was.
+
+    Parameters
+    ----------
+    path : path-like
+        The final name.
+
+    Yields
+    ------
+    Path
+        The temporary name to write to; it has the same suffix.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
+        )
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", file=path) from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o666 & ~_umask())
+        try:
+            temporary.replace(target)
+        except OSError as error:
+            raise InputError(f"cannot be replaced ({error.strerror})", file=path) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    """Return the process's umask, which can only be read by setting it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

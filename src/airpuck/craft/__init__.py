@@ -1,0 +1,1 @@
+"""What is known before any flight: the vehicle and the table."""

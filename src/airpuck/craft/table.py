@@ -1,0 +1,45 @@
+"""The air-hockey table: its rails, and the frame of the motion capture on it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import pydantic
+
+from airpuck.boundary.files import Section
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+
+
+class Table(Section):
+    """A rectangular table, centred at the origin of the world frame, x along its length.
+
+    Attributes
+    ----------
+    length_m, width_m : float
+        Distance between opposite rails along x and along y.
+    restitution : float
+        Share of the normal speed that a rail gives back, 1: elastic.
+    friction : float
+        Coulomb coefficient of friction at the rails.
+    """
+
+    length_m: Positive = 2.2
+    width_m: Positive = 1.1
+    restitution: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.7
+    friction: Annotated[float, pydantic.Field(ge=0)] = 0.1
+
+    def reach(self, radius: float) -> tuple[float, float]:
+        """Say how far from the middle the centre of a disc can get.
+
+        Parameters
+        ----------
+        radius : float
+            Radius of the disc [m].
+
+        Returns
+        -------
+        x, y : float
+            Half the free length and width [m].
+        """
+        return self.length_m / 2 - radius, self.width_m / 2 - radius

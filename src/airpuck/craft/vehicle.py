@@ -1,0 +1,250 @@
+"""What is known about a craft before any flight: geometry, mass, limits, nominal values.
+
+The body frame has its origin at the geometric centre, x forward, y to the left; angles are
+counter-clockwise. Any number of propellers in any planar layout is allowed.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pydantic
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_toml, write_toml
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NonNegative = Annotated[float, pydantic.Field(ge=0)]
+Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
+
+
+class Propeller(Section):
+    """One propeller: where it sits and where its thrust pushes the craft.
+
+    Attributes
+    ----------
+    name : str
+        The column of a command that drives it, e.g. ``motor_a_1``.
+    position_m : tuple of float
+        (x, y) in the body frame.
+    direction_deg : float
+        Direction of the force on the craft, counter-clockwise from the body's x axis.
+    """
+
+    name: str = pydantic.Field(min_length=1)
+    position_m: tuple[float, float]
+    direction_deg: float
+
+
+class Nominal(Section):
+    """Values to start an identification from; rough ones do.
+
+    Attributes
+    ----------
+    thrust_N : tuple
+        Coefficients of φ, φ², φ³, … in newtons (φ in [0, 1]): one curve for all propellers, or one
+        list for each.
+    inertia_kg_m2 : float
+        Moment of inertia about the vertical axis through the centre of mass.
+    motor_time_constant_s : float
+        First-order lag of motor speed behind the command.
+    transport_delay_s : float
+        From a command's time stamp to the motors.
+    """
+
+    thrust_N: tuple[float, ...] | tuple[tuple[float, ...], ...]
+    inertia_kg_m2: Positive
+    motor_time_constant_s: NonNegative = 0.03
+    transport_delay_s: NonNegative = 0.0
+
+
+class Vehicle(Section):
+    """A craft: mass, propellers, pairs, command limits, nominal values.
+
+    Attributes
+    ----------
+    name : str
+        Free text.
+    mass_kg : float
+        Total mass as flown.
+    radius_m : float
+        Outer radius, for rails and pictures.
+    command_min, command_max : float
+        Range of a motor command; at the minimum the motor still turns.
+    propellers : tuple of Propeller
+        In the order of a command's columns.
+    pairs : tuple of pairs of str
+        Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
+        other: push in opposite directions, and turn the craft in opposite ways about its centre.
+    nominal : Nominal
+        Starting values for identification.
+    """
+
+    name: str
+    mass_kg: Positive
+    radius_m: Positive = 0.07
+    command_min: Fraction = 0.0
+    command_max: Fraction = 1.0
+    pairs: tuple[tuple[str, str], ...] = ()
+    propellers: tuple[Propeller, ...] = pydantic.Field(min_length=1)
+    nominal: Nominal
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Vehicle:
+        names = self.propeller_names
+        if len(set(names)) != len(names):
+            raise ValueError("two propellers have the same name")
+        for pair in self.pairs:
+            for name in pair:
+                if name not in names:
+                    raise ValueError(f"pairs: there is no propeller called {name!r}")
+        paired = [name for pair in self.pairs for name in pair]
+        if len(set(paired)) != len(paired):
+            raise ValueError("pairs: a propeller can be in one pair only")
+        if self.command_min >= self.command_max:
+            raise ValueError("command_min must be below command_max")
+        _nominal_thrust(self.nominal.thrust_N, len(names))
+        return self
+
+    @property
+    def propeller_names(self) -> tuple[str, ...]:
+        """Names of the propellers, in the order of a command's columns."""
+        return tuple(propeller.name for propeller in self.propellers)
+
+    @property
+    def n_propellers(self) -> int:
+        """Number of propellers."""
+        return len(self.propellers)
+
+    @cached_property
+    def positions(self) -> Float[np.ndarray, "n 2"]:
+        """Propeller positions in the body frame [m]."""
+        return np.array([propeller.position_m for propeller in self.propellers])
+
+    @cached_property
+    def directions(self) -> Float[np.ndarray, "n 2"]:
+        """Unit vectors of thrust in the body frame."""
+        angles = np.deg2rad([propeller.direction_deg for propeller in self.propellers])
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    @cached_property
+    def pair_indices(self) -> tuple[tuple[int, int], ...]:
+        """`pairs` as column numbers."""
+        names = self.propeller_names
+        return tuple((names.index(first), names.index(second)) for first, second in self.pairs)
+
+    @cached_property
+    def nominal_thrust(self) -> Float[np.ndarray, "n degree"]:
+        """Nominal thrust coefficients, one row for each propeller [N]."""
+        return _nominal_thrust(self.nominal.thrust_N, self.n_propellers)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the vehicle as TOML.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        write_toml(path, self.model_dump(mode="json"), header="An airpuck vehicle.")
+
+
+def _nominal_thrust(
+    thrust: tuple[float, ...] | tuple[tuple[float, ...], ...], n_propellers: int
+) -> Float[np.ndarray, "n degree"]:
+    """Return one row of coefficients for each propeller, or raise ValueError."""
+    if not thrust:
+        raise ValueError("nominal.thrust_N needs at least one coefficient")
+    try:
+        coefficients = np.array(thrust, dtype=float)
+    except ValueError:
+        raise ValueError("nominal.thrust_N: every propeller needs as many coefficients") from None
+    if coefficients.size == 0:
+        raise ValueError("nominal.thrust_N: every propeller needs at least one coefficient")
+    if coefficients.ndim == 1:
+        coefficients = np.tile(coefficients, (n_propellers, 1))
+    if len(coefficients) != n_propellers:
+        raise ValueError(
+            f"nominal.thrust_N has {len(coefficients)} curves for {n_propellers} propellers"
+        )
+    return coefficients
+
+
+def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
+    """Read a vehicle file.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file; see ``docs/your_own_craft.md``.
+
+    Returns
+    -------
+    Vehicle
+        The craft.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a field is wrong.
+    """
+    return read_toml(path, Vehicle)
+
+
+def default_vehicle() -> Vehicle:
+    """Return the hovercraft of the paper.
+
+    Returns
+    -------
+    Vehicle
+        Six propellers in three opposing pairs, 137.7 g.
+    """
+    packaged = resources.files("airpuck") / "packaged" / "holohover.toml"
+    with resources.as_file(packaged) as path:
+        return read_vehicle(Path(path))
+
+
+def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:
+    """Say which column of a recorded command drives which propeller.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft.
+    columns : tuple of str
+        Names of the recorded command's columns.
+    source : str
+        Where the columns come from, for the error message.
+
+    Returns
+    -------
+    list of int
+        For each propeller of the vehicle, its column.
+
+    Raises
+    ------
+    InputError
+        If the numbers differ, or the names do.
+    """
+    names = vehicle.propeller_names
+    if len(columns) != len(names):
+        raise InputError(
+            f"has {len(columns)} motors ({', '.join(columns)}), but the vehicle "
+            f"{vehicle.name!r} has {len(names)} propellers; give the right file or model",
+            file=source,
+        )
+    unknown = [column for column in columns if column not in names]
+    if unknown:
+        raise InputError(
+            f"drives no propeller of the vehicle {vehicle.name!r} "
+            f"(it has {', '.join(names)}); rename the propellers in the vehicle file",
+            file=source,
+            field=unknown[0],
+        )
+    return [columns.index(name) for name in names]

@@ -1,0 +1,1 @@
+"""Trajectories, windows, and commands held between events."""

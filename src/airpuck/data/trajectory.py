@@ -1,0 +1,403 @@
+"""A trajectory: states at the sample times, the commands that caused them, and what not to use."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import replacing
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.zero_order_hold import hold, mean_hold
+
+_FORMAT = "airpuck trajectory 1"
+
+#: Columns of `Trajectory.state`.
+STATE_COLUMNS = ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s")
+
+
+@dataclass(frozen=True)
+class Span:
+    """A closed interval of time that must not be used.
+
+    A gap's interval ends at the samples around it, so these are left out too and no window can
+    reach across.
+
+    Attributes
+    ----------
+    start, stop : float
+        First and last time concerned [s].
+    cause : str
+        Why, in a few words: ``gap``, ``frozen pose``, ….
+    confidence : float, default 1
+        How sure that is, between 0 and 1; what was measured is certain.
+    """
+
+    start: float
+    stop: float
+    cause: str
+    confidence: float = 1.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
+    """States on the grid of the motion capture, and the commands with their own times.
+
+    Attributes
+    ----------
+    time : array of float64, shape (N,)
+        Sample times, strictly increasing [s].
+    state : array of float64, shape (N, 6)
+        x, y [m], yaw γ (continuous, not wrapped) [rad], their rates [m/s, m/s, rad/s].
+    acceleration : array of float64, shape (N, 3)
+        Smoothed second derivatives of x, y, γ [m/s², m/s², rad/s²].
+    command_time : array of float64, shape (K,)
+        When each command was stamped, on the same axis as `time`, not decreasing [s].
+    command : array of float64, shape (K, n)
+        Motor commands in [0, 1], one column for each propeller.
+    delay : float
+        Transport delay: a command acts from ``command_time + delay`` on [s].
+    delay_known : bool
+        False where the file's author had already shifted the commands, so that `delay` is zero and
+        the physical one cannot be read from the file.
+    propellers : tuple of str
+        Names of the command's columns.
+    excluded : tuple of Span
+        Intervals that no window may touch.
+    source : str
+        The file or folder it came from.
+    hashes : mapping of str to str
+        SHA-256 of every file it was made from, by name.
+    warnings : tuple of str
+        What preprocessing found and could live with.
+    """
+
+    time: Float[np.ndarray, " N"]
+    state: Float[np.ndarray, "N 6"]
+    acceleration: Float[np.ndarray, "N 3"]
+    command_time: Float[np.ndarray, " K"]
+    command: Float[np.ndarray, "K n"]
+    propellers: tuple[str, ...]
+    delay: float = 0.0
+    delay_known: bool = True
+    excluded: tuple[Span, ...] = ()
+    source: str = ""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({self.source!r}, {len(self)} samples in {self.duration:.1f} s, "
+            f"{len(self.propellers)} motors, {len(self.excluded)} spans excluded)"
+        )
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @cached_property
+    def sample_period(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @cached_property
+    def input(self) -> Float[np.ndarray, "N n"]:
+        """The command in force at each sample: zero-order hold of the delayed command events."""
+        return hold(self.command_time + self.delay, self.command, self.time)
+
+    def acting_delay(self, delay: float, assumed: float) -> float:
+        """Return how long after its time in this trajectory a command acts.
+
+        Parameters
+        ----------
+        delay : float
+            Transport delay d, from a command's stamp to the motors [s].
+        assumed : float
+            What the file's author is taken to have shifted commands by, where that is not known:
+            the vehicle's nominal delay [s].
+
+        Returns
+        -------
+        float
+            To be added to `command_time` [s].
+        """
+        return delay if self.delay_known else self.delay + delay - assumed
+
+    def delayed_input(
+        self, delay: float, assumed: float
+    ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
+        """Return the mean command over each step for another delay, to a fraction of a sample.
+
+        Parameters
+        ----------
+        delay, assumed : float
+            As for `acting_delay` [s].
+
+        Returns
+        -------
+        input : array, shape (N, n)
+            ``u_k(d)``; see `mean_hold`.
+        slope : array, shape (N, n)
+            ``du_k/dd`` [1/s].
+        """
+        shift = self.acting_delay(delay, assumed)
+        return mean_hold(self.command_time + shift, self.command, self.time)
+
+    @cached_property
+    def usable(self) -> np.ndarray:
+        """Shape (N,): False at every sample inside an excluded span."""
+        usable = np.ones(len(self), dtype=bool)
+        for span in self.excluded:
+            usable[(self.time >= span.start) & (self.time <= span.stop)] = False
+        return usable
+
+    @cached_property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """Index ranges [first, last) of consecutive usable samples."""
+        return tuple(runs(self.usable))
+
+    def window_starts(self, length: int, stride: int = 1) -> Int[np.ndarray, " windows"]:
+        """Return where windows of `length` samples can begin.
+
+        Parameters
+        ----------
+        length : int
+            Samples in a window.
+        stride : int, default 1
+            Samples from one start to the next, counted anew after every excluded span.
+
+        Returns
+        -------
+        array of int, shape (windows,)
+            Indices of first samples; no window touches an excluded span.
+        """
+        starts = [
+            np.arange(first, last - length + 1, stride)
+            for first, last in self.segments
+            if last - first >= length
+        ]
+        return np.concatenate(starts) if starts else np.zeros(0, dtype=int)
+
+    def slice(self, start: float, stop: float) -> Trajectory:
+        """Return the part between two fractions of its length.
+
+        Parameters
+        ----------
+        start, stop : float
+            Fractions of the number of samples, 0 <= start < stop <= 1.
+
+        Returns
+        -------
+        Trajectory
+            The samples in between, on the same time axis. All commands are kept: the first samples
+            need the ones sent before them.
+
+        Raises
+        ------
+        InputError
+            If the fractions are out of order or leave fewer than two samples.
+        """
+        if not 0 <= start < stop <= 1:
+            raise InputError(
+                f"{start:g} {stop:g} is no part of a recording; give two fractions of its length, "
+                "0 <= A < B <= 1",
+                field="span",
+            )
+        first, last = round(start * len(self)), round(stop * len(self))
+        if last - first < 2:
+            raise InputError(f"{start:g} {stop:g} leaves fewer than two samples", field="span")
+        return replace(
+            self,
+            time=self.time[first:last],
+            state=self.state[first:last],
+            acceleration=self.acceleration[first:last],
+        )
+
+    def leave_out(self, spans: Sequence[Span]) -> Trajectory:
+        """Exclude spans beside those that are excluded already.
+
+        Parameters
+        ----------
+        spans : sequence of Span
+            For example from `airpuck.find_faults`, on the same time axis.
+
+        Returns
+        -------
+        Trajectory
+            The same samples; no window touches a span.
+        """
+        excluded = sorted({*self.excluded, *spans}, key=lambda span: (span.start, span.stop))
+        return replace(self, excluded=tuple(excluded))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the trajectory as a NumPy archive.
+
+        Parameters
+        ----------
+        path : path-like
+            The .npz file to write. It holds ``t`` [s], ``state`` (N, 6), ``input`` (N, n) (the
+            delayed, held command at each sample), ``acceleration`` (N, 3), ``command_time`` [s],
+            ``command`` (K, n) and, as JSON in ``about``, everything else.
+        """
+        about = {
+            "format": _FORMAT,
+            "delay_s": self.delay,
+            "delay_known": self.delay_known,
+            "propellers": self.propellers,
+            "excluded": [asdict(span) for span in self.excluded],
+            "source": self.source,
+            "hashes": dict(self.hashes),
+            "warnings": self.warnings,
+        }
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(
+                file,
+                t=self.time,
+                state=self.state,
+                input=self.input,
+                acceleration=self.acceleration,
+                command_time=self.command_time,
+                command=self.command,
+                about=np.array(json.dumps(about)),
+            )
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read what `Trajectory.save` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+        An .npz file.
+
+    Returns
+    -------
+    Trajectory
+        Equal to the one saved.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or was not written by `Trajectory.save`.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+        about = json.loads(str(content["about"]))
+        if about["format"] != _FORMAT:
+            raise InputError(
+                f"has format {about['format']!r}, this version reads {_FORMAT!r}; preprocess the "
+                "recording again",
+                file=path,
+            )
+        trajectory = Trajectory(
+            time=content["t"],
+            state=content["state"],
+            acceleration=content["acceleration"],
+            command_time=content["command_time"],
+            command=content["command"],
+            propellers=tuple(about["propellers"]),
+            delay=about["delay_s"],
+            delay_known=about["delay_known"],
+            excluded=tuple(Span(**span) for span in about["excluded"]),
+            source=about["source"],
+            hashes=about["hashes"],
+            warnings=tuple(about["warnings"]),
+        )
+        _check(trajectory, path)
+        return trajectory
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(
+            "is missing; write the file with `airpuck preprocess`", file=path, field=str(error)
+        ) from error
+    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"is not a trajectory that `airpuck preprocess` wrote ({error})", file=path
+        ) from error
+
+
+def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Refuse content that preprocessing cannot have written."""
+    t, n, k = trajectory, len(trajectory.time), len(trajectory.command_time)
+    shapes = (
+        ("t", t.time, (n,)),
+        ("state", t.state, (n, 6)),
+        ("acceleration", t.acceleration, (n, 3)),
+        ("command_time", t.command_time, (k,)),
+        ("command", t.command, (k, len(t.propellers))),
+    )
+    for name, values, shape in shapes:
+        if values.shape != shape or values.dtype != np.float64:
+            problem = f"has shape {values.shape}, not {shape}, or is not of float64"
+        elif not np.isfinite(values).all():
+            problem = "has numbers that are not finite"
+        else:
+            continue
+        raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
+    wrong = (
+        ("t", n < 2 or (np.diff(t.time) <= 0).any(), "must increase"),
+        ("command_time", k < 1 or (np.diff(t.command_time) < 0).any(), "must not decrease"),
+        ("command", ((t.command < 0) | (t.command > 1)).any(), "must be in [0, 1]"),
+    )
+    for name, is_wrong, problem in wrong:
+        if is_wrong:
+            raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
+
+
+def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """Find the runs of True.
+
+    Parameters
+    ----------
+    marked : array of bool, shape (N,)
+        Samples.
+
+    Returns
+    -------
+    list of (int, int)
+        Index ranges [first, last) of every run.
+    """
+    edges = np.diff(np.concatenate([[0], marked.astype(np.int8), [0]]))
+    return list(
+        zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+    )
+
+
+def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
+    """Refuse a trajectory of another craft.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft that is expected, for example a model's.
+    trajectory : Trajectory
+        The data.
+
+    Raises
+    ------
+    InputError
+        If their propellers differ in number, name or order.
+    """
+    mine, theirs = vehicle.propeller_names, trajectory.propellers
+    if mine != theirs:
+        raise InputError(
+            f"has {len(theirs)} motors ({', '.join(theirs)}), but the vehicle {vehicle.name!r} has "
+            f"{len(mine)} ({', '.join(mine)}); give the right vehicle file or model",
+            file=trajectory.source,
+        )

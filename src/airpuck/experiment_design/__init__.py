@@ -1,0 +1,1 @@
+"""What to fly next, so that the next fit knows more."""

@@ -1,0 +1,233 @@
+"""Check that motor order and signs of a vehicle file agree with a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory, check_propellers
+from airpuck.data.zero_order_hold import hold
+from airpuck.model.model_file import nominal_model
+from airpuck.physics.motor import motor_speeds
+from airpuck.physics.thrust import thrust
+
+#: Longest transport delay that is tried [s].
+_LONGEST_DELAY = 0.1
+#: Cosine above which a measured and a stated direction agree (26 degrees apart).
+_AGREES = 0.9
+#: Rotation of the whole layout that is worth a remark [rad].
+_TURNED = 0.3
+#: Share of the variance that the commands must explain before anything is concluded.
+_EXPLAINED = 0.3
+
+
+@dataclass(frozen=True)
+class PropellerCheck:
+    """What a recording says about one propeller.
+
+    Attributes
+    ----------
+    name : str
+        The propeller.
+    agreement : float
+        Cosine between the measured and the stated effect, 1: the same, -1: the opposite.
+    behaves_like : str
+        The propeller of the vehicle file whose effect the measured one resembles most.
+    verdict : str
+        ``agrees``, or what is wrong in words.
+    """
+
+    name: str
+    agreement: float
+    behaves_like: str
+    verdict: str
+
+
+@dataclass(frozen=True)
+class LayoutCheck:
+    """Result of `check_layout`.
+
+    Attributes
+    ----------
+    propellers : tuple of PropellerCheck
+        One for each propeller.
+    explained : float
+        Share of the acceleration's variance that the commands explain.
+    delay : float
+        Transport delay at which they explain most [s].
+    rotation : float
+        Angle by which the whole layout seems turned against the measured yaw [rad].
+    mirrored : bool
+        Whether a mirrored layout fits better: an axis of the pose has the wrong sign.
+    """
+
+    propellers: tuple[PropellerCheck, ...]
+    explained: float
+    delay: float
+    rotation: float
+    mirrored: bool
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether the commands explain enough of the motion to judge."""
+        return self.explained >= _EXPLAINED
+
+    @property
+    def agrees(self) -> bool:
+        """Whether order and signs of all propellers agree with the recording."""
+        return self.conclusive and all(p.verdict == "agrees" for p in self.propellers)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the layout as a whole suggests, in sentences."""
+        if not self.conclusive:
+            return (
+                "too little to judge: use a recording in which every motor was excited, and check "
+                "the clocks of poses and commands",
+            )
+        remarks = []
+        if self.mirrored:
+            remarks.append("a mirrored layout fits better: an axis of the pose has the wrong sign")
+        elif abs(self.rotation) > _TURNED:
+            remarks.append(
+                f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
+                "the measured yaw: align the rigid body of the motion capture with the craft"
+            )
+        return tuple(remarks)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``agrees, conclusive, explained, delay_s, rotation_rad, mirrored, propellers``.
+        """
+        return {
+            "agrees": self.agrees,
+            "conclusive": self.conclusive,
+            "explained": self.explained,
+            "delay_s": self.delay,
+            "rotation_rad": self.rotation,
+            "mirrored": self.mirrored,
+            "propellers": [vars(propeller) for propeller in self.propellers],
+        }
+
+
+def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
+    """Measure what each motor does, and compare it with what the vehicle file says.
+
+    The measured accelerations, turned into the body frame, are regressed on the nominal thrusts of
+    all motors. Each column of the result is one motor's effect (two forces and a moment); it is
+    compared with the columns of the vehicle's configuration matrix by its direction, so that the
+    nominal thrust, mass and inertia need not be right. Transport delays up to 0.1 s are tried,
+    since the one found by correlation relies on the layout that is in question.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        A recording in which every motor was used.
+    vehicle : Vehicle
+        The vehicle file in question.
+
+    Returns
+    -------
+    LayoutCheck
+        A verdict for each propeller, and for the layout as a whole.
+    """
+    check_propellers(vehicle, trajectory)
+    # Forces and moments in one unit: the moment as a force at the radius of gyration.
+    nominal = nominal_model(vehicle)
+    stated = nominal.propeller_effects
+    accelerations = _body_acceleration(trajectory)
+    accelerations[2] *= nominal.radius_of_gyration
+    period = trajectory.sample_period
+    forces = _nominal_thrusts(trajectory, vehicle)
+    fits = []
+    for shift in range(round(_LONGEST_DELAY / period) + 1):
+        # The motion at sample k is explained by the thrusts `shift` samples before.
+        usable = trajectory.usable[shift:]
+        cause = forces[:, : len(trajectory) - shift][:, usable]
+        effect, explained = _regress(accelerations[:, shift:][:, usable], cause)
+        fits.append((explained, shift * period, effect))
+    explained, delay, measured = max(fits, key=lambda fit: fit[0])
+
+    likeness = _unit(measured).T @ _unit(stated)
+    names = vehicle.propeller_names
+    rotation, mirrored = _whole_layout(measured, stated)
+    checks = []
+    for k, name in enumerate(names):
+        best = int(np.argmax(likeness[k]))
+        checks.append(
+            PropellerCheck(
+                name=name,
+                agreement=float(likeness[k, k]),
+                behaves_like=names[best],
+                verdict=_verdict(float(likeness[k, k]), float(likeness[k, best]), names[best]),
+            )
+        )
+    return LayoutCheck(tuple(checks), explained, delay, rotation, mirrored)
+
+
+def _body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
+    """Return measured accelerations in the body frame."""
+    ax, ay, spin_rate = trajectory.acceleration.T
+    cos, sin = np.cos(trajectory.state[:, 2]), np.sin(trajectory.state[:, 2])
+    return np.stack([cos * ax + sin * ay, cos * ay - sin * ax, spin_rate])
+
+
+def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
+    """Return what nominal motors would push if there were no transport delay."""
+    command = hold(trajectory.command_time, trajectory.command, trajectory.time)
+    speed = motor_speeds(trajectory.time, command, vehicle.nominal.motor_time_constant_s)
+    return thrust(vehicle.nominal_thrust, speed.T)
+
+
+def _regress(
+    measured: Float[np.ndarray, "3 M"], forces: Float[np.ndarray, "n M"]
+) -> tuple[Float[np.ndarray, "3 n"], float]:
+    """Least squares for the effect of each force, and the share of variance explained."""
+    effect = np.linalg.lstsq(forces.T, measured.T, rcond=None)[0].T
+    residual = measured - effect @ forces
+    total = np.sum(measured**2, axis=1)
+    shares = 1 - np.sum(residual**2, axis=1) / np.where(total > 0, total, np.inf)
+    shares = np.where(total > 0, shares, 0.0)
+    return effect, float(np.mean(shares))
+
+
+def _unit(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
+    """Scale columns to length one."""
+    length = np.linalg.norm(columns, axis=0)
+    return columns / np.where(length > 0, length, 1.0)
+
+
+def _whole_layout(
+    measured: Float[np.ndarray, "3 n"], stated: Float[np.ndarray, "3 n"]
+) -> tuple[float, bool]:
+    """Find the rotation that carries stated forces into measured ones; and whether a mirror helps.
+
+    In complex numbers, forces f → f exp(iα) for a rotation and conj(f) exp(iα) for a mirror; the
+    best α is the argument of the inner product (two-dimensional Procrustes). A rotation leaves
+    all moments as they are and a mirror turns them round, which tells it from single propellers
+    that are wrong.
+    """
+    mine, theirs = measured[0] + 1j * measured[1], stated[0] + 1j * stated[1]
+    turned, flipped = np.vdot(theirs, mine), np.sum(theirs * mine)
+    moments = float(measured[2] @ stated[2])
+    mirrored = abs(flipped) - moments > 1.5 * max(abs(turned) + moments, 0.0)
+    return float(np.angle(turned)), bool(mirrored)
+
+
+def _verdict(agreement: float, likeness: float, other: str) -> str:
+    """Say in words how a propeller's measured effect compares."""
+    if agreement >= _AGREES:
+        return "agrees"
+    if likeness >= _AGREES:
+        return f"behaves like {other}: motors are swapped"
+    if agreement <= -_AGREES:
+        return "pushes the other way: its direction is wrong by 180 degrees"
+    return "has no such effect: check its position, direction and wiring"

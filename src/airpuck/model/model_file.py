@@ -1,0 +1,467 @@
+"""A model: vehicle, parameters, what was learned from what; and the file a person can read."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pydantic
+from jaxtyping import Bool, Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, checked, read_toml, write_toml
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.model.parameters import Parameters, nominal_parameters
+from airpuck.model.parameters_section import ParametersSection
+from airpuck.model.rungs import PRESETS
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.model.uncertainty_section import DelayJitter, UncertaintySection, uncertainty_content
+from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
+
+if TYPE_CHECKING:
+    import control
+
+_FORMAT = "airpuck model 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A craft with numbers for everything.
+
+    Attributes
+    ----------
+    name : str
+        The rung, e.g. ``M3``.
+    vehicle : Vehicle
+        Geometry and mass.
+    parameters : Parameters
+        The learned and the fixed parameters.
+    free : array of bool, shape (P,)
+        Which entries of ``parameters.to_vector()`` were learned.
+    frame : {"body", "world"}
+        Where the offset of the centre of mass is constant.
+    indexing : {"start", "end"}
+        Convention of the encoder that the model was learned with (`PaperEncoder.indexing`).
+    fit : mapping
+        How it was learned: loss, method, settings. Empty for a model that was not fitted here.
+    data : mapping of str to str
+        SHA-256 of the files it was learned from, by name.
+    source : str
+        Where the numbers come from.
+    uncertainty : Uncertainty or None
+        How well the parameters are known, where they were learned here.
+    delay_jitter : DelayJitter or None
+        By how much the transport delay differs from packet to packet, where it was learned here.
+    """
+
+    name: str
+    vehicle: Vehicle
+    parameters: Parameters
+    free: Bool[np.ndarray, " P"]
+    frame: CenterOfMassFrame = "body"
+    indexing: Literal["start", "end"] = "start"
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    data: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+    uncertainty: Uncertainty | None = None
+    delay_jitter: DelayJitter | None = None
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Coefficients of the equations of motion."""
+        return self.parameters.dynamics(np, self.vehicle, self.frame)
+
+    @property
+    def radius_of_gyration(self) -> float:
+        """√(I/m) [m]: at this arm a force turns the craft as hard as it pushes it."""
+        return math.sqrt(float(self.parameters.inertia) / self.vehicle.mass_kg)
+
+    @property
+    def propeller_effects(self) -> Float[np.ndarray, "3 n"]:
+        """Accelerations per thrust, the angular ones times the radius of gyration [1/kg].
+
+        Without effects other than thrust, such as drag.
+        """
+        rows = np.array([1.0, 1.0, self.radius_of_gyration])
+        return rows[:, None] * np.asarray(self.dynamics.configuration)
+
+    @property
+    def transport_delay(self) -> float:
+        """From a command's stamp to the motors [s]."""
+        return float(self.parameters.transport_delay)
+
+    @property
+    def delay_learned(self) -> bool:
+        """Whether the transport delay was learned, as a continuous parameter."""
+        return bool(self.free[self.parameters.mask(frozenset({"transport_delay"}))].any())
+
+    def with_delay(self, transport_delay: float) -> Model:
+        """Return the model with another transport delay.
+
+        Parameters
+        ----------
+        transport_delay : float
+            From a command's stamp to the motors [s].
+
+        Returns
+        -------
+        Model
+            A copy.
+        """
+        return replace(self, parameters=replace(self.parameters, transport_delay=transport_delay))
+
+    def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
+        """Compute the standard error of anything made from the parameters (delta method).
+
+        Parameters
+        ----------
+        quantity : callable
+            ``model -> number or array``, for example ``lambda m: m.parameters.thrust.sum(axis=1)``.
+
+        Returns
+        -------
+        array
+            Of the quantity's shape; nan where the model has no uncertainty, or none for these
+            parameters, and where the data do not determine the quantity.
+        """
+        known = self.uncertainty
+        if known is None or not np.array_equal(known.estimate, self.parameters.to_vector()):
+            return np.full(np.shape(quantity(self)), np.nan)
+
+        def of(vector: Float[np.ndarray, " P"]) -> Any:
+            parameters = self.parameters.with_vector(vector)
+            return quantity(replace(self, parameters=parameters, uncertainty=None))
+
+        return known.propagate(of)
+
+    def to_statespace(
+        self,
+        yaw: float = 0.0,
+        command: Float[np.ndarray, " n"] | None = None,
+        period: float | None = None,
+    ) -> control.StateSpace:
+        """Linearise at rest, for python-control.
+
+        Parameters
+        ----------
+        yaw : float, default 0
+            Orientation of the craft [rad].
+        command : array, shape (n,), optional
+            Motor commands to linearise about; by default near half speed with no net thrust
+            (`airpuck.physics.linearization.trim`).
+        period : float, optional
+            Sample time of a discrete-time model with commands held over it [s]; by default the
+            model is in continuous time.
+
+        Returns
+        -------
+        control.StateSpace
+            Deviations from the operating point, without the transport delay. Inputs: the motor
+            commands. States: x, y, yaw, vx, vy, spin, and the motor speeds where the motors lag.
+            Outputs: x, y, yaw.
+
+        Raises
+        ------
+        InputError
+            If python-control is not installed, there is not one command for each propeller, or a
+            number is out of range.
+        """
+        try:
+            import control
+        except ImportError:
+            raise InputError(
+                "to_statespace needs python-control; install airpuck[control]"
+            ) from None
+        from airpuck.physics.linearization import linearize, trim
+
+        names = self.vehicle.propeller_names
+        command = (
+            trim(self.dynamics, yaw=yaw) if command is None else np.asarray(command, dtype=float)
+        )
+        if command.shape != (len(names),):
+            raise InputError(f"needs {len(names)} numbers, one for each motor", field="command")
+        if not ((command >= 0) & (command <= 1)).all():
+            raise InputError("must lie in [0, 1]", field="command")
+        if not np.isfinite(yaw):
+            raise InputError("must be a finite number", field="yaw")
+        # To python-control a period of zero means continuous time.
+        if period is not None and not (np.isfinite(period) and period > 0):
+            raise InputError("must be a positive number of seconds", field="period")
+        a, b = linearize(self.dynamics, yaw, command)
+        states = ["x", "y", "yaw", "vx", "vy", "spin", *(f"speed_{name}" for name in names)]
+        system = control.StateSpace(
+            a,
+            b,
+            np.eye(3, len(a)),
+            np.zeros((3, len(names))),
+            inputs=list(names),
+            outputs=states[:3],
+            states=states[: len(a)],
+            name=self.name,
+        )
+        return system if period is None else system.sample(period, method="zoh")
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model as TOML; `read_model` reads every number back bit-equal.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        free, first = {}, 0
+        for quantity in self.parameters.quantities:
+            size = np.size(getattr(self.parameters, quantity.name))
+            entries = self.free[first : first + size]
+            same = bool((entries == entries[0]).all())
+            free[quantity.name] = bool(entries[0]) if same else entries.tolist()
+            first += size
+        content = {
+            "format": _FORMAT,
+            "name": self.name,
+            "source": self.source,
+            "transport_delay_s": self.transport_delay,
+            "center_of_mass_frame": self.frame,
+            "encoder_indexing": self.indexing,
+            "parameters": {
+                q.key: np.asarray(getattr(self.parameters, q.name)).tolist()
+                for q in self.parameters.quantities
+                if q.name != "transport_delay"
+            },
+            "free": free,
+            "fit": dict(self.fit),
+            "data": dict(self.data),
+            **uncertainty_content(self.uncertainty, self.parameters, self.vehicle),
+            **({"delay_jitter": self.delay_jitter.model_dump()} if self.delay_jitter else {}),
+            "vehicle": self.vehicle.model_dump(mode="json"),
+        }
+        write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
+
+
+class _ModelFile(Section):
+    format: Literal["airpuck model 1"]
+    name: str
+    source: str = ""
+    transport_delay_s: float = pydantic.Field(ge=0)
+    center_of_mass_frame: CenterOfMassFrame = "body"
+    encoder_indexing: Literal["start", "end"] = "start"
+    parameters: ParametersSection
+    free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
+    fit: dict[str, Any] = pydantic.Field(default_factory=dict)
+    data: dict[str, str] = pydantic.Field(default_factory=dict)
+    uncertainty: UncertaintySection | None = None
+    delay_jitter: DelayJitter | None = None
+    vehicle: Vehicle
+
+
+def read_model(name: str | os.PathLike[str]) -> Model:
+    """Read a model.
+
+    Parameters
+    ----------
+    name : str or path-like
+        A model file, the authors' ``params.json``, or ``paper:M0`` … ``paper:M4`` for the published
+        parameters.
+
+    Returns
+    -------
+    Model
+        The model.
+
+    Raises
+    ------
+    InputError
+        If there is no such model, or a field is wrong.
+    """
+    if isinstance(name, str) and name.startswith("paper:"):
+        return published_model(name.removeprefix("paper:"))
+    try:
+        if Path(name).suffix == ".json":
+            return _read_params_json(Path(name))
+        return _from_file(read_toml(name, _ModelFile))
+    except InputError as error:
+        if error.file is None:
+            raise InputError(error.problem, file=name, field=error.field) from None
+        raise
+
+
+def _from_file(content: _ModelFile) -> Model:
+    """Assemble the model that a checked file describes."""
+    parameters = replace(
+        content.parameters.parameters(content.vehicle), transport_delay=content.transport_delay_s
+    )
+    known = {quantity.name for quantity in parameters.quantities}
+    for name in content.free:
+        if name not in known:
+            raise InputError(
+                f"is not a known key; it must be one of {', '.join(sorted(known))}",
+                field=f"free.{name}",
+            )
+    masks = []
+    for quantity in parameters.quantities:
+        size = np.size(getattr(parameters, quantity.name))
+        free = content.free.get(quantity.name, False)
+        if not isinstance(free, bool) and len(free) != size:
+            raise InputError(f"must be one truth value or {size}", field=f"free.{quantity.name}")
+        masks.append(np.broadcast_to(np.array(free), size))
+    return Model(
+        name=content.name,
+        vehicle=content.vehicle,
+        parameters=parameters,
+        free=np.concatenate(masks),
+        frame=content.center_of_mass_frame,
+        indexing=content.encoder_indexing,
+        fit=content.fit,
+        data=content.data,
+        source=content.source,
+        uncertainty=content.uncertainty
+        and content.uncertainty.uncertainty(parameters, content.vehicle),
+        delay_jitter=content.delay_jitter,
+    )
+
+
+def published_model(name: str) -> Model:
+    """Return a model with the parameters published with the paper.
+
+    It carries the paper's conventions: the offset of the centre of mass fixed to the world, and the
+    encoder's commands taken at the end of each interval.
+
+    Parameters
+    ----------
+    name : str
+        ``M0`` … ``M4``.
+
+    Returns
+    -------
+    Model
+        The published model.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    import tomllib
+
+    packaged = resources.files("airpuck") / "packaged" / "paper.toml"
+    published = tomllib.loads(packaged.read_text(encoding="utf-8"))
+    if name not in published:
+        raise InputError(
+            f"there is no published model {name!r}; choose one of "
+            + ", ".join(f"paper:{key}" for key in published),
+            field="model",
+        )
+    vehicle = default_vehicle()
+    parameters = checked(published[name], ParametersSection).parameters(vehicle)
+    return Model(
+        name=name,
+        vehicle=vehicle,
+        parameters=parameters,
+        free=PRESETS[name].mask(parameters),
+        frame="world",
+        indexing="end",
+        source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
+    )
+
+
+def nominal_model(vehicle: Vehicle) -> Model:
+    """Return what is known of a craft before any flight.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft with its nominal values.
+
+    Returns
+    -------
+    Model
+        The nominal values as a model.
+    """
+    parameters = nominal_parameters(vehicle)
+    return Model(
+        name="nominal",
+        vehicle=vehicle,
+        parameters=parameters,
+        free=parameters.mask(frozenset()),
+        source=f"nominal values of {vehicle.name}",
+    )
+
+
+class _AuthorsModel(pydantic.BaseModel):
+    """The part of the authors' params.json that describes a model."""
+
+    class Values(pydantic.BaseModel):
+        """Their ``model_params``."""
+
+        signal2thrust: tuple[tuple[float, ...], ...]
+        mass: float = pydantic.Field(gt=0)
+        inertia: float
+        tau: float
+        motor_angle_offset: float
+        center_of_mass: tuple[float, float, float]
+        configuration_matrix: tuple[tuple[float, ...], ...]
+
+    class Switches(pydantic.BaseModel):
+        """Their ``model``."""
+
+        learn_configuration_matrix: bool
+        learn_center_of_mass: bool
+        learn_inertia: bool
+        learn_tau: bool
+        learn_signal2thrust: bool
+        learn_motor_angle_offset: bool
+
+    model: Switches
+    model_params: Values
+
+
+def _read_params_json(path: Path) -> Model:
+    """Read the authors' params.json; the geometry is the default vehicle's, with their mass."""
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"is not valid JSON: {error}", file=path) from error
+    if not isinstance(raw, dict):
+        raise InputError("must hold a JSON object", file=path)
+    content = checked(raw, _AuthorsModel, file=path)
+    values, switches = content.model_params, content.model
+    vehicle = default_vehicle().model_copy(update={"mass_kg": values.mass})
+    section = {
+        "thrust_N": values.signal2thrust,
+        "inertia_kg_m2": values.inertia,
+        "motor_time_constant_s": values.tau,
+        "angle_offset_rad": values.motor_angle_offset,
+        "center_of_mass_m": values.center_of_mass[:2],
+    }
+    if switches.learn_configuration_matrix:
+        section["configuration_matrix_SI"] = values.configuration_matrix
+    parameters = checked(section, ParametersSection, file=path).parameters(vehicle)
+    free = {
+        "thrust": switches.learn_signal2thrust,
+        "inertia": switches.learn_inertia,
+        "motor_time_constant": switches.learn_tau,
+        "angle_offset": switches.learn_motor_angle_offset,
+        "center_of_mass": switches.learn_center_of_mass,
+        "configuration_matrix": switches.learn_configuration_matrix,
+    }
+    mask = parameters.mask(frozenset(name for name, learned in free.items() if learned))
+    rung = (n for n, p in PRESETS.items() if np.array_equal(p.mask(parameters), mask))
+    return Model(
+        name=next(rung, path.parent.name),
+        vehicle=vehicle,
+        parameters=parameters,
+        free=mask,
+        frame="world",
+        indexing="end",
+        source=str(path),
+    )

@@ -1,0 +1,199 @@
+"""The rungs of the model ladder: which parameters are free (table:models)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
+from airpuck.model.parameters import EFFECTS, Parameters, nominal_parameters
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named choice of free parameters.
+
+    Attributes
+    ----------
+    name : str
+        ``M0``, ….
+    summary : str
+        What it models, in a few words.
+    free : frozenset of str
+        Names of the free quantities.
+    lag : bool
+        Whether the motors lag behind their commands.
+    direct : bool
+        Whether the configuration matrix is learned directly.
+    powers : tuple of int or None
+        Powers of φ in the thrust curve; None: all up to the degree.
+    effects : tuple of str
+        Names of the optional effects that it models, in `airpuck.model.parameters.EFFECTS`.
+    """
+
+    name: str
+    summary: str
+    free: frozenset[str]
+    lag: bool = True
+    direct: bool = False
+    powers: tuple[int, ...] | None = None
+    effects: tuple[str, ...] = ()
+
+    def initial(self, vehicle: Vehicle, degree: int | None = None) -> Parameters:
+        """Return where a fit of this rung starts.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            The craft, with its nominal values.
+        degree : int, optional
+            Degree of the thrust polynomials; by default that of the nominal thrust.
+
+        Returns
+        -------
+        initial : Parameters
+            The vehicle's nominal values, as far as the rung has them; effects as in
+            `airpuck.model.parameters.EFFECTS`.
+        """
+        parameters = nominal_parameters(vehicle, degree)
+        if self.powers is not None:
+            parameters = replace(parameters, thrust=_only(parameters.thrust, self.powers))
+        if not self.lag:
+            parameters = replace(parameters, motor_time_constant=0.0)
+        if self.direct:
+            matrix = parameters.dynamics(np, vehicle).configuration
+            parameters = replace(parameters, configuration_matrix=matrix)
+        starts = {name: EFFECTS[name] for name in self.effects}
+        return replace(
+            parameters,
+            **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
+        )
+
+    def mask(self, parameters: Parameters) -> Bool[np.ndarray, " P"]:
+        """Mark the free entries.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            A set of this rung.
+
+        Returns
+        -------
+        array of bool, shape (P,)
+            True where ``parameters.to_vector()`` is free.
+        """
+        mask = parameters.mask(self.free.union(self.effects))
+        if self.powers is not None:
+            n, degree = np.shape(parameters.thrust)
+            # The thrust coefficients come first in the vector.
+            of_power = np.isin(np.arange(1, degree + 1), self.powers)
+            mask[: n * degree] &= np.tile(of_power, n)
+        return mask
+
+
+def _only(
+    coefficients: Float[np.ndarray, "n degree"], powers: tuple[int, ...]
+) -> Float[np.ndarray, "n new_degree"]:
+    """Fit the given powers of φ to the curves, by least squares at 101 points of [0, 1]."""
+    degree = max(powers)
+    speed = np.linspace(0, 1, 101)[:, None]
+    curves = speed ** np.arange(1, coefficients.shape[1] + 1) @ coefficients.T
+    fitted = np.linalg.lstsq(speed ** np.array(powers), curves, rcond=None)[0]
+    result = np.zeros((len(coefficients), degree))
+    result[:, np.array(powers) - 1] = fitted.T
+    return result
+
+
+#: What M3 learns.
+_FIRST_PRINCIPLES = frozenset(
+    {"thrust", "inertia", "motor_time_constant", "angle_offset", "center_of_mass"}
+)
+
+PRESETS: dict[str, Preset] = {
+    preset.name: preset
+    for preset in (
+        Preset("M0", "thrust curves only; no motor lag", frozenset({"thrust"}), lag=False),
+        Preset("M1", "and the inertia; no motor lag", frozenset({"thrust", "inertia"}), lag=False),
+        Preset(
+            "M2",
+            "thrust curves and motor lag, inertia of a disc",
+            frozenset({"thrust", "motor_time_constant"}),
+        ),
+        Preset(
+            "M3",
+            "full first-principles model",
+            _FIRST_PRINCIPLES,
+        ),
+        Preset(
+            "M4",
+            "thrust curves, motor lag and a free configuration matrix",
+            frozenset({"thrust", "motor_time_constant", "configuration_matrix"}),
+            direct=True,
+        ),
+        Preset(
+            "M5",
+            "M3, inflow and pair interaction",
+            _FIRST_PRINCIPLES,
+            effects=("inflow", "pair_interaction"),
+        ),
+        Preset(
+            "quadratic",
+            "M3 with the classical thrust κφ²",
+            _FIRST_PRINCIPLES,
+            powers=(2,),
+        ),
+    )
+}
+
+
+#: Optional terms of a rung's name, and the effects that they stand for.
+TERMS: dict[str, str] = {
+    "drag": "drag",
+    "inflow": "inflow",
+    "pair": "pair_interaction",
+    "sag": "voltage_sag",
+    "tilt": "tilt",
+}
+
+
+def preset(name: str) -> Preset:
+    """Return a rung by name.
+
+    Parameters
+    ----------
+    name : str
+        A rung in `PRESETS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
+
+    Returns
+    -------
+    Preset
+        The rung.
+
+    Raises
+    ------
+    InputError
+        If there is no rung or no term of that name.
+    """
+    base, *terms = name.split("+")
+    if base not in PRESETS:
+        raise InputError(
+            f"there is no model {base!r}; choose one of {', '.join(PRESETS)}", field="model"
+        )
+    rung = PRESETS[base]
+    for term in terms:
+        if term not in TERMS:
+            raise InputError(
+                f"there is no term {term!r}; choose from {', '.join(TERMS)}", field="model"
+            )
+        if TERMS[term] in rung.effects:
+            raise InputError(f"{name!r} has the term {term!r} twice", field="model")
+        rung = replace(
+            rung,
+            name=f"{rung.name}+{term}",
+            summary=f"{rung.summary}, {term}",
+            effects=(*rung.effects, TERMS[term]),
+        )
+    return rung

@@ -1,0 +1,1 @@
+"""The equations of motion: pure functions over an array namespace."""

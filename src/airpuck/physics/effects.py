@@ -1,0 +1,324 @@
+"""Optional terms of the equations of motion, each a small piece that is added or left out.
+
+An effect changes the thrusts, or adds a force or moment; `airpuck.physics.rigid_body.acceleration`
+applies those of `Dynamics.effects` in order. All are array operations with the batch as last axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from airpuck.craft.vehicle import Vehicle
+from airpuck.physics.linear_map import linear_map
+
+#: Acceleration of free fall [m/s²].
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """Velocities as the craft feels them.
+
+    Attributes
+    ----------
+    forward, left : array or float
+        Velocity of the geometric centre along the body's axes [m/s].
+    spin : array or float
+        ω [rad/s].
+    cos, sin : array or float
+        Of the yaw.
+    """
+
+    forward: Any
+    left: Any
+    spin: Any
+    cos: Any
+    sin: Any
+
+
+class Effect:
+    """Base of all effects: changes nothing."""
+
+    def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
+        """Change the thrusts.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        thrust : array, shape (n, ...)
+            Thrusts so far [N].
+        motion : BodyMotion
+            Velocities.
+
+        Returns
+        -------
+        array, shape (n, ...)
+            Thrusts with the effect [N].
+        """
+        return thrust
+
+    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
+        """Add accelerations of the centre of mass.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        motion : BodyMotion
+            Velocities.
+
+        Returns
+        -------
+        forward, left, angular : array or float
+            In the body frame [m/s², m/s², rad/s²].
+        """
+        return 0.0, 0.0, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drag(Effect):
+    """Drag of air cushion and air: a = -(c₁ + c₂|v|) v, ω' = -(d₁ + d₂|ω|) ω.
+
+    Attributes
+    ----------
+    linear, quadratic : float
+        c₁ [1/s], c₂ [1/m].
+    spin_linear, spin_quadratic : float
+        d₁ [1/s], d₂ [1/rad].
+    """
+
+    linear: Any = 0.0
+    quadratic: Any = 0.0
+    spin_linear: Any = 0.0
+    spin_quadratic: Any = 0.0
+
+    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
+        """Slow the craft down; see `Effect.acceleration`."""
+        # Smooth at rest, where the derivative of |v| has no value.
+        speed = xp.sqrt(motion.forward**2 + motion.left**2 + 1e-12)
+        rate = self.linear + self.quadratic * speed
+        spin_rate = self.spin_linear + self.spin_quadratic * xp.abs(motion.spin)
+        return -rate * motion.forward, -rate * motion.left, -spin_rate * motion.spin
+
+
+@dataclass(frozen=True, eq=False)
+class Inflow(Effect):
+    """Thrust falls as the propeller moves into its own inflow: F (1 - c v), v along the thrust.
+
+    The linear term of the thrust of a propeller in axial flow, C_T(J) ≈ C_T(0) - k J (e.g.
+    McCormick, "Aerodynamics, Aeronautics and Flight Mechanics", 1995, chapter 6).
+
+    Attributes
+    ----------
+    coefficient : float
+        c [s/m].
+    axes : array, shape (n, 3)
+        How the velocities forward, left and ω add up to the speed of each propeller along its
+        thrust: (dₓ, d_y, r × d).
+    """
+
+    coefficient: Any
+    axes: Any
+
+    @classmethod
+    def of(
+        cls, vehicle: Vehicle, coefficient: Any, angle_offset: Any = 0.0, xp: Any = np
+    ) -> Inflow:
+        """Take the axes from a vehicle.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            Positions and directions of the propellers.
+        coefficient : float
+            c [s/m].
+        angle_offset : float, default 0
+            Rotation α of the layout against the measured yaw [rad].
+        xp : module, default numpy
+            Array namespace.
+
+        Returns
+        -------
+        Inflow
+            The effect.
+        """
+        (px, py), (dx, dy) = vehicle.positions.T, vehicle.directions.T
+        cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
+        turned = [cos * dx - sin * dy, sin * dx + cos * dy, px * dy - py * dx]
+        return cls(coefficient, xp.stack(turned, axis=1))
+
+    def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
+        """Reduce thrusts; see `Effect.thrust`."""
+        axial = linear_map(self.axes, xp.stack([motion.forward, motion.left, motion.spin]))
+        return thrust * (1 - self.coefficient * axial)
+
+
+@dataclass(frozen=True, eq=False)
+class PairInteraction(Effect):
+    """A propeller loses thrust when its twin blows into it: F / (1 + c F_twin).
+
+    Attributes
+    ----------
+    coefficient : float
+        c [1/N].
+    twins : array, shape (n, n)
+        One at the twin of each propeller, zeros elsewhere; where thrusts are not in newtons, what
+        brings the twin's there.
+    """
+
+    coefficient: Any
+    twins: Any
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> PairInteraction:
+        """Take the twins from a vehicle.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            Its pairs.
+        coefficient : float
+            c [1/N].
+        scale : float or array, shape (n,)
+            What brings each thrust to newtons.
+
+        Returns
+        -------
+        PairInteraction
+            The effect.
+        """
+        twins = np.zeros((vehicle.n_propellers, vehicle.n_propellers))
+        for first, second in vehicle.pair_indices:
+            twins[first, second] = twins[second, first] = 1.0
+        return cls(coefficient, twins * scale)
+
+    def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
+        """Reduce thrusts; see `Effect.thrust`."""
+        return thrust / (1 + self.coefficient * linear_map(self.twins, thrust))
+
+
+@dataclass(frozen=True, eq=False)
+class VoltageSag(Effect):
+    """The battery's voltage falls under load, and with it every thrust.
+
+    A battery of open-circuit voltage E and internal resistance R gives V = E - R I (the Rint model,
+    e.g. He, Xiong and Fan, Energies 4, 2011). At a given command the speed of a motor goes with V
+    and its thrust with the square of it; the current goes with the torque and so with the thrust.
+    With I = k Σ F, c = R k / E and the thrusts F₀ at full voltage
+
+        F = q² F₀,  q = V/E = 1 - c q² S,  S = Σ F₀,  so that  q = 2 / (1 + √(1 + 4 c S)).
+
+    Attributes
+    ----------
+    coefficient : float
+        c, the share of the voltage that is lost per thrust [1/N].
+    weights : array, shape (n,)
+        How thrusts add up to S: ones, or what brings them to newtons.
+    """
+
+    coefficient: Any
+    weights: Any
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> VoltageSag:
+        """Count all propellers of a vehicle.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            The craft.
+        coefficient : float
+            c [1/N].
+        scale : float or array, shape (n,)
+            What brings each thrust to newtons.
+
+        Returns
+        -------
+        VoltageSag
+            The effect.
+        """
+        return cls(coefficient, np.ones(vehicle.n_propellers) * scale)
+
+    def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
+        """Reduce thrusts; see `Effect.thrust`."""
+        total = linear_map(self.weights[None], thrust)[0]
+        return thrust * (2 / (1 + xp.sqrt(1 + 4 * self.coefficient * total))) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Tilt(Effect):
+    """The table is not level: a constant acceleration in the world frame.
+
+    Attributes
+    ----------
+    x, y : float
+        Slope along the table's axes, positive where the table falls [rad].
+    """
+
+    x: Any = 0.0
+    y: Any = 0.0
+
+    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
+        """Let the craft slide; see `Effect.acceleration`."""
+        ax, ay = GRAVITY * self.x, GRAVITY * self.y
+        return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0
+
+
+#: All kinds of effects.
+KINDS = (Drag, Inflow, PairInteraction, VoltageSag, Tilt)
+
+
+def make_effects(
+    vehicle: Vehicle,
+    *,
+    drag: Any = None,
+    inflow: Any = None,
+    pair_interaction: Any = None,
+    voltage_sag: Any = None,
+    tilt: Any = None,
+    angle_offset: Any = 0.0,
+    scale: Any = 1.0,
+    xp: Any = np,
+) -> tuple[Effect, ...]:
+    """Make effects from their coefficients, in the order in which they act.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Positions, directions and pairs of the propellers.
+    drag : array, shape (4,), optional
+        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad]; left out, as all below: there is no such effect.
+    inflow : float, optional
+        [s/m].
+    pair_interaction, voltage_sag : float, optional
+        [1/N].
+    tilt : array, shape (2,), optional
+        [rad].
+    angle_offset : float, default 0
+        Rotation α of the layout against the measured yaw [rad].
+    scale : float or array, shape (n,)
+        What brings each thrust to newtons.
+    xp : module, default numpy
+        Array namespace.
+
+    Returns
+    -------
+    tuple of Effect
+        Those that there are.
+    """
+    chosen: list[Effect] = []
+    if inflow is not None:
+        chosen.append(Inflow.of(vehicle, inflow, angle_offset, xp))
+    if pair_interaction is not None:
+        chosen.append(PairInteraction.of(vehicle, pair_interaction, scale))
+    if voltage_sag is not None:
+        chosen.append(VoltageSag.of(vehicle, voltage_sag, scale))
+    if drag is not None:
+        chosen.append(Drag(drag[0], drag[1], drag[2], drag[3]))
+    if tilt is not None:
+        chosen.append(Tilt(tilt[0], tilt[1]))
+    return tuple(chosen)

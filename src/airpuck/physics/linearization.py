@@ -1,0 +1,90 @@
+"""Linear state-space models around an operating point."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.physics.rigid_body import Dynamics, acceleration, derivative
+from airpuck.physics.thrust import inverse_thrust, thrust
+
+#: Newton's method on a trim that effects have moved: it settles in two or three passes.
+_PASSES = 10
+
+
+def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.ndarray, " n"]:
+    """Find commands under which the craft at rest stays at rest.
+
+    Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`. Where
+    optional effects change that, Newton's method goes on from there by steps of least norm.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Coefficients.
+    level : float, default 0.5
+        Motor speed to stay near.
+    yaw : float, default 0
+        Orientation of the craft, which matters on a table that is not level [rad].
+
+    Returns
+    -------
+    array, shape (n,)
+        Motor commands in [0, 1]. Where a craft has too few propellers for thrusts that cancel, they
+        go towards zero.
+    """
+    configuration = np.asarray(dynamics.configuration)
+    wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))
+    cancelling = wanted - np.linalg.pinv(configuration) @ (configuration @ wanted)
+    command = inverse_thrust(np, dynamics.thrust, cancelling)
+    if not dynamics.effects:
+        return command
+    motion, step = np.array([yaw, 0.0, 0.0, 0.0]), 1e-30
+    # Complex steps, one motor in each column.
+    nudge = 1j * step * np.eye(len(command))
+    for _ in range(_PASSES):
+        left = np.array(acceleration(np, dynamics, motion, command))
+        moved = acceleration(np, dynamics, motion[:, None], command[:, None] + nudge)
+        slope = np.imag(np.array(np.broadcast_arrays(*moved))) / step
+        command = np.clip(command - np.linalg.pinv(slope) @ left, 0.0, 1.0)
+    return command
+
+
+def linearize(
+    dynamics: Dynamics, yaw: float, command: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, "s n"]]:
+    """Linearise the equations of motion of a craft at rest, exactly.
+
+    A = ∂f/∂z and B = ∂f/∂u at z = (0, 0, γ, 0, 0, 0, u), by automatic differentiation of
+    `airpuck.physics.rigid_body`.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Coefficients.
+    yaw : float
+        γ [rad].
+    command : array, shape (n,)
+        Motor commands u, which the motors have reached.
+
+    Returns
+    -------
+    a, b : array, shape (s, s) and (s, n)
+        Of the deviations from the operating point. The state is x, y, γ, vx, vy, ω and the n motor
+        speeds; without motor lag (τ = 0) the motor speeds are no states: s = 6 + n or 6.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    pose = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0])
+    lagging = float(dynamics.motor_time_constant) > 0
+
+    def rates(state: jax.Array, held: jax.Array) -> jax.Array:
+        if lagging:
+            return derivative(jnp, dynamics, state, held)
+        return jnp.concatenate([state[3:], jnp.stack(acceleration(jnp, dynamics, state[2:], held))])
+
+    with jax.enable_x64(True):
+        state = np.concatenate([pose, command]) if lagging else pose
+        a, b = jax.jacfwd(rates, argnums=(0, 1))(jnp.array(state), jnp.array(command))
+        return np.array(a), np.array(b)

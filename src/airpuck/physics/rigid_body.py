@@ -1,0 +1,231 @@
+"""The planar rigid body: from propeller forces to the acceleration of the geometric centre.
+
+Section "Model" and eq. acc_dyn of the paper. All functions are plain array operations over a
+namespace `xp`; the batch is the last axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from airpuck.compute.rotation import cos_sin
+from airpuck.physics.effects import BodyMotion, Effect
+from airpuck.physics.linear_map import linear_map
+from airpuck.physics.thrust import thrust
+
+#: In which frame the offset of the centre of mass is constant. Physically it is the body; the
+#: paper's eq. acc_dyn, and its published parameters, leave it unrotated in the world.
+CenterOfMassFrame = Literal["body", "world"]
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Coefficients of the equations of motion.
+
+    One craft's, or those of a batch of craft with the batch as last axis, as states have it. Every
+    rung of the model ladder is one of these; the rungs differ in what it is computed from
+    (`airpuck.model.parameters`).
+
+    Attributes
+    ----------
+    thrust : array, shape (n, degree)
+        Thrust polynomials [N].
+    configuration : array, shape (3, n)
+        Π: from thrusts to linear acceleration in the body frame and angular acceleration
+        [1/kg, 1/kg, 1/(kg m)].
+    center_of_mass : array, shape (2,)
+        r, from the geometric centre to the centre of mass [m].
+    motor_time_constant : array, shape () or float
+        Lag τ of motor speed behind the command [s].
+    frame : {"body", "world"}
+        Where `center_of_mass` is constant.
+    effects : tuple of Effect
+        Optional terms (`airpuck.physics.effects`).
+    """
+
+    thrust: Any
+    configuration: Any
+    center_of_mass: Any
+    motor_time_constant: Any
+    frame: CenterOfMassFrame = "body"
+    effects: tuple[Effect, ...] = ()
+
+
+def configuration_matrix(
+    xp: Any,
+    positions: Any,
+    directions: Any,
+    mass: Any,
+    inertia: Any,
+    angle_offset: Any,
+    center_of_mass: Any,
+) -> Any:
+    """Compute Π(θ) from first principles (subsec:configuration_matrix).
+
+    Forces add up to the acceleration of the centre of mass, their moments about it to the angular
+    acceleration. The angle offset turns positions and directions alike.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    positions, directions : array, shape (n, 2)
+        Propeller positions [m] and unit vectors of thrust, body frame.
+    mass : float
+        Mass [kg].
+    inertia : float or array, shape ()
+        Moment of inertia about the centre of mass [kg m²].
+    angle_offset : float or array, shape ()
+        Rotation α of the propeller layout against the measured yaw [rad].
+    center_of_mass : array, shape (2,)
+        Offset r of the centre of mass, body frame [m].
+
+    Returns
+    -------
+    array, shape (3, n)
+        Configuration matrix [1/kg, 1/kg, 1/(kg m)].
+    """
+    cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
+    dx = cos * directions[:, 0] - sin * directions[:, 1]
+    dy = sin * directions[:, 0] + cos * directions[:, 1]
+    px = cos * positions[:, 0] - sin * positions[:, 1] - center_of_mass[0]
+    py = sin * positions[:, 0] + cos * positions[:, 1] - center_of_mass[1]
+    return xp.stack([dx / mass, dy / mass, (px * dy - py * dx) / inertia])
+
+
+def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> Any:
+    """Compute the acceleration of the geometric centre and the angular acceleration (eq. acc_dyn).
+
+    a = R(γ) Π_xy F + r × ω' + ω × (r × ω), ω' = Π_z F, with r turned by R(γ) when it is fixed to
+    the body. Effects change the thrusts F, or add to what they give.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    motion : sequence of array, shape (4, ...)
+        Yaw γ [rad], velocity vx, vy [m/s], spin ω [rad/s].
+    motor_speed : array, shape (n, ...)
+        Normalised motor speeds φ.
+
+    Returns
+    -------
+    tuple of array, shape (3, ...)
+        ax, ay in the world frame [m/s²], ω' [rad/s²].
+    """
+    yaw, vx, vy, spin = motion
+    cos, sin = cos_sin(xp, yaw)
+    force = thrust(dynamics.thrust, motor_speed)
+    added = []
+    if dynamics.effects:
+        felt = BodyMotion(cos * vx + sin * vy, cos * vy - sin * vx, spin, cos, sin)
+        for effect in dynamics.effects:
+            force = effect.thrust(xp, force, felt)
+            added.append(effect.acceleration(xp, felt))
+    forward, left, angular = (
+        sum(parts) for parts in zip(linear_map(dynamics.configuration, force), *added, strict=True)
+    )
+    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
+    if dynamics.frame == "body":
+        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    return (
+        cos * forward - sin * left + ry * angular + rx * spin**2,
+        sin * forward + cos * left - rx * angular + ry * spin**2,
+        angular,
+    )
+
+
+def motor_accelerations(
+    xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any
+) -> tuple[Any, Any]:
+    """Split the accelerations into those that each motor gives, and all others.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    motion : sequence of array, shape (4, ...)
+        Yaw γ [rad], velocity vx, vy [m/s], spin ω [rad/s].
+    motor_speed : array, shape (n, ...)
+        Normalised motor speeds φ.
+
+    Returns
+    -------
+    by_motor : array, shape (3, n, ...)
+        ax, ay [m/s²] and ω' [rad/s²] by each motor; they are linear in its thrust.
+    rest : array, shape (3, ...)
+        The same without any thrust.
+    """
+    # The accelerations are linear in Π: one column at a time, and none.
+    n = motor_speed.shape[0]
+    columns = np.concatenate([np.eye(n), np.zeros((1, n))])
+    matrix = dynamics.configuration[:, :, None] * columns.T
+    one_motor = replace(
+        dynamics, configuration=matrix.reshape(matrix.shape + (1,) * (motor_speed.ndim - 1))
+    )
+    parts = xp.stack(xp.broadcast_arrays(*acceleration(xp, one_motor, motion, motor_speed)))
+    rest = parts[:, -1]
+    return parts[:, :-1] - rest[:, None], rest
+
+
+def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
+    """Evaluate the right-hand side z' = f(z, u) of the extended model.
+
+    See eq. extended_model_dynamics of the paper.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients; the time constant must be positive.
+    state : array, shape (6 + n, ...)
+        z: x, y, γ, vx, vy, ω and the n motor speeds φ.
+    command : array, shape (n, ...)
+        Motor commands u.
+
+    Returns
+    -------
+    array, shape (6 + n, ...)
+        dz/dt.
+    """
+    motor_speed = state[6:]
+    rates = acceleration(xp, dynamics, state[2:6], motor_speed)
+    lag = (command - motor_speed) / dynamics.motor_time_constant
+    return xp.concatenate([state[3:6], xp.stack(rates), lag])
+
+
+def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
+    """Write the accelerations as M(γ) F + g(ω), the form that control allocation needs.
+
+    Without the optional effects: a controller meets them as a disturbance.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    yaw, spin : float or array, shape ()
+        γ [rad], ω [rad/s].
+
+    Returns
+    -------
+    matrix : array, shape (3, n)
+        M(γ), from thrusts to ax, ay, ω'.
+    offset : array, shape (3,)
+        g(ω), acceleration without thrust.
+    """
+    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
+    if dynamics.frame == "body":
+        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
+    return turn @ dynamics.configuration, xp.array([rx, ry, 0.0]) * spin**2

@@ -1,0 +1,140 @@
+"""Multi-step prediction of a batch of windows.
+
+The rigid body is integrated by the explicit Runge-Kutta method of fourth order, as in the paper;
+the motors, which nothing feeds back to, by their exact solution at the stage times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics, acceleration
+
+
+def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:
+    """Advance the extended state under a constant command by one Runge-Kutta step.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    dynamics : Dynamics
+        Coefficients.
+    state : array, shape (6 + n, ...)
+        z: x, y, γ, vx, vy, ω, φ₁ … φₙ.
+    command : array, shape (n, ...)
+        Motor commands u.
+    duration : array, shape (...) or float
+        Step size h [s].
+
+    Returns
+    -------
+    array, shape (6 + n, ...)
+        The state after `duration`.
+    """
+    h, tau = duration, dynamics.motor_time_constant
+    # A motor without lag has the new speed from the start of the step on.
+    begin = xp.where(tau > 0, state[6:], command)
+    middle = motor_step(xp, begin, command, h / 2, tau)
+    end = motor_step(xp, begin, command, h, tau)
+
+    def rates(motion: Any, motor_speed: Any) -> Any:
+        return xp.stack([motion[3], *acceleration(xp, dynamics, motion, motor_speed)])
+
+    motion = state[2:6]
+    k1 = rates(motion, begin)
+    k2 = rates(motion + h / 2 * k1, middle)
+    k3 = rates(motion + h / 2 * k2, middle)
+    k4 = rates(motion + h * k3, end)
+    # Nothing depends on the position, so its stages are sums of those of the velocity.
+    position = state[:2] + h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
+    return xp.concatenate([position, motion + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), end])
+
+
+def rollout(xp: Any, dynamics: Dynamics, state: Any, commands: Any, durations: Any) -> Any:
+    """Predict a batch of windows.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    dynamics : Dynamics
+        Coefficients.
+    state : array, shape (6 + n, ...)
+        Extended states to start from.
+    commands : array, shape (T, n, ...)
+        Command in force over each step.
+    durations : array, shape (T, ...)
+        Length of each step [s].
+
+    Returns
+    -------
+    array, shape (T, 6 + n, ...)
+        Extended state at the end of each step.
+    """
+
+    def advance(state: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
+        state = step(xp, dynamics, state, *held)
+        return state, state
+
+    return scan(xp, advance, state, (commands, durations))[1]
+
+
+def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
+    """Loop over the leading axis: `jax.lax.scan` under JAX, a plain loop under NumPy.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    body : callable
+        ``(carry, input) -> (carry, output)``; the output is one array.
+    carry : any
+        State of the loop.
+    inputs : tuple of array
+        What to loop over.
+
+    Returns
+    -------
+    carry, outputs : tuple
+        The last carry and the stacked outputs.
+    """
+    if xp is not np:
+        import jax
+
+        return jax.lax.scan(body, carry, inputs)
+    outputs = []
+    for values in zip(*inputs, strict=True):
+        carry, output = body(carry, values)
+        outputs.append(output)
+    return carry, np.stack(outputs)
+
+
+def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
+    """Apply a function if a condition holds for any of a batch: `jax.lax.cond` under JAX.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    condition : array of bool
+        The function must leave what belongs to False as it is.
+    function : callable
+        From an array to one of the same shape.
+    value : array
+        What to apply it to.
+
+    Returns
+    -------
+    array
+        ``function(value)`` or ``value``.
+    """
+    if xp is not np:
+        import jax
+
+        return jax.lax.cond(condition.any(), function, lambda same: same, value)
+    return function(value) if condition.any() else value

@@ -1,0 +1,205 @@
+"""Thrust of a propeller as a polynomial of its normalised speed (eq. thrust_poly).
+
+F(φ) = a φ + b φ² + c φ³ + …, with φ in [0, 1] and no constant: a motor that stands pushes nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.boundary.errors import InputError
+
+#: A motor speed is found when the last pass has moved it by less than this. Rounding of a thrust
+#: moves a speed by more only where the slope is below 1e-4 N.
+_RESOLVED = 1e-12
+#: Newton needs about five passes, bisection alone 40: the bound is never reached.
+_MOST_PASSES = 100
+
+
+def thrust(coefficients: Any, speed: Any) -> Any:
+    """Evaluate the thrust polynomials.
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree) or (n, degree, ...)
+        Coefficients of φ, φ², …, one row for each propeller [N].
+    speed : array, shape (n, ...)
+        Normalised motor speeds φ.
+
+    Returns
+    -------
+    array, shape (n, ...)
+        Thrusts [N].
+    """
+    total = 0.0
+    for power in reversed(range(coefficients.shape[1])):
+        total = (total + _column(coefficients, power, speed)) * speed
+    return total
+
+
+def thrust_slope(coefficients: Any, speed: Any) -> Any:
+    """Evaluate dF/dφ.
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+    speed : array, shape (n, ...)
+        Normalised motor speeds φ.
+
+    Returns
+    -------
+    array, shape (n, ...)
+        Slopes [N].
+    """
+    total = 0.0
+    for power in reversed(range(coefficients.shape[1])):
+        total = total * speed + (power + 1) * _column(coefficients, power, speed)
+    return total
+
+
+def _column(coefficients: Any, power: int, like: Any) -> Any:
+    """Return one column of the coefficients, shaped to broadcast along the batch axes of `like`."""
+    column = coefficients[:, power]
+    return column if column.ndim > 1 else column.reshape((-1,) + (1,) * (like.ndim - 1))
+
+
+def lowest_slope(
+    coefficients: Float[np.ndarray, "n degree"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Find where each thrust curve is flattest, or falls most, on [0, 1].
+
+    The minimum of dF/dφ lies at an end of the interval or where d²F/dφ² vanishes inside. For a
+    cubic this is the argument of Proposition 1 (prop:thrust).
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+
+    Returns
+    -------
+    slope : array, shape (n,)
+        The lowest slopes [N].
+    speed : array, shape (n,)
+        Where they are.
+    """
+    degree = coefficients.shape[1]
+    slopes, speeds = [], []
+    for row in coefficients:
+        slope = np.polynomial.Polynomial(row * np.arange(1, degree + 1))
+        stationary = slope.deriv().roots() if degree > 1 else np.zeros(0)
+        inside = stationary[np.abs(np.imag(stationary)) < 1e-12].real
+        candidates = np.concatenate([[0.0, 1.0], inside[(inside > 0) & (inside < 1)]])
+        values = slope(candidates)
+        slopes.append(values.min())
+        speeds.append(candidates[values.argmin()])
+    return np.array(slopes), np.array(speeds)
+
+
+def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray, " n"]:
+    """Say whether each thrust curve rises everywhere on [0, 1] (eq. thrust_cond).
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+
+    Returns
+    -------
+    array of bool, shape (n,)
+        True where dF/dφ ≥ 0 on the whole of [0, 1].
+    """
+    return lowest_slope(coefficients)[0] >= 0
+
+
+class InverseThrust:
+    """Finds the motor speeds that give thrusts, F⁻¹ of sec:control.
+
+    Newton's method, kept inside a bracket that halves whenever Newton would leave it.
+
+    Parameters
+    ----------
+    coefficients : array, shape (n, degree)
+        Thrust coefficients of curves that rise on [0, 1] [N].
+
+    Raises
+    ------
+    InputError
+        If a curve falls somewhere on [0, 1]: it has no inverse.
+    """
+
+    def __init__(self, coefficients: Float[np.ndarray, "n degree"]) -> None:
+        slopes, speeds = lowest_slope(coefficients)
+        if (slopes < 0).any():
+            worst = int(np.argmin(slopes))
+            raise InputError(
+                f"the thrust curve of propeller {worst + 1} falls at φ = {speeds[worst]:.3f} "
+                f"(slope {slopes[worst]:.3g} N) and has no inverse; identify it with rising curves",
+                field="thrust",
+            )
+        self._coefficients = coefficients
+
+    def __call__(self, force: Float[np.ndarray, "n *batch"]) -> Float[np.ndarray, "n *batch"]:
+        """Invert the curves.
+
+        Parameters
+        ----------
+        force : array, shape (n, ...)
+            Thrusts [N]. What lies outside the image of [0, 1] is clipped to its ends.
+
+        Returns
+        -------
+        array, shape (n, ...)
+            Speeds φ in [0, 1], exact to 1e-10 wherever the curve's slope is not zero.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return inverse_thrust(np, self._coefficients, force)
+
+
+def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:
+    """Invert thrust curves that are known to rise; see `InverseThrust`.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    coefficients : array, shape (n, degree)
+        Thrust coefficients [N].
+    force : array, shape (n, ...)
+        Thrusts [N].
+
+    Returns
+    -------
+    array, shape (n, ...)
+        Speeds φ in [0, 1].
+    """
+    top = thrust(coefficients, xp.ones((coefficients.shape[0],) + (1,) * (force.ndim - 1)))
+    target = xp.minimum(xp.maximum(force, 0.0), top)
+
+    def better(bracket: Any) -> Any:
+        low, high, speed, _, passes = bracket
+        error = thrust(coefficients, speed) - target
+        low, high = xp.where(error <= 0, speed, low), xp.where(error >= 0, speed, high)
+        newton = speed - error / thrust_slope(coefficients, speed)
+        # Not inside, or not a number: bisect. Exactly met: stay.
+        inside = (newton > low) & (newton < high)
+        following = xp.where(inside, newton, (low + high) / 2)
+        following = xp.where(error == 0, speed, following)
+        return low, high, following, xp.max(xp.abs(following - speed), initial=0.0), passes + 1
+
+    def unresolved(bracket: Any) -> Any:
+        return (bracket[3] > _RESOLVED) & (bracket[4] < _MOST_PASSES)
+
+    guess = target / xp.maximum(top, 1e-300)
+    bracket = xp.zeros_like(target), xp.ones_like(target), guess, 1.0, 0
+    if xp is np:
+        while unresolved(bracket):
+            bracket = better(bracket)
+        return bracket[2]
+    import jax
+
+    return jax.lax.while_loop(unresolved, better, bracket)[2]

@@ -1,0 +1,113 @@
+"""The paper's study without hardware: fly, record, identify, validate, and fly with the result."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from airpuck.boundary.errors import InputError
+from airpuck.model.model_file import published_model
+from airpuck.model.rungs import PRESETS
+
+#: Excitation experiments: seeds of the one to learn from and the one to validate on.
+_SEEDS = {"training": 1, "validation": 2}
+#: Models that fly the set points.
+_PILOTS = ("M0", "M4")
+#: A file with this name says that a folder may be made anew.
+_MARKER = "written-by-airpuck-demo"
+
+
+def demo(
+    out: str | os.PathLike[str],
+    *,
+    duration: float = 90.0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Fly the excitation experiment twice on the twin, identify M0 … M4, fly with the result.
+
+    The truth of the twin is the published M3; sensors and radio are as in the real recordings,
+    which are saved and read back as ROS 2 bags.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder to write to; its ``bags`` are made anew.
+    duration : float, default 90
+        Length of each experiment [s].
+    progress : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    Path
+        The report.
+
+    Raises
+    ------
+    InputError
+        If ``bags`` in that folder holds something that no demonstration wrote.
+    """
+    from airpuck.evaluation.evaluate import compare
+    from airpuck.identification.fit import identify
+    from airpuck.preprocessing.pipeline import preprocess
+    from airpuck.recording import read_recording, write_bag
+    from airpuck.report.fit_report import fit_report
+    from airpuck.report.tracking_report import tracking_sections
+    from airpuck.twin.experiments import excite
+    from airpuck.twin.tracking_study import tracking_study
+    from airpuck.twin.twin import build_plant
+
+    out = Path(out)
+    bags = _own_folder(out / "bags")
+    # The offset of a real craft's centre of mass turns with it.
+    truth = replace(published_model("M3"), frame="body", indexing="start")
+    plant = build_plant(truth)
+    trajectories = {}
+    for name, seed in _SEEDS.items():
+        folder = bags / name
+        progress(f"flying the {name} experiment on the twin: {duration:g} s")
+        write_bag(excite(truth, duration, seed, plant=plant), folder)
+        trajectories[name] = preprocess(read_recording(folder))
+        delay = 1e3 * trajectories[name].delay
+        progress(f"preprocessed {folder}: transport delay {delay:.1f} ms")
+    fits = []
+    for name in ("M0", "M1", "M2", "M3", "M4"):
+        fits.append(identify(trajectories["training"], name))
+        fits[-1].model.save(out / "models" / f"{name}.toml")
+        progress(f"identified {name} ({PRESETS[name].summary}) in {fits[-1].wall_s:.1f} s")
+    evaluations = compare([fit.model for fit in fits], trajectories["validation"])
+    for evaluation in evaluations:
+        x, y, yaw = evaluation.rmse
+        progress(
+            f"{evaluation.model}: after 0.2 s off by {1e3 * x:.2f} mm, {1e3 * y:.2f} mm, "
+            f"{yaw:.4f} rad"
+        )
+    pilots = [fit.model for fit in fits if fit.model.name in _PILOTS]
+    progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
+    flights = tracking_study(pilots, truth)
+    for flight in flights:
+        write_bag(flight.recording, bags / f"set_points_{flight.model}")
+    progress("writing the report")
+    return fit_report(
+        fits,
+        evaluations,
+        trajectories["training"],
+        out,
+        truth=truth,
+        title="The paper's study on the twin",
+        more=tracking_sections(flights),
+    )
+
+
+def _own_folder(folder: Path) -> Path:
+    """Make a folder anew, unless it holds what somebody else put there."""
+    import shutil
+
+    if folder.exists() and any(folder.iterdir()) and not (folder / _MARKER).is_file():
+        raise InputError("holds recordings of yours; choose another folder (-o)", file=folder)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / _MARKER).touch()
+    return folder

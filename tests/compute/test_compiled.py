@@ -1,0 +1,188 @@
+"""Compiled programs: what they compute, and when one serves another function."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from airpuck.compute.compiled import for_real_time, program
+from airpuck.model import compiled
+from airpuck.model.model_file import published_model
+from airpuck.physics.rollout import step
+
+DYNAMICS = published_model("M3").dynamics
+
+
+def moved(dynamics, duration):
+    """A step of some length, of a function within a function."""
+
+    def advance(state, command):
+        return step(jnp, dynamics, state, command, duration)
+
+    def program(state, command):
+        return advance(state, command), state[0]
+
+    return for_real_time(program, np.zeros(12), np.zeros(6))
+
+
+def test_the_program_is_the_function_in_double_precision():
+    rng = np.random.default_rng(0)
+    state, command = rng.uniform(0.1, 1, 12), rng.uniform(0.1, 1, 6)
+    before = jax.config.read("jax_enable_x64")
+    after, x = moved(DYNAMICS, 0.01)(state, command)
+    np.testing.assert_allclose(after, step(np, DYNAMICS, state, command, 0.01), rtol=1e-13)
+    assert after.dtype == np.float64
+    assert x == pytest.approx(state[0])
+    assert jax.config.read("jax_enable_x64") == before
+
+
+def test_what_computes_the_same_is_compiled_once():
+    alike = replace(DYNAMICS, thrust=np.array(DYNAMICS.thrust))
+    assert moved(alike, 0.01) is moved(DYNAMICS, 0.01)
+
+
+def test_what_computes_something_else_is_not():
+    programs = {
+        moved(DYNAMICS, 0.01),
+        moved(DYNAMICS, 0.02),
+        moved(replace(DYNAMICS, thrust=1.01 * np.asarray(DYNAMICS.thrust)), 0.01),
+        moved(replace(DYNAMICS, center_of_mass=np.array([1e-3, 0.0])), 0.01),
+    }
+    assert len(programs) == 4
+
+    def twice(values):
+        return (2 * values,)
+
+    def thrice(values):
+        return (3 * values,)
+
+    assert for_real_time(twice, np.zeros(2)) is not for_real_time(thrice, np.zeros(2))
+    assert for_real_time(twice, np.zeros(2)) is not for_real_time(twice, np.zeros(3))
+    np.testing.assert_array_equal(for_real_time(thrice, np.zeros(2))(np.ones(2))[0], [3, 3])
+
+
+def through(transform):
+    """A program of a function that JAX transformed."""
+    inner = transform(lambda values: jnp.sum(values**3))
+    return for_real_time(lambda values: (jnp.atleast_1d(inner(values)),), np.zeros(2))
+
+
+def test_a_transformed_function_is_another_one():
+    sums, gradient = through(jax.jit), through(jax.grad)
+    np.testing.assert_allclose(sums(np.ones(2))[0], [2.0])
+    np.testing.assert_allclose(gradient(np.ones(2))[0], [3.0, 3.0])
+
+
+def test_defaults_are_part_of_a_function():
+    def times(factor):
+        def program(values, *, factor=factor):
+            return (factor * values,)
+
+        return for_real_time(program, np.zeros(1))
+
+    assert times(1.0) is not times(2.0)
+
+
+def test_what_cannot_be_compared_is_compiled_each_time():
+    def add(values, other):
+        return (values + other,)
+
+    def program():
+        inner = partial(add, other=1.0)
+        return for_real_time(lambda values: inner(values), np.zeros(1))
+
+    first, second = program(), program()
+    assert first is not second
+    np.testing.assert_array_equal(second(np.ones(1))[0], [2.0])
+
+
+def test_the_oldest_is_let_go(monkeypatch):
+    monkeypatch.setattr(compiled, "_kept", {})
+    monkeypatch.setattr(compiled, "_MOST_KEPT", 2)
+
+    def times(factor):
+        return for_real_time(lambda values: (factor * values,), np.zeros(1))
+
+    first, second = times(1.0), times(2.0)
+    assert times(1.0) is first  # and the second is now the oldest
+    times(3.0)
+    assert times(1.0) is first
+    assert times(2.0) is not second
+
+
+def test_a_function_is_given_its_namespace():
+    def turned(xp, angle, vector):
+        return xp.stack([xp.cos(angle), xp.sin(angle)]) * vector, xp.isfinite(vector).all()
+
+    angle, vector = np.array(0.3), np.array([1.0, 2.0])
+    for choice in (True, False):
+        result, finite = program(turned, angle, vector, compiled=choice)(angle, vector)
+        np.testing.assert_allclose(result, [np.cos(0.3), 2 * np.sin(0.3)], rtol=1e-15)
+        assert finite
+        result[0] = 5  # the caller's own
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.arange(6.0).reshape(3, 2).T,
+        np.arange(12.0).reshape(2, 6)[:, ::2],
+        np.arange(6).reshape(2, 3),
+        np.arange(6, dtype=np.float32).reshape(2, 3),
+        np.arange(6.0).reshape(2, 3).astype(">f8"),
+        np.array([[True, False, True], [False, False, True]]),
+        [[1, 2, 3], [4, 5, 6]],
+    ],
+    ids=["plain", "transposed", "sliced", "integers", "single", "big-endian", "truths", "lists"],
+)
+def test_arguments_of_any_kind_and_layout_are_taken(given):
+    def weighted(xp, matrix, scale):
+        return (scale * matrix @ np.array([1.0, 10.0, 100.0]),)
+
+    run = program(weighted, np.zeros((2, 3)), 0.0, compiled=True)
+    expected = 0.5 * np.array(given, dtype=float) @ [1, 10, 100]
+    for scale in (0.5, np.float64(0.5), np.array(0.5)):
+        np.testing.assert_allclose(run(given, scale)[0], expected, rtol=1e-15)
+
+
+#: Whether it was said in time, and how much of a program's time the thread spends that called it:
+#: the most of several runs, since others may want the cores.
+SHARE = """
+import sys, time
+import jax, numpy as np
+from airpuck.compute.compiled import at_once, for_real_time, runs_at_once
+
+if "late" in sys.argv:
+    jax.numpy.ones(3)
+said = "early" in sys.argv or "late" in sys.argv
+in_time = at_once() if said else False
+
+def long(vector):
+    matrix = vector.reshape(12, 12)
+    return (jax.lax.fori_loop(0, 20_000, lambda _, m: matrix @ m / 12, matrix),)
+
+run, ones = for_real_time(long, np.ones(144)), np.ones(144)
+run(ones)
+shares = []
+for _ in range(5):
+    begun, wall = time.thread_time(), time.perf_counter()
+    run(ones)
+    shares.append((time.thread_time() - begun) / (time.perf_counter() - wall))
+assert runs_at_once() == in_time
+print(in_time, max(shares))
+"""
+
+
+@pytest.mark.parametrize("said", ["early", "late", "never"])
+def test_programs_run_where_they_are_called_if_told_so_in_time(said):
+    command = [sys.executable, "-c", SHARE, said]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    in_time, share = done.stdout.split()
+    assert in_time == str(said == "early")
+    assert (float(share) > 0.2) == (said == "early")

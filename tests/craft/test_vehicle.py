@@ -1,0 +1,100 @@
+"""Vehicle files."""
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns, read_vehicle
+
+QUAD = """
+name = "quad"
+mass_kg = 0.2
+pairs = [["left", "right"]]
+
+[[propellers]]
+name = "left"
+position_m = [0.0, 0.05]
+direction_deg = 0.0
+
+[[propellers]]
+name = "right"
+position_m = [0.0, -0.05]
+direction_deg = 180.0
+
+[nominal]
+thrust_N = [[0.1, 0.5], [0.2, 0.6]]
+inertia_kg_m2 = 4e-4
+"""
+
+
+@pytest.fixture
+def quad(tmp_path):
+    path = tmp_path / "quad.toml"
+    path.write_text(QUAD)
+    return path
+
+
+def test_default_is_the_papers_hovercraft():
+    vehicle = default_vehicle()
+    # Geometry of the paper: 46.5 mm from the centre, 18.8 degrees beside 0, 120, 240 degrees.
+    radius = np.linalg.norm(vehicle.positions, axis=1)
+    np.testing.assert_allclose(radius, 0.046532, rtol=1e-9)
+    azimuth = np.rad2deg(np.arctan2(vehicle.positions[:, 1], vehicle.positions[:, 0])) % 360
+    expected = [-18.8, 18.8, 101.2, 138.8, 221.2, 258.8]
+    np.testing.assert_allclose(azimuth, np.mod(expected, 360), atol=0.01)
+    # The two of a pair push in opposite directions, across the radius of the pair.
+    first, second = vehicle.directions[::2], vehicle.directions[1::2]
+    np.testing.assert_allclose(first, -second, atol=1e-12)
+    middle = vehicle.positions[::2] + vehicle.positions[1::2]
+    np.testing.assert_allclose(np.sum(middle * first, axis=1), 0, atol=1e-9)
+
+
+def test_any_number_of_propellers(quad):
+    vehicle = read_vehicle(quad)
+    assert vehicle.n_propellers == 2
+    assert vehicle.pair_indices == ((0, 1),)
+    np.testing.assert_array_equal(vehicle.nominal_thrust, [[0.1, 0.5], [0.2, 0.6]])
+
+
+def test_reads_back_what_it_writes(quad, tmp_path):
+    vehicle = read_vehicle(quad)
+    vehicle.save(tmp_path / "copy.toml")
+    assert read_vehicle(tmp_path / "copy.toml") == vehicle
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mass_kg = 0.2", "mass_kg = -0.2", "mass_kg"),
+        ("mass_kg = 0.2", "mass_g = 200.0", "mass_kg|mass_g"),
+        ('name = "right"', 'name = "left"', "same name"),
+        ('["left", "right"]', '["left", "middle"]', "no propeller called 'middle'"),
+        ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5], [0.2]", "as many coefficients"),
+        ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5]", "1 curves for 2 propellers"),
+        ("position_m = [0.0, 0.05]", "position_m = [0.0]", "position_m"),
+        ("direction_deg = 0.0", "direction_deg = inf", "direction_deg"),
+    ],
+)
+def test_bad_fields_are_named(quad, old, new, message):
+    assert old in QUAD
+    quad.write_text(QUAD.replace(old, new, 1))
+    with pytest.raises(InputError, match=message) as error:
+        read_vehicle(quad)
+    assert str(quad) in str(error.value)
+
+
+def test_columns_are_matched_by_name():
+    vehicle = default_vehicle()
+    assert match_columns(vehicle, vehicle.propeller_names[::-1], source="x") == [5, 4, 3, 2, 1, 0]
+
+
+@pytest.mark.parametrize("columns", [("motor_a_1",), ("a", "b", "c", "d", "e", "f")])
+def test_other_motors_are_refused(columns):
+    with pytest.raises(InputError, match="motor_a_1"):
+        match_columns(default_vehicle(), columns, source="bag")
+
+
+def test_vehicles_compare_and_hash():
+    assert default_vehicle() == default_vehicle()
+    assert isinstance(hash(default_vehicle()), int)
+    assert Vehicle.model_validate(default_vehicle().model_dump()) == default_vehicle()

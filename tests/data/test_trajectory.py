@@ -1,0 +1,139 @@
+"""Trajectories: holding, slicing, excluded spans, files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Span, read_trajectory
+from airpuck.data.windows import make_windows
+from airpuck.model.model_file import published_model
+
+from ..synthetic import fly
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return fly(published_model("M3"), duration=2.0)
+
+
+def test_delay_moves_the_input(flight):
+    events = replace(flight, delay=2 / 240 - 1e-9)
+    np.testing.assert_array_equal(events.input[2:], flight.input[:-2])
+
+
+def test_file_reads_back_equal(flight, tmp_path):
+    saved = replace(flight, excluded=(Span(0.1, 0.2, "gap"),), warnings=("odd",), delay=0.02)
+    saved.save(tmp_path / "flight.npz")
+    back = read_trajectory(tmp_path / "flight.npz")
+    for name in ("time", "state", "acceleration", "command_time", "command", "input"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(saved, name))
+    assert back.excluded == saved.excluded
+    assert (back.delay, back.warnings, back.propellers) == (
+        saved.delay,
+        saved.warnings,
+        saved.propellers,
+    )
+    with np.load(tmp_path / "flight.npz") as archive:
+        assert {"t", "state", "input", "command_time", "command"} <= set(archive.files)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04junk", b"\x93NUMPY", b"text"])
+def test_junk_is_refused(tmp_path, content):
+    path = tmp_path / "junk.npz"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"junk\.npz"):
+        read_trajectory(path)
+
+
+def test_truncation_anywhere_is_refused(flight, tmp_path):
+    whole = tmp_path / "flight.npz"
+    flight.save(whole)
+    content = whole.read_bytes()
+    for share in np.linspace(0.01, 0.99, 12):
+        part = tmp_path / "part.npz"
+        part.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(InputError):
+            read_trajectory(part)
+
+
+def test_pickled_arrays_are_refused(tmp_path):
+    path = tmp_path / "pickle.npz"
+    np.savez(path, t=np.array([object()], dtype=object))
+    with pytest.raises(InputError):
+        read_trajectory(path)
+
+
+def test_slice_keeps_time_and_commands(flight):
+    part = flight.slice(0.25, 0.75)
+    assert len(part) == len(flight) // 2
+    np.testing.assert_array_equal(part.input, flight.input[120:360])
+
+
+@pytest.mark.parametrize("span", [(0.5, 0.5), (0.6, 0.4), (-0.1, 0.5), (0.5, 1.1), (0.5, 0.5001)])
+def test_bad_spans_are_refused(flight, span):
+    with pytest.raises(InputError, match="span"):
+        flight.slice(*span)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 2), st.floats(0, 0.1)), max_size=4),
+    st.integers(2, 80),
+    st.integers(1, 20),
+)
+def test_no_window_touches_an_excluded_span(flight, spans, length, stride):
+    excluded = tuple(Span(start, start + width, "gap") for start, width in spans)
+    marked = replace(flight, excluded=excluded)
+    for start in marked.window_starts(length, stride):
+        time = marked.time[start : start + length]
+        assert len(time) == length
+        for span in excluded:
+            assert not np.any((time >= span.start) & (time <= span.stop))
+
+
+def test_every_window_that_fits_is_there(flight):
+    assert len(flight.window_starts(70)) == len(flight) - 69
+    assert len(flight.window_starts(70, 70)) == len(flight) // 70
+
+
+def test_windows_never_join_two_recordings(flight):
+    other = fly(published_model("M3"), duration=2.0, seed=1)
+    windows = make_windows([flight, other], 20, 50)
+    ends = windows.starts + 69
+    assert not np.any((windows.starts < len(flight)) & (ends >= len(flight)))
+    assert len(windows) == 2 * (len(flight) - 69)
+
+
+def test_past_and_future_meet_at_the_present(flight):
+    windows = make_windows(flight, 20, 50, stride=70)
+    past, (commands, durations, measured) = windows.past(), windows.future()
+    first = windows.starts[1]
+    np.testing.assert_array_equal(past.state[:, :, 1], flight.state[first : first + 20])
+    np.testing.assert_array_equal(measured[:, :, 1], flight.state[first + 20 : first + 70])
+    np.testing.assert_array_equal(commands[:, :, 1], flight.input[first + 19 : first + 69])
+    np.testing.assert_allclose(durations, 1 / 240)
+
+
+def test_too_short_a_recording_is_refused(flight):
+    with pytest.raises(InputError, match="needs 70 samples"):
+        make_windows(flight.slice(0, 0.1))
+
+
+def test_one_window_over_the_whole_flight(flight):
+    windows = make_windows(flight, 20, None)
+    assert len(windows) == 1
+    assert windows.prediction_length == len(flight) - 20
+
+
+def test_spans_keep_their_confidence_in_a_file(flight, tmp_path):
+    doubtful = Span(0.5, 0.7, "radio out", 0.83)
+    marked = flight.leave_out([doubtful, Span(0.1, 0.2, "gap")])
+    marked.save(tmp_path / "t.npz")
+    found = read_trajectory(tmp_path / "t.npz")
+    assert found.excluded == (Span(0.1, 0.2, "gap", 1.0), doubtful)
+    # What is excluded already is not excluded twice.
+    assert marked.leave_out([doubtful]).excluded == marked.excluded
+    assert not marked.usable[(flight.time >= 0.5) & (flight.time <= 0.7)].any()

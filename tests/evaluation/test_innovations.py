@@ -1,0 +1,115 @@
+"""One-step innovations: the predictor, its noise, and simulation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Span
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.kalman import KalmanFilter
+from airpuck.evaluation.command_pieces import cut_at_commands, speed_before
+from airpuck.evaluation.innovations import free_run, innovations
+from airpuck.evaluation.noise_likelihood import most_likely_noise
+from airpuck.model.model_file import published_model
+
+from ..noisy import POSE_NOISE, TRUTH, noisy
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return noisy(duration=6.0, seed=3)
+
+
+def test_pieces_cut_every_interval_where_commands_change():
+    time = np.array([0.0, 1.0, 2.0, 3.0])
+    events = np.array([-0.5, 1.2, 1.7, 2.0, 9.0])
+    command = np.arange(5.0)[:, None]
+    durations, acting = cut_at_commands(time, events, command)
+    assert durations.shape == (4, 4)
+    np.testing.assert_allclose(durations.sum(axis=1), [0, 1, 1, 1])
+    # Each interval's integral of the command, by hand.
+    area = (durations * acting[..., 0]).sum(axis=1)
+    np.testing.assert_allclose(area, [0, 0, 0.2 * 0 + 0.5 * 1 + 0.3 * 2, 3])
+
+
+def test_motors_follow_all_commands_before_the_first_pose():
+    events, command, tau = np.array([0.0, 0.1]), np.array([[0.2], [0.8]]), 0.05
+    speed = speed_before(0.15, events, command, tau)
+    np.testing.assert_allclose(speed, 0.8 - 0.6 * np.exp(-0.05 / tau))
+
+
+def test_the_filter_is_the_controllers_with_exact_integration(flight):
+    # The real-time filter integrates by the midpoint rule and knows the pose's noise beforehand.
+    noise = Noise(POSE_NOISE, (0.05, 0.05, 1.0), (0.1, 0.1, 3.0))
+    found = innovations(TRUTH, flight, noise)
+    online = KalmanFilter(TRUTH.with_delay(0.0), noise, compiled=False)
+    speeds = []
+    sent = 0
+    for k in range(300):
+        while flight.command_time[sent] <= flight.time[k]:
+            online.command(flight.command_time[sent], flight.command[sent])
+            sent += 1
+        online.pose(flight.time[k], flight.state[k, :3])
+        speeds.append(online.predict(flight.time[k]).state)
+    late = slice(200, 300)
+    ours = np.concatenate([found.mean[late, :, 0], found.mean[late, :, 1]], axis=1)
+    scale = np.sqrt(found.covariance[250][:, [0, 1], [0, 1]]).T.ravel()
+    assert (np.abs(ours - np.array(speeds)[late]) < 0.5 * scale).all()
+
+
+def test_the_likelihood_finds_the_noise_that_was_added(flight):
+    found = innovations(TRUTH, flight)
+    np.testing.assert_allclose(found.noise.pose, POSE_NOISE, rtol=0.06)
+    # The model is true: nothing else moves the craft.
+    assert max(found.noise.acceleration[:2]) < 1e-3
+    assert found.noise_parameters <= (2, 2, 2)
+    scaled = found.standardised[found.used]
+    np.testing.assert_allclose(scaled.std(axis=0), 1, atol=0.05)
+
+
+def test_the_likelihood_finds_densities():
+    # A body that only noise moves, on one axis after the other with other densities.
+    rng, n, h = np.random.default_rng(5), 6000, 1 / 240
+    density, pose_noise = np.array([0.05, 0.2, 2.0]), np.array(POSE_NOISE)
+    kicks = rng.normal(size=(n, 3)) * density * np.sqrt(h)
+    speed = np.cumsum(kicks, axis=0)
+    place = np.cumsum(speed * h - kicks * h / 2, axis=0)
+    pose = place + rng.normal(size=(n, 3)) * pose_noise
+    restart = np.arange(n) == 0
+    used = np.arange(n) > 1
+    period = np.where(restart, 0.0, h)
+    noise, counts = most_likely_noise(pose, np.zeros((n, 3, 2)), period, restart, used, h)
+    np.testing.assert_allclose(noise.pose, pose_noise, rtol=0.05)
+    np.testing.assert_allclose(noise.acceleration, density, rtol=0.2)
+    assert min(counts) >= 2
+
+
+def test_nothing_is_predicted_across_a_span_that_is_left_out(flight):
+    spoiled = flight.state.copy()
+    bad = slice(600, 640)
+    spoiled[bad, :3] += 1.0
+    span = Span(float(flight.time[600]), float(flight.time[639]), "made up")
+    found = innovations(TRUTH, replace(flight, state=spoiled, excluded=(span,)))
+    assert not found.used[600:642].any()
+    assert found.used[642]
+    assert np.abs(found.standardised).max() < 6
+
+
+def test_a_simulation_of_the_truth_stays_near_it(flight):
+    found = innovations(TRUTH, flight)
+    starts = np.array([100, 700])
+    simulated = free_run(TRUTH, flight, found, starts)
+    assert np.isnan(simulated[:100]).all()
+    error = np.abs(simulated - flight.state[:, :3])[100:]
+    assert error.max(axis=0) == pytest.approx([0, 0, 0], abs=0.1)
+    # It starts anew: at the second start the error is that of the filter's estimate.
+    assert (error[600] < 6 * np.array(POSE_NOISE)).all()
+
+
+def test_too_few_poses_are_refused(flight):
+    with pytest.raises(InputError, match="one-step"):
+        innovations(TRUTH, flight.slice(0, 0.02))
+    with pytest.raises(InputError, match="motors"):
+        innovations(published_model("M3"), replace(flight, propellers=("a",)))

@@ -1,0 +1,293 @@
+"""Proposals of what to fly next: the search over made-up rehearsals, and a real one checked."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from airpuck.boundary.errors import InputError
+from airpuck.cli.app import app
+from airpuck.cli.designing import _print_errors, summary
+from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
+from airpuck.experiment_design.check import Obtained, check_design
+from airpuck.experiment_design.design import Design, design
+from airpuck.experiment_design.expected_errors import Forecast, Information, joined
+from airpuck.experiment_design.quantities_of_interest import relative_errors
+from airpuck.experiment_design.rehearsal import Crew, Rehearsal, Stage, World
+from airpuck.experiment_design.worth import Candidate
+from airpuck.model.model_file import published_model
+from airpuck.report.design_figure import design_figure
+
+PUBLISHED = published_model("M3")
+#: As the next fit will learn it.
+MODEL = replace(
+    PUBLISHED,
+    free=PUBLISHED.free | PUBLISHED.parameters.mask(frozenset({"transport_delay"})),
+)
+SIZE = len(MODEL.free)
+
+
+def told(gain):
+    """Information of each second: every parameter as well known as its size and the gain say."""
+    unit = gain / np.maximum(np.abs(MODEL.parameters.to_vector()), 1e-3)
+    spread = np.random.default_rng(0).normal(size=(SIZE, 100)) * unit[:, None]
+    hessian = spread @ spread.T / 100
+    return Information(hessian, hessian, 1e-6, 20.0, 10)
+
+
+def made_up(best=0.4, near=0.45, wall=0.02):
+    """Rehearsals in which one hold time teaches most, and long ones come near to a rail."""
+
+    def fly(_crew, _act, tasks):
+        for plan, seed in tasks:
+            weakest = min(np.ravel(plan.amplitude))
+            gain = weakest * np.exp(-(np.log(plan.hold_s / best) ** 2)) * (1 - 0.1 * plan.margin_m)
+            clearance = wall if plan.hold_s > near else 0.2
+            yield Rehearsal(plan, seed, clearance, 0.0, told(gain) if clearance else None)
+
+    return fly
+
+
+@pytest.fixture
+def rehearsed(monkeypatch):
+    """Let rehearsals be made up."""
+
+    def as_told(**values):
+        monkeypatch.setattr(Crew, "fly", made_up(**values))
+
+    return as_told
+
+
+@pytest.fixture(scope="module")
+def found():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Crew, "fly", made_up())
+        return design(MODEL, processes=1)
+
+
+def test_the_best_of_all_combinations_is_found(found):
+    assert found.proposal.plan == ExcitationPlan(hold_s=0.4, duration_s=60.0, margin_m=0.05)
+    assert found.usual.plan == ExcitationPlan(duration_s=60.0)
+    # Errors are as one over the gain, which all parameters share.
+    ratio = found.usual.relative / found.proposal.relative
+    np.testing.assert_allclose(ratio, np.exp(np.log(2) ** 2), rtol=1e-6)
+    assert found.proposal.score == found.proposal.relative.max()
+    scores = [one.score for one in found.candidates]
+    assert scores == sorted(scores)
+
+
+def test_the_delay_is_judged_where_the_next_fit_learns_it(rehearsed):
+    rehearsed()
+    for name, learned in (("M1", False), ("M3", True)):
+        found = design(published_model(name), processes=1)
+        assert found.model.delay_learned == learned
+
+
+def test_hold_times_between_those_of_the_grid_are_found(rehearsed):
+    rehearsed(best=0.32)
+    assert design(MODEL, processes=1).proposal.plan.hold_s == pytest.approx(0.32)
+
+
+def test_what_comes_near_to_a_rail_is_not_proposed(rehearsed):
+    rehearsed(best=0.6, near=0.3)
+    found = design(MODEL, processes=1)
+    assert found.proposal.plan.hold_s <= 0.3
+    refused = [one for one in found.candidates if one.plan.hold_s > 0.3]
+    assert refused
+    assert all(one.refused == "20 mm from a rail" and np.isinf(one.score) for one in refused)
+
+
+def test_a_rail_that_is_met_at_full_length_only_passes_the_turn_on(monkeypatch):
+    short = made_up()
+
+    def fly(crew, act, tasks):
+        for one in short(crew, act, tasks):
+            met = one.plan.duration_s == 60.0 and one.plan.hold_s > 0.3
+            yield replace(one, clearance=0.0, information=None) if met else one
+
+    monkeypatch.setattr(Crew, "fly", fly)
+    found = design(MODEL, processes=1)
+    assert 0.2 < found.proposal.plan.hold_s <= 0.3
+    met = next(one for one in found.candidates if one.plan.hold_s == 0.4 and one.refused)
+    assert met.refused == "meets a rail"
+
+
+def test_the_usual_excitation_is_proposed_where_no_other_keeps_away(monkeypatch):
+    inner = made_up()
+
+    def fly(crew, act, tasks):
+        for one in inner(crew, act, tasks):
+            usual = one.plan == ExcitationPlan(duration_s=one.plan.duration_s)
+            yield one if usual else replace(one, clearance=0.02)
+
+    monkeypatch.setattr(Crew, "fly", fly)
+    found = design(MODEL, processes=1)
+    assert found.proposal.plan == found.usual.plan
+    assert not found.proposal.refused
+
+
+@pytest.mark.parametrize("wall", [0.02, 0.0])
+def test_where_nothing_keeps_away_nothing_is_proposed(rehearsed, wall):
+    rehearsed(near=0.0, wall=wall)
+    with pytest.raises(InputError) as caught:
+        design(MODEL, processes=1)
+    assert caught.value.field in ("margin", "table")
+
+
+def test_what_is_known_stands_beside_and_counts(rehearsed, found):
+    rehearsed()
+    known = Forecast(MODEL, [told(1.0)]).of(told(1.0), 60.0)
+    after = design(replace(MODEL, uncertainty=known), processes=1)
+    np.testing.assert_allclose(
+        after.known, relative_errors(replace(MODEL, uncertainty=known), found.wanted)
+    )
+    expected = 1 / np.sqrt(1 / found.proposal.relative**2 + 1 / after.known**2)
+    np.testing.assert_allclose(after.proposal.relative, expected, rtol=1e-6)
+    np.testing.assert_allclose(after.proposal.alone, found.proposal.alone, rtol=1e-6)
+
+
+def test_the_loss_of_the_fit_says_how_large_real_residuals_are(rehearsed, found):
+    rehearsed()
+    fitted = replace(MODEL, fit={"loss": 4e-6})
+    large = design(fitted, processes=1)
+    assert large.level == pytest.approx(4.0)
+    np.testing.assert_allclose(large.proposal.relative / found.proposal.relative, 2.0)
+    robust = design(replace(MODEL, fit={"loss": 4e-6, "robust": True}), processes=1)
+    assert robust.level == 1.0
+
+
+def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monkeypatch):
+    def rehearse(stage, plan, seed, _world):
+        # What packets that arrive late leave unexplained where nobody looks for them.
+        information = replace(told(1.0), loss=1e-6 if stage.model.delay_learned else 5e-6)
+        return Rehearsal(plan, seed, 0.2, 0.0, information)
+
+    def fly(crew, act, tasks):
+        unused = object.__new__(World)
+        return [act(crew._stage, plan, seed, unused) for plan, seed in tasks]
+
+    monkeypatch.setattr(Stage, "rehearse", rehearse)
+    monkeypatch.setattr(Crew, "fly", fly)
+    for model in (PUBLISHED, MODEL):
+        found = design(replace(model, fit={"loss": 1e-5}), processes=1)
+        assert found.level == pytest.approx(10.0 if model.delay_learned else 2.0)
+
+
+def test_flights_prepared_like_the_fit_that_all_met_a_rail_say_nothing_of_its_residuals(
+    monkeypatch,
+):
+    inner = made_up()
+
+    def fly(crew, act, tasks):
+        for one in inner(crew, act, tasks):
+            lost = act is not Stage.rehearse
+            yield replace(one, clearance=0.0, information=None) if lost else one
+
+    monkeypatch.setattr(Crew, "fly", fly)
+    assert design(replace(PUBLISHED, fit={"loss": 1e-5}), processes=1).level == 1.0
+
+
+def test_a_delay_that_was_fixed_is_not_known(rehearsed):
+    rehearsed()
+    known = Forecast(PUBLISHED, [told(1.0)]).of(told(1.0), 60.0)
+    found = design(replace(PUBLISHED, uncertainty=known), processes=1)
+    shown = found.to_json()["known"]
+    assert [label for label, error in shown.items() if error is None] == ["d"]
+    assert "stays undetermined" not in " ".join(summary(found))
+
+
+def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(rehearsed):
+    rehearsed()
+    lag = MODEL.parameters.mask(frozenset({"motor_time_constant"}))
+    upper = MODEL.parameters.bounds()[1]
+    vector = np.where(lag, upper, MODEL.parameters.to_vector())
+    held = replace(MODEL, parameters=MODEL.parameters.with_vector(vector))
+    found = design(held, processes=1, criterion="mean")
+    labels = [one.label for one in found.wanted]
+    assert found.proposal.relative[labels.index("τ")] < 1e-12
+    others = np.delete(found.proposal.relative, labels.index("τ"))
+    assert found.proposal.score == pytest.approx(np.exp(np.log(others).mean()))
+    flights = np.full((2, len(labels)), 0.1)
+    checked = Obtained(found.proposal.alone, flights, flights, np.ones(2))
+    assert np.isnan(checked.ratio).tolist() == [label == "τ" for label in labels]
+    _print_errors(found, checked)
+
+
+def test_no_two_flights_share_their_seed(monkeypatch):
+    seeds, inner = [], made_up()
+
+    def fly(crew, act, tasks):
+        seeds.extend(seed for _, seed in tasks)
+        return inner(crew, act, tasks)
+
+    monkeypatch.setattr(Crew, "fly", fly)
+    design(MODEL, processes=1, seed=7)
+    assert min(seeds) == 7
+    assert len(set(seeds)) == len(seeds)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("margin", 0.0), ("margin", np.nan), ("duration", 2.0), ("rehearsal", np.inf), ("seed", -1)],
+)
+def test_numbers_out_of_range_are_refused(field, value):
+    with pytest.raises(InputError) as caught:
+        design(MODEL, **{field: value})
+    assert caught.value.field == field
+
+
+@pytest.mark.study
+def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
+    plan = ExcitationPlan(duration_s=8.0)
+    with Crew(found.stage, 1) as crew:
+        *flights, again = crew.fly(Stage.rehearse, [(plan, seed) for seed in (1, 2, 1)])
+    assert again.clearance == flights[0].clearance != flights[1].clearance
+    assert 0.05 < again.clearance < 0.48
+    both = [one.information for one in flights if one.information is not None]
+    assert again.information is not None
+    np.testing.assert_array_equal(again.information.hessian, both[0].hessian)
+    expected = Forecast(MODEL, both).of(joined(both), 8.0, alone=True)
+    alone = relative_errors(replace(MODEL, uncertainty=expected), found.wanted)
+    candidate = Candidate(plan, again.clearance, alone, alone, float(alone.max()), "")
+    real = replace(found, usual=candidate, proposal=candidate)
+    one, other = check_design(real, 1, processes=1)
+    np.testing.assert_array_equal(one.errors, other.errors)
+    # Three blocks of time: a factor is all they can say.
+    assert 0.4 < np.median(one.typical / one.predicted) < 2.5
+    # What is missed is of the size of the error, not of the value.
+    assert np.median(np.abs(one.misses[0]) / one.typical) < 4
+    assert one.clearance.shape == (1,)
+    shows_every_quantity(real, one)
+
+
+def shows_every_quantity(real: Design, obtained):
+    (axes,) = design_figure(real, obtained).axes
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert labels == [one.label for one in real.wanted]
+    shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
+    np.testing.assert_allclose(shown["proposal, predicted"], 100 * real.proposal.alone)
+    np.testing.assert_allclose(shown["proposal, obtained in 1 flights"], 100 * obtained.errors[0])
+
+
+def test_the_command_writes_a_plan_that_excite_takes(found, tmp_path, monkeypatch):
+    monkeypatch.setattr("airpuck.experiment_design.design.design", lambda *_, **__: found)
+    plan, figures = tmp_path / "plan.toml", tmp_path / "design.json"
+    drawn = tmp_path / "design.png"
+    arguments = ["-o", str(plan), "--json", str(figures), "--figure", str(drawn)]
+    result = CliRunner().invoke(app, ["design", *arguments])
+    assert result.exit_code == 0, result.output
+    assert read_excitation_plan(plan) == found.proposal.plan
+    assert drawn.read_bytes().startswith(b"\x89PNG")
+    for sentence in summary(found):
+        assert sentence in result.output
+    content = json.loads(figures.read_text())
+    labels = [one.label for one in found.wanted]
+    inertia = float(found.proposal.relative[labels.index("I")])
+    assert content["proposal"]["relative_error"]["I"] == inertia
+    assert content["known"]["I"] is None
+    flight = ["--plan", str(plan), "--duration", "1", "-o", str(tmp_path / "bag"), "--json", "-"]
+    flown = CliRunner().invoke(app, ["excite", *flight])
+    assert flown.exit_code == 0, flown.output
+    assert json.loads(flown.output)["messages"]["command"] == pytest.approx(100, abs=2)

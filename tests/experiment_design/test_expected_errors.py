@@ -1,0 +1,185 @@
+"""Predicted standard errors, against plain sums and what follows from them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.data.windows import make_windows
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.experiment_design.expected_errors import Forecast, Information, information_of, joined
+from airpuck.identification.objective import PUBLISHED_WEIGHTS
+from airpuck.model.model_file import published_model
+from airpuck.physics.rollout import rollout
+
+from ..synthetic import fly
+
+MODEL = published_model("M3")
+ENTRIES = np.flatnonzero(MODEL.free)
+(INERTIA,) = np.flatnonzero(MODEL.parameters.mask(frozenset({"inertia"})))
+
+
+@pytest.fixture(scope="module")
+def trajectory():
+    flight = fly(MODEL, duration=6.0)
+    noise = np.random.default_rng(1).normal(size=flight.state.shape)
+    return replace(flight, state=flight.state + 1e-4 * noise)
+
+
+@pytest.fixture(scope="module")
+def information(trajectory):
+    return information_of(trajectory, MODEL, 6.0)
+
+
+def synthetic(seed, model=MODEL, blocks=10**9):
+    """Information and scores of no particular flight, in the units of the parameters."""
+    rng, size = np.random.default_rng(seed), len(model.free)
+    unit = 1 / np.maximum(np.abs(model.parameters.to_vector()), 1e-3)
+
+    def spread(count):
+        root = rng.normal(size=(size, count)) * unit[:, None]
+        return root @ root.T / count
+
+    return Information(spread(200), spread(60), 1e-6, 20.0, blocks)
+
+
+def errors(forecast, flight, duration, **options):
+    return forecast.of(flight, duration, **options).standard_errors[ENTRIES]
+
+
+def test_the_information_is_that_of_finite_differences_of_a_plain_rollout(trajectory, information):
+    windows = make_windows(trajectory, 40, 50, 7)
+    whole = len(windows.time) // 240 * 240
+    starts = windows.starts[windows.starts + 90 <= whole]
+    vector = MODEL.parameters.to_vector()
+
+    def residuals(vector):
+        dynamics = MODEL.parameters.with_vector(vector).dynamics(np, MODEL.vehicle, MODEL.frame)
+        commands, durations, measured = windows.future(starts)
+        state = PaperEncoder(length=40).encode(np, dynamics, windows.past(starts))
+        predicted = rollout(np, dynamics, state, commands, durations)
+        weights = np.array(PUBLISHED_WEIGHTS)[:, None]
+        return (weights * (predicted[:, :3] - measured[:, :3])).reshape(-1)
+
+    columns = []
+    for entry in ENTRIES:
+        step = np.zeros_like(vector)
+        step[entry] = 1e-5 * max(abs(vector[entry]), 1e-3)
+        difference = residuals(vector + step) - residuals(vector - step)
+        columns.append(difference / (2 * step[entry]))
+    jacobian = np.array(columns)
+    # The loss is the mean over 3 channels and 50 steps; 2 JᵀJ is the curvature of a square.
+    expected = 2 * jacobian @ jacobian.T / (3 * 50) / 6.0
+    found = information.hessian[np.ix_(ENTRIES, ENTRIES)]
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-6)
+
+
+def test_one_flight_gives_the_plain_sandwich():
+    flight = synthetic(0)
+    found = Forecast(MODEL, [flight]).of(flight, 40.0).covariance
+    inside = np.ix_(ENTRIES, ENTRIES)
+    inverse = np.linalg.inv(flight.hessian[inside])
+    expected = inverse @ flight.scores[inside] @ inverse / 40.0
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found[inside] / scale, expected / scale, atol=1e-8)
+
+
+def test_twice_the_time_shrinks_errors_by_the_root_of_two(information):
+    forecast = Forecast(MODEL, [information, synthetic(1)])
+    once, twice = (errors(forecast, information, duration) for duration in (30.0, 60.0))
+    assert (once > 0).all()
+    np.testing.assert_allclose(once / twice, np.sqrt(2), rtol=1e-6)
+
+
+def test_packets_that_are_a_sample_leave_the_mean_delay_uncertain():
+    """Of what was determined anyhow, only the variance of the delay grows, by its own."""
+    free = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
+    model, flight = replace(MODEL, free=free), synthetic(7)
+    plain = Forecast(model, [flight]).of(flight, 60.0)
+    sampled = replace(flight, packets=6e-5)
+    found = Forecast(model, [sampled]).of(sampled, 60.0)
+    (delay,) = np.flatnonzero(free & ~MODEL.free)
+    added = found.covariance - plain.covariance
+    scale = np.sqrt(np.diag(found.covariance)[free])
+    assert added[delay, delay] == pytest.approx(1e-6, rel=1e-6)
+    added[delay, delay] = 0
+    assert np.abs(added[np.ix_(free, free)] / np.outer(scale, scale)).max() < 1e-9
+
+
+def test_what_is_known_counts_like_another_flight():
+    flight = synthetic(2)
+    before = Forecast(MODEL, [flight]).of(flight, 60.0)
+    after = Forecast(replace(MODEL, uncertainty=before), [flight])
+    now = errors(after, flight, 60.0)
+    np.testing.assert_allclose(before.standard_errors[ENTRIES] / now, np.sqrt(2), rtol=1e-6)
+    alone = errors(after, flight, 60.0, alone=True)
+    np.testing.assert_allclose(alone, before.standard_errors[ENTRIES], rtol=1e-6)
+
+
+def test_larger_residuals_give_larger_errors():
+    flight = synthetic(3)
+    one, four = (errors(Forecast(MODEL, [flight], level), flight, 60.0) for level in (1.0, 4.0))
+    np.testing.assert_allclose(four / one, 2.0, rtol=1e-9)
+
+
+def test_what_no_flight_moves_is_undetermined_until_it_is_known():
+    def dark(information):
+        light = np.ones(len(MODEL.free))
+        light[INERTIA] = 0.0
+        both = np.outer(light, light)
+        return replace(
+            information, hessian=information.hessian * both, scores=information.scores * both
+        )
+
+    flights = [dark(synthetic(seed)) for seed in (4, 5)]
+    found = Forecast(MODEL, flights).of(flights[0], 60.0)
+    assert len(found.undetermined) == 1
+    assert np.abs(found.undetermined[0]).argmax() == INERTIA
+    assert np.count_nonzero(found.undetermined[0]) == 1
+    before = Forecast(MODEL, [synthetic(6)]).of(synthetic(6), 60.0)
+    after = Forecast(replace(MODEL, uncertainty=before), flights).of(flights[0], 60.0)
+    assert not len(after.undetermined)
+    assert 0 < after.standard_errors[INERTIA] <= before.standard_errors[INERTIA] * (1 + 1e-6)
+
+
+def test_flights_are_joined_by_their_length():
+    short, long = synthetic(7), replace(synthetic(8), duration=60.0)
+    both = joined([short, long])
+    np.testing.assert_allclose(both.hessian, 0.25 * short.hessian + 0.75 * long.hessian)
+    np.testing.assert_allclose(both.scores, 0.25 * short.scores + 0.75 * long.scores)
+    assert both.duration == 80.0
+    assert both.blocks == 2 * 10**9
+
+
+def test_few_blocks_give_the_information_times_the_mean_inflation():
+    flight = synthetic(9, blocks=4)
+    found = Forecast(MODEL, [flight]).of(flight, 40.0).covariance
+    inside = np.ix_(ENTRIES, ENTRIES)
+    inverse = np.linalg.inv(flight.hessian[inside])
+    kappa = np.trace(inverse @ flight.scores[inside]) / len(ENTRIES)
+    scale = np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
+    np.testing.assert_allclose(
+        found[inside] / scale, kappa / 40.0 * inverse / scale, rtol=1e-6, atol=1e-12
+    )
+
+
+def test_many_blocks_find_what_the_residuals_are_made_of():
+    # Scores that are twelve times as large in one direction as the information says.
+    rng, size = np.random.default_rng(10), len(ENTRIES)
+    stretch = np.where(np.arange(size) == 3, 12.0, 1.0)
+    flights = []
+    for _ in range(40):
+        scores = rng.normal(size=(10, size)) * np.sqrt(stretch)
+        hessian, outer = np.zeros((2, len(MODEL.free), len(MODEL.free)))
+        hessian[np.ix_(ENTRIES, ENTRIES)] = np.eye(size)
+        outer[np.ix_(ENTRIES, ENTRIES)] = scores.T @ scores / 9
+        flights.append(Information(hessian, outer, 1e-6, 20.0, 10))
+    found = errors(Forecast(MODEL, flights), joined(flights), 1.0) ** 2
+    np.testing.assert_allclose(found * 9 / 10, stretch, rtol=0.35)
+
+
+def test_a_flight_of_one_block_is_refused():
+    with pytest.raises(InputError, match="two blocks"):
+        information_of(fly(MODEL, duration=1.5), MODEL, 1.5)
