@@ -1,7 +1,7 @@
 """Each extra, installed in a fresh environment, brings what its first command or import needs."""
 
+import shlex
 import subprocess
-import sys
 import tomllib
 import venv
 from pathlib import Path
@@ -11,13 +11,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
-STATESPACE = "import airpuck; airpuck.read_model('paper:M3').to_statespace()"
 #: What is installed, and what its users run first. The view needs a graph to show.
 FIRST_USE = {
-    "control": ["python", "-c", STATESPACE],
-    "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet".split(),
-    "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91".split(),
-    "campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet".split(),
+    "control": """python -c "import airpuck; airpuck.read_model('paper:M3').to_statespace()" """,
+    "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
+    "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
+    "campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet",
 }
 SPEC = 'kind = "tracking"\nseeds = 1\nbase.dwell_s = 0.2\n'
 
@@ -45,10 +44,11 @@ def plain(tmp_path_factory) -> Path:
     return python
 
 
-def run(python: Path, command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+def run(python: Path, command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     (folder / "spec.toml").write_text(SPEC)
-    program = python.with_name(command[0])
-    return subprocess.run([program, *command[1:]], cwd=folder, capture_output=True, text=True)
+    program, *words = shlex.split(command)
+    program = python.with_name(program)
+    return subprocess.run([program, *words], cwd=folder, capture_output=True, text=True)
 
 
 def test_every_extra_is_tested():

@@ -1,1 +1,5 @@
-"""Model -> motor commands."""
+"""Model -> motor commands.
+
+Entry points: `lqr.regulator`, `allocation.ThrustAllocator`, `excitation.Excitation`,
+`reference.Reference`.
+"""

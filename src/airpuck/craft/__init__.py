@@ -1,1 +1,4 @@
-"""What is known before any flight: the vehicle and the table."""
+"""What is known before any flight: the vehicle and the table.
+
+Entry points: `table.Table`.
+"""

@@ -1,1 +1,4 @@
-"""Trajectories, windows, and commands held between events."""
+"""Trajectories, windows, and commands held between events.
+
+Entry points: `windows.make_windows`, `zero_order_hold.hold`.
+"""

@@ -1,1 +1,4 @@
-"""From past poses and commands to the present state and actuation."""
+"""From past poses and commands to the present state and actuation.
+
+Entry points: `kalman.KalmanFilter`, `actuation.ActuationEncoder`.
+"""

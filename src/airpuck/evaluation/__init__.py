@@ -1,1 +1,4 @@
-"""Model x trajectory -> errors."""
+"""Model x trajectory -> errors.
+
+Entry points: `goodness.goodness`, `innovations.innovations`.
+"""

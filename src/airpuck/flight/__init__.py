@@ -1,1 +1,4 @@
-"""Flights: real, simulated and replayed."""
+"""Flights: real, simulated and replayed.
+
+Entry points: `loop.fly`, `loop.Pilot`, `link.Link`.
+"""

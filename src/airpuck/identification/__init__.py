@@ -1,1 +1,4 @@
-"""Trajectory -> model."""
+"""Trajectory -> model.
+
+Entry points: `objective.PredictionLoss`, `bootstrap.bootstrap`.
+"""

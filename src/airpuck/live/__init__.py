@@ -1,1 +1,4 @@
-"""Flying on a ROS 2 graph: the twin, the controller and the recorder as processes."""
+"""Flying on a ROS 2 graph: the twin, the controller and the recorder as processes.
+
+Entry points: `graph.Graph`.
+"""

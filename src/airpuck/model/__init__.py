@@ -1,1 +1,4 @@
-"""The physics: pure functions of state, input and parameters."""
+"""The physics: pure functions of state, input and parameters.
+
+Entry points: `model_file.published_model`, `rungs.preset`, `uncertainty.Uncertainty`.
+"""

@@ -1,4 +1,7 @@
-"""Reading and writing what a lab has."""
+"""Reading and writing what a lab has.
+
+Entry points: `torch_archive.read_authors_experiment`, `topics.Topics`.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,4 @@
-"""The simulated table."""
+"""The simulated table.
+
+Entry points: `plant.Plant`.
+"""
