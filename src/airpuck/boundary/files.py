@@ -28,27 +28,7 @@ class Section(pydantic.BaseModel):
 def read_toml(
     path: str | os.PathLike[str], schema: type[Schema], *, base: Schema | None = None
 ) -> Schema:
-    """Read a TOML file and check it against a schema.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    schema : type of pydantic model
-        What the file must contain.
-    base : instance of the schema, optional
-        What holds where the file says nothing; then no key is required.
-
-    Returns
-    -------
-    Schema
-        The checked content.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is not TOML, or does not fit the schema; it names the first field.
-    """
+    """Read a TOML file and check it against a schema."""
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -63,20 +43,7 @@ def read_toml(
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace what the content names, table by table; arrays are replaced whole.
-
-    Parameters
-    ----------
-    base : mapping
-        What holds where the content says nothing.
-    content : mapping
-        What is named.
-
-    Returns
-    -------
-    dict
-        Both together.
-    """
+    """Replace what the content names, table by table; arrays are replaced whole."""
     merged = dict(base)
     for key, value in content.items():
         below = base.get(key)
@@ -89,27 +56,7 @@ def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, 
 def checked(
     content: Mapping[str, Any], schema: type[Schema], *, file: str | os.PathLike[str] | None = None
 ) -> Schema:
-    """Check a mapping against a schema.
-
-    Parameters
-    ----------
-    content : mapping
-        Parsed TOML.
-    schema : type of pydantic model
-        What it must contain.
-    file : path-like, optional
-        Where it came from, for the error message.
-
-    Returns
-    -------
-    Schema
-        The checked content.
-
-    Raises
-    ------
-    InputError
-        If it does not fit the schema.
-    """
+    """Check a mapping against a schema."""
     try:
         # As JSON: there, strictness is about types (no truth value is a number, no text either)
         # and not about Python's containers.
@@ -133,17 +80,7 @@ def checked(
 def write_toml(
     path: str | os.PathLike[str], content: Mapping[str, Any], *, header: str = ""
 ) -> None:
-    """Write a mapping as TOML, replacing the file in one step.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to write.
-    content : mapping
-        Plain Python values; floats are written so that they read back bit-equal.
-    header : str, optional
-        Comment lines for the top of the file, without the hash.
-    """
+    """Write a mapping as TOML, replacing the file in one step."""
     import tomli_w
 
     comment = "".join(f"# {line}".rstrip() + "\n" for line in header.splitlines())

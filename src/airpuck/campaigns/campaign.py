@@ -16,20 +16,13 @@ from airpuck.campaigns.spec import read_spec
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign that has come to its end.
+    """A campaign that has come to its end."""
 
-    Attributes
-    ----------
-    entries : tuple of Entry
-        Its items.
-    results : tuple of Result
-        What became of each.
-    computed : int
-        Items that had no result before.
-    """
-
+    #: Its items.
     entries: tuple[Entry, ...]
+    #: What became of each.
     results: tuple[Result, ...]
+    #: Items that had no result before.
     computed: int
 
     @property
@@ -44,14 +37,7 @@ class Campaign:
         return summarise(self.entries, self.results)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``items``, ``computed``, ``settings`` (as `Summary`), ``failures`` (``key``,
-            ``setting``, ``seed``, ``reason``).
-        """
+        """Return the figures for ``--json``."""
         return {
             "items": len(self.entries),
             "computed": self.computed,

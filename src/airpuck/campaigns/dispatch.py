@@ -35,24 +35,6 @@ def dispatch(
 
     No more items are under way than workers have threads, so that one that kills its worker puts
     no other under suspicion.
-
-    Parameters
-    ----------
-    entries : iterable of Entry
-        What to compute.
-    done : callable
-        Called in this process with every item and what became of it, as soon as that is known.
-    scheduler : str, optional
-        Address of a running Dask scheduler; by default processes are started here.
-    workers : int, optional
-        Their number; by default as many as there are processors.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or the scheduler is not there, has no workers or goes away.
-    KeyboardInterrupt
-        On Ctrl-C, once all results that have come were handed to `done`.
     """
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with _noting_interrupts(finished), _client(scheduler, workers) as client:
@@ -107,18 +89,7 @@ def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
 
 
 def compute(item: Item) -> Result:
-    """Compute one item; runs on a worker.
-
-    Parameters
-    ----------
-    item : Item
-        What to compute.
-
-    Returns
-    -------
-    Result
-        Its figures, or why it has none.
-    """
+    """Compute one item; runs on a worker."""
     started = time.perf_counter()
     try:
         rows = tuple(item.run())

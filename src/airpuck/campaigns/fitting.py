@@ -27,46 +27,31 @@ ENCODER = PaperEncoder(length=40)
 
 
 class Fitting(Item):
-    """One fit; or `resamplings` of them, to data drawn with replacement.
-
-    Attributes
-    ----------
-    recordings : tuple of str
-        What to learn from.
-    model : str
-        M0 … M4 or quadratic.
-    validation : str or None
-        A recording to judge the fit on, by the paper's protocol.
-    vehicle : str or None
-        Vehicle file; by default the paper's craft.
-    span : tuple of float or None
-        Part of each recording to learn from.
-    start_spread : float
-        By how much the start differs from the nominal values, at random (`moved`).
-    resamplings : int
-        Fits to blocks of time drawn with replacement, from the fit to all data.
-    stride : int
-        Samples from one window to the next.
-    degree : int or None
-        Of the thrust polynomials.
-    frame : {"body", "world"}
-        Where the offset of the centre of mass is constant.
-    robust : bool
-        Whether windows that are predicted badly count less; not of resampled data.
-    """
+    """One fit; or `resamplings` of them, to data drawn with replacement."""
 
     SOURCES: ClassVar = ("recordings", "validation", "vehicle")
 
+    #: What to learn from.
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
+    #: M0 … M4 or quadratic.
     model: Rung = "M3"
+    #: A recording to judge the fit on, by the paper's protocol.
     validation: str | None = None
+    #: Vehicle file; by default the paper's craft.
     vehicle: str | None = None
+    #: Part of each recording to learn from.
     span: tuple[float, float] | None = None
+    #: By how much the start differs from the nominal values, at random (`moved`).
     start_spread: Spread = 0.0
+    #: Fits to blocks of time drawn with replacement, from the fit to all data.
     resamplings: Annotated[int, pydantic.Field(ge=0)] = 0
+    #: Samples from one window to the next.
     stride: Annotated[int, pydantic.Field(ge=1)] = 7
+    #: Of the thrust polynomials.
     degree: Annotated[int, pydantic.Field(ge=1, le=9)] | None = None
+    #: Where the offset of the centre of mass is constant.
     frame: Literal["body", "world"] = "body"
+    #: Whether windows that are predicted badly count less; not of resampled data.
     robust: bool = False
 
     @pydantic.model_validator(mode="after")
@@ -96,15 +81,7 @@ class Fitting(Item):
         return [row]
 
     def data(self) -> tuple[Vehicle, list[Trajectory]]:
-        """Read the vehicle and the recordings.
-
-        Returns
-        -------
-        craft : Vehicle
-            The craft.
-        trajectories : list of Trajectory
-            What to learn from.
-        """
+        """Read the vehicle and the recordings."""
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
         trajectories = [self._load(name) for name in self.recordings]
         if self.span is not None:
@@ -118,20 +95,7 @@ class Fitting(Item):
         )
 
     def fit(self, craft: Vehicle, trajectories: list[Trajectory]) -> Fit:
-        """Identify, from a start of the seed's.
-
-        Parameters
-        ----------
-        craft : Vehicle
-            The craft.
-        trajectories : list of Trajectory
-            Its data.
-
-        Returns
-        -------
-        Fit
-            The fit.
-        """
+        """Identify, from a start of the seed's."""
         rung, start = preset(self.model), None
         if self.start_spread:
             nominal = rung.initial(craft, self.degree)

@@ -14,33 +14,23 @@ from airpuck.twin.settings import default_twin_settings
 
 
 class Fleet(Item):
-    """A batch of craft that fly the same commands, beside one that is as the model says.
-
-    Attributes
-    ----------
-    model : str
-        The craft.
-    spread : float
-        By how much each craft differs from it, at random (`varied`).
-    craft : int
-        Their number.
-    duration_s, hold_s, amplitude : float
-        Length of the flight; commands are drawn anew every `hold_s`, up to `amplitude`.
-    precision : {"double", "single"}
-        Of the arithmetic.
-    twin : TwinSettings
-        Table, sensors, radio.
-    """
+    """A batch of craft that fly the same commands, beside one that is as the model says."""
 
     SOURCES: ClassVar = ("model",)
 
+    #: The craft.
     model: str = "paper:M3"
+    #: By how much each craft differs from it, at random (`varied`).
     spread: Spread = 0.0
+    #: Their number.
     craft: Annotated[int, pydantic.Field(ge=1)] = 500
+    #: Length of the flight; commands are drawn anew every `hold_s`, up to `amplitude`.
     duration_s: Annotated[float, pydantic.Field(gt=0)] = 0.5
     hold_s: Annotated[float, pydantic.Field(ge=0.01)] = 0.2
     amplitude: Annotated[float, pydantic.Field(gt=0, le=1)] = 1.0
+    #: Of the arithmetic.
     precision: Literal["double", "single"] = "double"
+    #: Table, sensors, radio.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     def run(self) -> list[Row]:

@@ -57,47 +57,20 @@ def _whole(table: Any, packaged: Packaged) -> Packaged:
 
 
 class Item(Section):
-    """Base of all kinds: a computation that is wholly described by its fields.
-
-    Attributes
-    ----------
-    seed : int
-        Of everything random in it.
-    """
+    """Base of all kinds: a computation that is wholly described by its fields."""
 
     #: Fields that name models or recordings: their content belongs to the key.
     SOURCES: ClassVar[tuple[str, ...]] = ()
 
+    #: Of everything random in it.
     seed: Seed = 0
 
     def run(self) -> list[Row]:
-        """Compute.
-
-        Returns
-        -------
-        list of dict
-            Figures, one row for each flight or fit.
-
-        Raises
-        ------
-        InputError
-            If something that the item names cannot be used.
-        """
+        """Compute."""
         raise NotImplementedError
 
     def key(self, fingerprint: Callable[[str], str]) -> str:
-        """Identify the computation: its fields, what is in the files it names, our version.
-
-        Parameters
-        ----------
-        fingerprint : callable
-            Of a file or folder; `fingerprint`, or one that remembers.
-
-        Returns
-        -------
-        str
-            20 hexadecimal digits.
-        """
+        """Identify the computation: its fields, what is in the files it names, our version."""
         content = self.model_dump(mode="json")
         for field in self.SOURCES:
             names = content[field] if isinstance(content[field], list) else [content[field]]
@@ -111,41 +84,18 @@ class Item(Section):
 
 @dataclass(frozen=True)
 class Entry:
-    """An item and its place in the campaign.
+    """An item and its place in the campaign."""
 
-    Attributes
-    ----------
-    key : str
-        Of the item: the same computation has the same key in every campaign.
-    setting : dict
-        What the grid says of it, by dotted field.
-    item : Item
-        What to compute.
-    """
-
+    #: Of the item: the same computation has the same key in every campaign.
     key: str
+    #: What the grid says of it, by dotted field.
     setting: dict[str, Any]
+    #: What to compute.
     item: Item
 
 
 def fingerprint(name: str) -> str:
-    """Return the hash of a file, or of all files in a folder.
-
-    Parameters
-    ----------
-    name : str
-        The file or folder.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Return the hash of a file, or of all files in a folder."""
     path = Path(name)
     if not path.is_dir():
         return sha256(path)
@@ -155,23 +105,7 @@ def fingerprint(name: str) -> str:
 
 
 def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
-    """Multiply thrusts, inertia and motor lag by random factors.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        Where from.
-    spread : float
-        Standard deviation of the logarithm of the factors, one for each thrust curve, one for the
-        inertia and one for the motor lag.
-    seed : int
-        Of the factors.
-
-    Returns
-    -------
-    others : Parameters
-        Those of the seed.
-    """
+    """Multiply thrusts, inertia and motor lag by random factors."""
     rng = np.random.default_rng([seed, 7])
     inertia, lag, *thrust = np.exp(spread * rng.normal(size=2 + len(parameters.thrust)))
     return replace(
@@ -183,41 +117,13 @@ def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
 
 
 def varied(model: Model, spread: float, seed: int) -> Model:
-    """Return another craft of the kind, its parameters `moved`.
-
-    Parameters
-    ----------
-    model : Model
-        The craft.
-    spread : float
-        Of the factors; zero: the craft itself.
-    seed : int
-        Of the factors.
-
-    Returns
-    -------
-    Model
-        The other craft; nobody knows its uncertainty.
-    """
+    """Return another craft of the kind, its parameters `moved`."""
     if not spread:
         return model
     return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)
 
 
 def named(prefix: str, values: Any) -> Row:
-    """Name the channels x, y [m] and yaw [rad] of a figure.
-
-    Parameters
-    ----------
-    prefix : str
-        Of the names.
-    values : array, shape (3,)
-        The figure.
-
-    Returns
-    -------
-    dict
-        Three numbers.
-    """
+    """Name the channels x, y [m] and yaw [rad] of a figure."""
     channels = ("x_m", "y_m", "yaw_rad")
     return {f"{prefix}_{name}": float(v) for name, v in zip(channels, values, strict=True)}

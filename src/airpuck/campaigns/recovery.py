@@ -24,36 +24,25 @@ SPEEDS = np.linspace(0.03, 1, 200)
 
 
 class Recovery(Item):
-    """One excitation flight, identified.
-
-    Attributes
-    ----------
-    truth : str
-        The twin's truth; its centre of mass is fixed to the body.
-    truth_spread : float
-        By how much the truth differs from that, at random (`varied`).
-    model : str
-        What is identified.
-    duration_s, amplitude, hold_s : float
-        Of the excitation.
-    stride : int
-        Samples from one window to the next.
-    robust : bool
-        Whether windows that are predicted badly count less.
-    twin : TwinSettings
-        Table, sensors, radio, faults.
-    """
+    """One excitation flight, identified."""
 
     SOURCES: ClassVar = ("truth",)
 
+    #: The twin's truth; its centre of mass is fixed to the body.
     truth: str = "paper:M3"
+    #: By how much the truth differs from that, at random (`varied`).
     truth_spread: Spread = 0.0
+    #: What is identified.
     model: Rung = "M3"
+    #: Of the excitation.
     duration_s: Annotated[float, pydantic.Field(gt=0)] = 90.0
     amplitude: Annotated[float, pydantic.Field(gt=0, le=1)] = 1.0
     hold_s: Annotated[float, pydantic.Field(gt=0)] = 0.2
+    #: Samples from one window to the next.
     stride: Annotated[int, pydantic.Field(ge=1)] = 7
+    #: Whether windows that are predicted badly count less.
     robust: bool = False
+    #: Table, sensors, radio, faults.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     def run(self) -> list[Row]:
@@ -85,37 +74,14 @@ class Recovery(Item):
 
 
 def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:
-    """Compare thrust curves.
-
-    Parameters
-    ----------
-    model, truth : Model
-        Of one craft.
-
-    Returns
-    -------
-    array, shape (n,)
-        Root mean square error over `SPEEDS`, relative to that of the true curve.
-    """
+    """Compare thrust curves."""
     speeds = np.tile(SPEEDS, (len(truth.parameters.thrust), 1))
     found, true = (thrust(m.dynamics.thrust, speeds) for m in (model, truth))
     return np.sqrt(np.mean((found - true) ** 2, axis=1) / np.mean(true**2, axis=1))
 
 
 def recovery_errors(model: Model, truth: Model) -> Row:
-    """Compare an identified model with the truth.
-
-    Parameters
-    ----------
-    model, truth : Model
-        Of one craft.
-
-    Returns
-    -------
-    dict
-        Relative errors of the worst thrust curve, the motor lag and the inertia; errors of the
-        angle offset [rad] and of the centre of mass [m].
-    """
+    """Compare an identified model with the truth."""
     found, true = model.parameters, truth.parameters
     return {
         "thrust": float(thrust_error(model, truth).max()),

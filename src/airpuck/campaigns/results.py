@@ -23,31 +23,18 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True)
 class Result:
-    """What became of an item.
+    """What became of an item."""
 
-    Attributes
-    ----------
-    rows : tuple of dict
-        Its figures; empty where it failed.
-    failure : str or None
-        Why it failed.
-    wall_s : float or None
-        Time it took, where it came to an end [s].
-    """
-
+    #: Its figures; empty where it failed.
     rows: tuple[Row, ...]
+    #: Why it failed.
     failure: str | None = None
+    #: Time it took, where it came to an end [s].
     wall_s: float | None = None
 
 
 class Store:
-    """Results in a folder, each in a file of its own that is written once and in one step.
-
-    Parameters
-    ----------
-    folder : path
-        The campaign's.
-    """
+    """Results in a folder, each in a file of its own that is written once and in one step."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -56,23 +43,7 @@ class Store:
         return self.folder / "items" / f"{key}.json"
 
     def read(self, key: str) -> Result | None:
-        """Read a result.
-
-        Parameters
-        ----------
-        key : str
-            Of the item.
-
-        Returns
-        -------
-        Result or None
-            None where there is none yet.
-
-        Raises
-        ------
-        InputError
-            If there is a file that is none of ours.
-        """
+        """Read a result."""
         path = self._path(key)
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
@@ -89,15 +60,7 @@ class Store:
             ) from error
 
     def write(self, entry: Entry, result: Result) -> None:
-        """Write a result.
-
-        Parameters
-        ----------
-        entry : Entry
-            The item.
-        result : Result
-            What became of it.
-        """
+        """Write a result."""
         content = {
             "airpuck": __version__,
             "kind": type(entry.item).__name__,
@@ -114,40 +77,20 @@ class Store:
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures over all rows of one setting.
+    """Figures over all rows of one setting."""
 
-    Attributes
-    ----------
-    setting : dict
-        What the grid says, by dotted field.
-    items, failed : int
-        Items that came to an end, and that failed.
-    figures : dict
-        By name: ``count`` (of rows where it is known), ``mean``, ``sd``, ``min``, ``q05``, ``q50``,
-        ``q95``, ``max``; nan where there is none.
-    """
-
+    #: What the grid says, by dotted field.
     setting: dict[str, Any]
+    #: Items that came to an end, and that failed.
     items: int
     failed: int
+    #: By name: ``count`` (of rows where it is known), ``mean``, ``sd``, ``min``, ``q05``, ``q50``,
+    #: ``q95``, ``max``; nan where there is none.
     figures: dict[str, dict[str, float]]
 
 
 def summarise(entries: Sequence[Entry], results: Sequence[Result]) -> list[Summary]:
-    """Sum up results, setting by setting.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        Items.
-    results : sequence of Result
-        What became of each.
-
-    Returns
-    -------
-    list of Summary
-        In the order of the grid.
-    """
+    """Sum up results, setting by setting."""
     groups: dict[str, tuple[dict[str, Any], list[Result]]] = {}
     for entry, result in zip(entries, results, strict=True):
         told = json.dumps(entry.setting, sort_keys=True, default=str)
@@ -165,18 +108,7 @@ def summarise(entries: Sequence[Entry], results: Sequence[Result]) -> list[Summa
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:
-    """Describe a sample.
-
-    Parameters
-    ----------
-    values : array, shape (N,)
-        The sample; what is not finite does not count.
-
-    Returns
-    -------
-    dict
-        As in `Summary.figures`; ``sd`` is that of the sample (N - 1).
-    """
+    """Describe a sample."""
     known = values[np.isfinite(values)]
     found = dict.fromkeys(("mean", "sd", "min", "q05", "q50", "q95", "max"), math.nan)
     if len(known):
@@ -188,18 +120,7 @@ def statistics(values: np.ndarray) -> dict[str, float]:
 
 
 def write_table(path: Path, entries: Sequence[Entry], results: Sequence[Result]) -> None:
-    """Write all rows as CSV.
-
-    Parameters
-    ----------
-    path : path
-        The file to write: columns ``key``, the fields of the grid, ``seed``, ``row`` (its number
-        within the item), the figures, ``failure``.
-    entries : sequence of Entry
-        Items.
-    results : sequence of Result
-        What became of each.
-    """
+    """Write all rows as CSV."""
     settings = dict.fromkeys(field for entry in entries for field in entry.setting)
     names = dict.fromkeys(n for result in results for row in result.rows for n in row)
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:

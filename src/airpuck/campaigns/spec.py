@@ -32,47 +32,23 @@ _MOST = 1_000_000
 
 
 class Spec(Section):
-    """Content of a spec file.
+    """Content of a spec file."""
 
-    Attributes
-    ----------
-    kind : {"tracking", "recovery", "fit", "fleet"}
-        What an item is.
-    seeds : int or tuple of int
-        How many, from 0 on, or which.
-    base : dict
-        Fields that all items share.
-    grid : dict
-        Fields, each with a list of values: every combination is a setting.
-    """
-
+    #: What an item is.
     kind: Literal["tracking", "recovery", "fit", "fleet"]
+    #: How many, from 0 on, or which.
     seeds: (
         Annotated[int, pydantic.Field(ge=1)]
         | Annotated[tuple[Annotated[int, pydantic.Field(ge=0)], ...], pydantic.Field(min_length=1)]
     ) = 1
+    #: Fields that all items share.
     base: dict[str, Any] = pydantic.Field(default_factory=dict)
+    #: Fields, each with a list of values: every combination is a setting.
     grid: dict[str, Any] = pydantic.Field(default_factory=dict)
 
 
 def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
-    """Read a spec file, and lay out all of its items.
-
-    Parameters
-    ----------
-    path : path-like
-        A TOML file. Files that it names are looked for from its folder.
-
-    Returns
-    -------
-    list of Entry
-        In the order of the grid, and in each setting of the seeds; each computation once.
-
-    Raises
-    ------
-    InputError
-        If the file or an item is wrong, or a file that an item names is missing.
-    """
+    """Read a spec file, and lay out all of its items."""
     spec = read_toml(path, Spec)
     kind, folder = KINDS[spec.kind], Path(path).resolve().parent
     seeds = tuple(range(spec.seeds)) if isinstance(spec.seeds, int) else spec.seeds

@@ -15,34 +15,23 @@ from airpuck.twin.tracking_study import DWELL, Tracked, tracking_study
 
 
 class Tracking(Item):
-    """One flight to the paper's set points.
-
-    Attributes
-    ----------
-    model : str
-        What the controller believes.
-    truth : str
-        The twin's truth.
-    truth_spread : float
-        By how much the truth differs from that, at random (`varied`).
-    dwell_s : float
-        Time at each set point.
-    controller : {"paper", "full"}
-        As flown, or compensating the delay and rejecting disturbances, too.
-    twin : TwinSettings
-        Table, sensors, radio, faults.
-    tuning : Tuning
-        Of the controller.
-    """
+    """One flight to the paper's set points."""
 
     SOURCES: ClassVar = ("model", "truth")
 
+    #: What the controller believes.
     model: str = "paper:M4"
+    #: The twin's truth.
     truth: str = "paper:M4"
+    #: By how much the truth differs from that, at random (`varied`).
     truth_spread: Spread = 0.0
+    #: Time at each set point.
     dwell_s: Annotated[float, pydantic.Field(ge=0.1, le=1000)] = DWELL
+    #: As flown, or compensating the delay and rejecting disturbances, too.
     controller: Literal["paper", "full"] = "paper"
+    #: Table, sensors, radio, faults.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+    #: Of the controller.
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
 
     def run(self) -> list[Row]:
@@ -63,20 +52,7 @@ class Tracking(Item):
 
 
 def flight_figures(flown: Tracked) -> Row:
-    """Sum up a flight to set points.
-
-    Parameters
-    ----------
-    flown : Tracked
-        The flight.
-
-    Returns
-    -------
-    dict
-        Set points not settled; mean settling time of the others [s]; the worst steady-state error
-        (nan where poses are missing) and overshoot; mean effort; share of the control steps whose
-        request could not be met exactly.
-    """
+    """Sum up a flight to set points."""
     results, unknown = flown.results, (np.nan,) * 3
     settled = [r.settling_time for r in results if r.settling_time is not None]
     steady = np.abs([r.steady_state_error or unknown for r in results])

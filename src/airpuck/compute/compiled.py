@@ -34,12 +34,6 @@ def at_once() -> bool:
 
     By default it hands those of more than a thousand operations to another thread, which takes
     10 µs. A setting of the whole process, so a command may change it, not a library.
-
-    Returns
-    -------
-    bool
-        Whether it was said in time: before JAX computed anything, so before a fit, too. Said later
-        it changes nothing.
     """
     import jax
     from jax._src import xla_bridge  # nothing public tells whether JAX has computed yet
@@ -84,22 +78,7 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
 
 
 def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-    """Compile a pure function of arrays, in double precision, for the CPU.
-
-    Parameters
-    ----------
-    function : callable
-        Takes arrays, returns a tuple of arrays; uses jax.numpy. What it takes from the functions
-        and modules around it, such as a model, is not changed any more.
-    *examples : array or float
-        Arguments of the shapes that it will be called with.
-
-    Returns
-    -------
-    callable
-        The same function: NumPy arrays in, a list of NumPy arrays (of double precision, the
-        caller's own) out. It neither depends on nor changes JAX's settings.
-    """
+    """Compile a pure function of arrays, in double precision, for the CPU."""
     try:
         key = _content(function), tuple(np.shape(example) for example in examples)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError, RecursionError):

@@ -6,13 +6,7 @@ import os
 
 
 def usable_cores() -> int:
-    """Count the cores that this process may use.
-
-    Returns
-    -------
-    int
-        Those that it was given, where the system tells (Linux); otherwise all of the machine.
-    """
+    """Count the cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -37,18 +37,6 @@ def cos_sin(xp: Any, angle: Any) -> tuple[Any, Any]:
     sines of the same yaws. A product of matrices it does not fuse, so that a product with the
     identity keeps them. And for numbers of double precision it calls the C library one by one:
     polynomials take a tenth of that.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    angle : float or array, shape (...)
-        Angles [rad]; exact to rounding below 10⁶, above 10¹² without meaning.
-
-    Returns
-    -------
-    cos, sin : float or array, shape (...)
-        Cosine and sine.
     """
     if xp is np or xp.ndim(angle) == 0:
         return xp.cos(angle), xp.sin(angle)
@@ -92,18 +80,6 @@ def polynomials(xp: Any, angle: Any) -> Any:
 
     The rest r of an angle beyond a whole number of quarter turns lies within ±π/4, where
     polynomials are exact to rounding; the number says which one, and its sign.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    angle : array, shape (...)
-        Angles below 10⁶ [rad].
-
-    Returns
-    -------
-    array, shape (2, ...)
-        Cosine and sine.
     """
     turns = xp.round(angle * (2 / np.pi))
     rest = angle

@@ -17,13 +17,7 @@ _OPTIONS: dict[str, Any] = {
 
 @cache
 def cpu_options() -> dict[str, Any]:
-    """Say how XLA should compile for a CPU what is small or runs in batches side by side.
-
-    Returns
-    -------
-    dict
-        Compiler options; what this version of XLA does not know is left out.
-    """
+    """Say how XLA should compile for a CPU what is small or runs in batches side by side."""
     import jax
 
     with jax.default_device(jax.local_devices(backend="cpu")[0]):

@@ -25,21 +25,14 @@ _TIE_SLACK, _TIE_THRUST = 1e-7, 1e-8
 
 @dataclass(frozen=True)
 class Allocated:
-    """Result of an allocation.
+    """Result of an allocation."""
 
-    Attributes
-    ----------
-    thrust : array, shape (n,)
-        Thrusts within their bounds [N].
-    linear_scale, angular_scale : float
-        s1 and s2: what was met of the linear and the angular acceleration.
-    outcome : {"exact", "scaled", "nearest", "failed"}
-        What became of the request.
-    """
-
+    #: Thrusts within their bounds [N].
     thrust: Float[np.ndarray, " n"]
+    #: s1 and s2: what was met of the linear and the angular acceleration.
     linear_scale: float
     angular_scale: float
+    #: What became of the request.
     outcome: Outcome
 
 
@@ -56,24 +49,6 @@ def problem(
     """Write eq. force_qp for a solver, with thrusts and slacks √μ(1 - s) as x.
 
     So the Hessian is the identity, and the tolerance means the same for all variables.
-
-    Parameters
-    ----------
-    xp : module
-        numpy or jax.numpy.
-    arm, slack_weight : float
-        See `ThrustAllocator`.
-    request, matrix, offset, lower, upper : array
-        See `ThrustAllocator.allocate`.
-
-    Returns
-    -------
-    a : array, shape (3, n + 2)
-        A of the equality Ax = b, in m/s².
-    lower, upper : array, shape (n + 5,)
-        Bounds of x, followed in both by b.
-    finite : array, shape ()
-        Whether all of them are numbers: a solver may take one that is not for any.
     """
     rows, root = np.array([1.0, 1.0, arm]), math.sqrt(slack_weight)
     asked = rows * request
@@ -88,18 +63,7 @@ def problem(
 
 
 def all_finite(values: Float[np.ndarray, " k"]) -> bool:
-    """Say whether a few numbers are all finite, in less time than NumPy takes for any question.
-
-    Parameters
-    ----------
-    values : array, shape (k,)
-        The numbers.
-
-    Returns
-    -------
-    bool
-        Whether none is infinite or NaN.
-    """
+    """Say whether a few numbers are all finite, in less time than NumPy takes for any question."""
     return all(map(math.isfinite, values.tolist()))
 
 

@@ -25,43 +25,20 @@ _EFFECTIVENESS = (0.1, 1.5)
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """What runs before and after the allocation of a step.
+    """What runs before and after the allocation of a step."""
 
-    Attributes
-    ----------
-    plan : callable
-        (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration,
-        gain) → the acceleration asked for, motor speeds that the lag leaves without a command, and
-        the problem of `airpuck.control.allocation.problem`.
-    command : callable
-        (xp, solution, lower, upper, what the lag leaves) → commands.
-    """
-
+    #: (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration,
+    #: gain) → the acceleration asked for, motor speeds that the lag leaves without a command, and
+    #: the problem of `airpuck.control.allocation.problem`.
     plan: Callable[..., tuple[Any, ...]]
+    #: (xp, solution, lower, upper, what the lag leaves) → commands.
     command: Callable[..., tuple[Any]]
 
 
 def control_law(
     model: Model, period: float, slack_weight: float, reject_disturbance: bool
 ) -> ControlLaw:
-    """Write the control law for a craft.
-
-    Parameters
-    ----------
-    model : Model
-        The craft.
-    period : float
-        h [s].
-    slack_weight : float
-        μ of the allocation.
-    reject_disturbance : bool
-        Whether the estimated disturbance is compensated.
-
-    Returns
-    -------
-    ControlLaw
-        Its functions.
-    """
+    """Write the control law for a craft."""
     dynamics, vehicle, n = model.dynamics, model.vehicle, model.vehicle.n_propellers
     arm, least, most = model.radius_of_gyration, vehicle.command_min, vehicle.command_max
     a, b = point_mass(period)

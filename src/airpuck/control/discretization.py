@@ -13,20 +13,6 @@ def zero_order_hold(
 
     By the exponential of the block matrix [[A, B], [0, 0]] (DeCarlo, "Linear Systems", 1989,
     chapter 14).
-
-    Parameters
-    ----------
-    a : array, shape (n, n)
-        Continuous-time A.
-    b : array, shape (n, m)
-        Continuous-time B.
-    period : float
-        Sample time h [s].
-
-    Returns
-    -------
-    a_d, b_d : array, shape (n, n) and (n, m)
-        x(t + h) = A_d x(t) + B_d u.
     """
     from scipy.linalg import expm
 
@@ -38,18 +24,7 @@ def zero_order_hold(
 
 
 def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 3"]]:
-    """Discretise the craft as a point mass with accelerations as inputs (eq. point_mass_subsystem).
-
-    Parameters
-    ----------
-    period : float
-        Sample time h [s].
-
-    Returns
-    -------
-    a, b : array, shape (6, 6) and (6, 3)
-        For the state x, y, γ, vx, vy, ω and the virtual inputs ax, ay, ω'.
-    """
+    """Discretise the craft as a point mass driven by accelerations (eq. point_mass_subsystem)."""
     a, b = np.zeros((6, 6)), np.zeros((6, 3))
     a[:3, 3:] = np.eye(3)
     b[3:] = np.eye(3)
@@ -57,20 +32,7 @@ def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarra
 
 
 def motor_lag(time_constant: float, period: float) -> tuple[float, float]:
-    """Discretise a motor (eq. dis_motor_dynamics).
-
-    Parameters
-    ----------
-    time_constant : float
-        Lag τ ≥ 0 [s]; 0: the motor follows at once.
-    period : float
-        Sample time h [s].
-
-    Returns
-    -------
-    a, b : float
-        φ(t + h) = a φ(t) + b u; the diagonal entries of A^φ and B^φ.
-    """
+    """Discretise a motor (eq. dis_motor_dynamics)."""
     if time_constant == 0:
         return 0.0, 1.0
     a, b = zero_order_hold(
@@ -86,18 +48,6 @@ def rotation_error(
 
     The discretisation applies R(γ_k) F for a whole period, but the force turns with the craft. The
     velocity gained is |∫ R(γ_k + ω t) F dt| = h F e^{iθ/2} sinc(θ/2), θ = ωh, instead of h F.
-
-    Parameters
-    ----------
-    spin : array
-        ω [rad/s].
-    period : array
-        Sample time h [s], of the same shape.
-
-    Returns
-    -------
-    array
-        Relative error of the velocity gained in a period, |e^{iθ/2} sinc(θ/2) - 1|; about θ/2.
     """
     half = spin * period / 2
     return np.abs(np.exp(1j * half) * np.sinc(half / np.pi) - 1)

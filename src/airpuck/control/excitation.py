@@ -194,27 +194,7 @@ class Excitation:
 def excitation_controller(
     model: Model, reference: Reference | None = None, tuning: Tuning | None = None
 ) -> TrackingController:
-    """Build the controller of an excitation.
-
-    Parameters
-    ----------
-    model : Model
-        What it believes the craft to be, but for the lag of the motors; see `Excitation`.
-    reference : Reference, optional
-        What it steers to; by default the centre of the table.
-    tuning : Tuning, optional
-        By default the packaged one.
-
-    Returns
-    -------
-    TrackingController
-        Without rejection of disturbances and compensation of the delay.
-
-    Raises
-    ------
-    InputError
-        If the model or the tuning give no controller.
-    """
+    """Build the controller of an excitation."""
     return TrackingController(
         replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
         reference or SetPoint(0.0, 0.0, 0.0),
@@ -246,12 +226,6 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
     The first matrix turns the commands of a pair into ± their difference, and leaves single
     propellers as they are; the second gives plus and minus its signal to a pair, plus to a single
     propeller.
-
-    Raises
-    ------
-    InputError
-        If the propellers of a pair do not oppose each other: what the controller wants of both
-        would not survive the difference of their commands.
     """
     vehicle, effects = model.vehicle, model.propeller_effects
     effects = effects / np.linalg.norm(effects, axis=0)

@@ -14,53 +14,23 @@ Positive = Annotated[float, pydantic.Field(gt=0)]
 
 
 class ExcitationPlan(Section):
-    """An excitation experiment; what is left out is as the paper flew it.
+    """An excitation experiment; what is left out is as the paper flew it."""
 
-    Attributes
-    ----------
-    amplitude : float or tuple of float
-        Largest signal, of all or of each: those of the pairs, then those of the propellers without
-        a partner.
-    hold_s : float
-        Time between changes of the signals.
-    duration_s : float
-        Length.
-    margin_m : float
-        Distance to the rails at which the craft must be able to stop; else the signals pause.
-    """
-
+    #: Largest signal, of all or of each: those of the pairs, then those of the propellers without a
+    #: partner.
     amplitude: Share | tuple[Share, ...] = 1.0
+    #: Time between changes of the signals.
     hold_s: Positive = 0.2
+    #: Length.
     duration_s: Positive = 90.0
+    #: Distance to the rails at which the craft must be able to stop; else the signals pause.
     margin_m: Annotated[float, pydantic.Field(ge=0)] = 0.05
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the plan as TOML.
-
-        Parameters
-        ----------
-        path : path-like
-            The file to write.
-        """
+        """Write the plan as TOML."""
         write_toml(path, self.model_dump(mode="json"), header="An airpuck excitation experiment.")
 
 
 def read_excitation_plan(path: str | os.PathLike[str]) -> ExcitationPlan:
-    """Read the plan of an excitation experiment.
-
-    Parameters
-    ----------
-    path : path-like
-        A TOML file.
-
-    Returns
-    -------
-    ExcitationPlan
-        The plan.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or a field is wrong.
-    """
+    """Read the plan of an excitation experiment."""
     return read_toml(path, ExcitationPlan, base=ExcitationPlan())

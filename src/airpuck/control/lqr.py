@@ -20,23 +20,6 @@ def lqr(
 
     u = -K x minimises Σ xᵀQx + uᵀRu over x⁺ = A x + B u; K = (R + BᵀPB)⁻¹BᵀPA with P from the
     discrete algebraic Riccati equation.
-
-    Parameters
-    ----------
-    a, b : array, shape (n, n) and (n, m)
-        Discrete-time dynamics.
-    q, r : array, shape (n, n) and (m, m)
-        Weights of state and input.
-
-    Returns
-    -------
-    array, shape (m, n)
-        Gain K.
-
-    Raises
-    ------
-    InputError
-        If there is no stabilising solution, for example because a state has no weight.
     """
     from scipy.linalg import LinAlgError, solve_discrete_are
 

@@ -22,20 +22,7 @@ class Solver(ABC):
         lower: Float[np.ndarray, " m+3"],
         upper: Float[np.ndarray, " m+3"],
     ) -> Float[np.ndarray, " m"] | None:
-        """Solve with Ax = b; None if that is infeasible or was not solved.
-
-        Parameters
-        ----------
-        a : array, shape (3, m)
-            A.
-        lower, upper : array, shape (m + 3,)
-            Bounds of x, followed in both by b.
-
-        Returns
-        -------
-        array, shape (m,), or None
-            The minimiser.
-        """
+        """Solve with Ax = b; None if that is infeasible or was not solved."""
 
     @abstractmethod
     def nearest(
@@ -45,32 +32,11 @@ class Solver(ABC):
         lower: Float[np.ndarray, " m"],
         upper: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"] | None:
-        """Bring Ax as near to b as the bounds allow; None if that was not solved.
-
-        Parameters
-        ----------
-        a, b : array, shape (3, m) and (3,)
-            What to bring near to what.
-        lower, upper : array, shape (m,)
-            Bounds.
-
-        Returns
-        -------
-        array, shape (m,), or None
-            The minimiser.
-        """
+        """Bring Ax as near to b as the bounds allow; None if that was not solved."""
 
 
 class Piqp(Solver):
-    """PIQP, the paper's solver (Schwan et al. 2023), an interior-point method.
-
-    Parameters
-    ----------
-    cost : array, shape (m,)
-        Diagonal of P.
-    ties : array, shape (m,)
-        Diagonal of D.
-    """
+    """PIQP, the paper's solver (Schwan et al. 2023), an interior-point method."""
 
     # About 16 iterations solve a feasible problem. Where the bounds leave no interior it takes up
     # to 100, and the last digits of the dual are never found: the primal is judged by itself.
@@ -126,15 +92,7 @@ class Piqp(Solver):
 
 
 class Daqp(Solver):
-    """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method.
-
-    Parameters
-    ----------
-    cost : array, shape (m,)
-        Diagonal of P.
-    ties : array, shape (m,)
-        Diagonal of D.
-    """
+    """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method."""
 
     _OPTIMAL = 1
     # The default, 3.7e-11, takes small requests with nearly parallel columns for infeasible ones.

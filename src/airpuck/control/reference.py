@@ -14,17 +14,11 @@ from airpuck.boundary.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a reference asks for at one instant.
+    """What a reference asks for at one instant."""
 
-    Attributes
-    ----------
-    state : array, shape (6,)
-        x, y [m], γ [rad] and their rates.
-    acceleration : array, shape (3,)
-        Accelerations to feed forward [m/s², m/s², rad/s²].
-    """
-
+    #: x, y [m], γ [rad] and their rates.
     state: Float[np.ndarray, " 6"]
+    #: Accelerations to feed forward [m/s², m/s², rad/s²].
     acceleration: Float[np.ndarray, " 3"]
 
 

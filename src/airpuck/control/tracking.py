@@ -46,25 +46,17 @@ _BELIEVED_AFTER = _STALE - 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Result of a control step.
+    """Result of a control step."""
 
-    Attributes
-    ----------
-    command : array, shape (n,)
-        Motor commands to send, always finite and within the vehicle's limits; an array of the
-        caller's own, to change at will.
-    status : str
-        ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: to a plan; anything
-        else: the motors idle, and this is why.
-    request : array, shape (3,)
-        Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
-    estimate : Estimate or None
-        State at the time at which the command will begin to act; None when idle.
-    """
-
+    #: Motor commands to send, always finite and within the vehicle's limits; an array of the
+    #: caller's own, to change at will.
     command: Float[np.ndarray, " n"]
+    #: ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: to a plan; anything else:
+    #: the motors idle, and this is why.
     status: Status
+    #: Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
     request: Float[np.ndarray, " 3"]
+    #: State at the time at which the command will begin to act; None when idle.
     estimate: Estimate | None
 
     @property
@@ -422,18 +414,7 @@ def _estimator(model: Model, estimation: Estimation, compiled: bool) -> Estimato
 
 
 def assumed_noise(estimation: Estimation) -> Noise:
-    """Translate the tuning for the filter.
-
-    Parameters
-    ----------
-    estimation : Estimation
-        Of a tuning.
-
-    Returns
-    -------
-    Noise
-        What `KalmanFilter` and `ActuationFilter` are to expect.
-    """
+    """Translate the tuning for the filter."""
     e = estimation
     return Noise(
         pose=(e.position_m, e.position_m, e.yaw_rad),

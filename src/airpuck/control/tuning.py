@@ -24,69 +24,48 @@ class Weights(Section):
     """Weights of the linear-quadratic regulator, on squared errors and inputs.
 
     From 1e-6 to 1e6; those of the rates may be zero.
-
-    Attributes
-    ----------
-    position, speed, yaw, spin : float
-        On x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
-    acceleration, angular_acceleration : float
-        On ax and ay [s⁴/m²], ω' [s⁴/rad²].
     """
 
+    #: On x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
     position: PositiveWeight
     speed: Weight
     yaw: PositiveWeight
     spin: Weight
+    #: On ax and ay [s⁴/m²], ω' [s⁴/rad²].
     acceleration: PositiveWeight
     angular_acceleration: PositiveWeight
 
 
 class Allocation(Section):
-    """Settings of the thrust allocation.
+    """Settings of the thrust allocation."""
 
-    Attributes
-    ----------
-    solver : {"daqp", "piqp"}
-        Quadratic programming solver.
-    slack_weight : float
-        μ: how much more scaling down a request costs than thrust; at most 1e10.
-    """
-
+    #: Quadratic programming solver.
     solver: Literal["daqp", "piqp"] = "daqp"
+    #: μ: how much more scaling down a request costs than thrust; at most 1e10.
     slack_weight: Annotated[float, pydantic.Field(gt=0, le=1e10)] = 1e6
 
 
 class Estimation(Section):
-    """The state estimator, and the noise that it assumes.
+    """The state estimator, and the noise that it assumes."""
 
-    Attributes
-    ----------
-    estimator : {"kalman", "actuation"}
-        Whether motors are taken to do what they are told, or the effectiveness of each is
-        estimated, too.
-    position_m, yaw_rad : float
-        Standard deviation of the motion capture.
-    acceleration_density, angular_acceleration_density : float
-        White noise of the acceleration that the model does not explain [m/s²/√Hz, rad/s²/√Hz].
-    disturbance_density, angular_disturbance_density : float
-        White noise that drives the disturbance acceleration: how fast it changes [m/s³/√Hz,
-        rad/s³/√Hz]. Zero: no disturbance is estimated.
-    imu_acceleration_m_s2, gyro_rad_s, mouse_m_s : float
-        Standard deviation of the on-board sensors, where there are any.
-    forgetting_s : float
-        How long what was found out about a motor holds, of ``actuation``.
-    """
-
+    #: Whether motors are taken to do what they are told, or the effectiveness of each is estimated,
+    #: too.
     estimator: Literal["kalman", "actuation"] = "kalman"
+    #: Standard deviation of the motion capture.
     position_m: Positive
     yaw_rad: Positive
+    #: White noise of the acceleration that the model does not explain [m/s²/√Hz, rad/s²/√Hz].
     acceleration_density: Positive
     angular_acceleration_density: Positive
+    #: White noise that drives the disturbance acceleration: how fast it changes [m/s³/√Hz,
+    #: rad/s³/√Hz]. Zero: no disturbance is estimated.
     disturbance_density: NonNegative
     angular_disturbance_density: NonNegative
+    #: Standard deviation of the on-board sensors, where there are any.
     imu_acceleration_m_s2: Positive = 0.35
     gyro_rad_s: Positive = 0.015
     mouse_m_s: Positive = 1e-2
+    #: How long what was found out about a motor holds, of ``actuation``.
     forgetting_s: Positive = 3.0
 
 
@@ -159,13 +138,7 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
 
 
 def default_tuning() -> Tuning:
-    """Return the packaged tuning, near the one that flew the paper's experiment.
-
-    Returns
-    -------
-    Tuning
-        The tuning.
-    """
+    """Return the packaged tuning, near the one that flew the paper's experiment."""
     packaged = resources.files("airpuck") / "packaged" / "tuning.toml"
     with resources.as_file(packaged) as path:
         return read_toml(path, Tuning)

@@ -25,42 +25,27 @@ Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 
 
 class Propeller(Section):
-    """One propeller: where it sits and where its thrust pushes the craft.
+    """One propeller: where it sits and where its thrust pushes the craft."""
 
-    Attributes
-    ----------
-    name : str
-        The column of a command that drives it, e.g. ``motor_a_1``.
-    position_m : tuple of float
-        (x, y) in the body frame.
-    direction_deg : float
-        Direction of the force on the craft, counter-clockwise from the body's x axis.
-    """
-
+    #: The column of a command that drives it, e.g. ``motor_a_1``.
     name: str = pydantic.Field(min_length=1)
+    #: (x, y) in the body frame.
     position_m: tuple[float, float]
+    #: Direction of the force on the craft, counter-clockwise from the body's x axis.
     direction_deg: float
 
 
 class Nominal(Section):
-    """Values to start an identification from; rough ones do.
+    """Values to start an identification from; rough ones do."""
 
-    Attributes
-    ----------
-    thrust_N : tuple
-        Coefficients of φ, φ², φ³, … in newtons (φ in [0, 1]): one curve for all propellers, or one
-        list for each.
-    inertia_kg_m2 : float
-        Moment of inertia about the vertical axis through the centre of mass.
-    motor_time_constant_s : float
-        First-order lag of motor speed behind the command.
-    transport_delay_s : float
-        From a command's time stamp to the motors.
-    """
-
+    #: Coefficients of φ, φ², φ³, … in newtons (φ in [0, 1]): one curve for all propellers, or one
+    #: list for each.
     thrust_N: tuple[float, ...] | tuple[tuple[float, ...], ...]
+    #: Moment of inertia about the vertical axis through the centre of mass.
     inertia_kg_m2: Positive
+    #: First-order lag of motor speed behind the command.
     motor_time_constant_s: NonNegative = 0.03
+    #: From a command's time stamp to the motors.
     transport_delay_s: NonNegative = 0.0
 
 
@@ -211,27 +196,7 @@ def default_vehicle() -> Vehicle:
 
 
 def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:
-    """Say which column of a recorded command drives which propeller.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-    columns : tuple of str
-        Names of the recorded command's columns.
-    source : str
-        Where the columns come from, for the error message.
-
-    Returns
-    -------
-    list of int
-        For each propeller of the vehicle, its column.
-
-    Raises
-    ------
-    InputError
-        If the numbers differ, or the names do.
-    """
+    """Say which column of a recorded command drives which propeller."""
     names = vehicle.propeller_names
     if len(columns) != len(names):
         raise InputError(

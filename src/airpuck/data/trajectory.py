@@ -361,18 +361,7 @@ def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
 
 
 def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
-    """Find the runs of True.
-
-    Parameters
-    ----------
-    marked : array of bool, shape (N,)
-        Samples.
-
-    Returns
-    -------
-    list of (int, int)
-        Index ranges [first, last) of every run.
-    """
+    """Find the runs of True."""
     edges = np.diff(np.concatenate([[0], marked.astype(np.int8), [0]]))
     return list(
         zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
@@ -380,20 +369,7 @@ def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
 
 
 def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
-    """Refuse a trajectory of another craft.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft that is expected, for example a model's.
-    trajectory : Trajectory
-        The data.
-
-    Raises
-    ------
-    InputError
-        If their propellers differ in number, name or order.
-    """
+    """Refuse a trajectory of another craft."""
     mine, theirs = vehicle.propeller_names, trajectory.propellers
     if mine != theirs:
         raise InputError(

@@ -19,36 +19,25 @@ class Windows:
 
     A window has E samples for the encoder and then T samples to predict. Its *present* is the last
     encoder sample: the prediction starts there, and step k ends at the k-th sample after it.
-
-    Attributes
-    ----------
-    time : array, shape (N,)
-        Sample times of all trajectories, joined [s].
-    state : array, shape (N, 6)
-        Measured states, joined.
-    input : array, shape (N, n)
-        Held commands, joined.
-    starts : array of int, shape (W,)
-        First sample of each window; no window reaches from one trajectory into the next.
-    encoder_length, prediction_length : int
-        E and T, in samples.
-    origins : tuple of int
-        First sample of each trajectory.
-    trajectories : tuple of Trajectory
-        What was joined.
-    input_slope : array, shape (N, n), or None
-        Derivative of `input` with respect to the transport delay [1/s]; None where commands are
-        held by whole samples.
     """
 
+    #: Sample times of all trajectories, joined [s].
     time: Float[np.ndarray, " N"]
+    #: Measured states, joined.
     state: Float[np.ndarray, "N 6"]
+    #: Held commands, joined.
     input: Float[np.ndarray, "N n"]
+    #: First sample of each window; no window reaches from one trajectory into the next.
     starts: Int[np.ndarray, " W"]
+    #: E and T, in samples.
     encoder_length: int
     prediction_length: int
+    #: First sample of each trajectory.
     origins: tuple[int, ...] = (0,)
+    #: What was joined.
     trajectories: tuple[Trajectory, ...] = ()
+    #: Derivative of `input` with respect to the transport delay [1/s]; None where commands are held
+    #: by whole samples.
     input_slope: Float[np.ndarray, "N n"] | None = None
 
     def __len__(self) -> int:
@@ -60,21 +49,7 @@ class Windows:
         return self.starts + self.encoder_length - 1
 
     def delayed(self, delay: float, assumed: float) -> Windows:
-        """Hold the commands anew, for a transport delay to a fraction of a sample.
-
-        Parameters
-        ----------
-        delay : float
-            From a command's stamp to the motors [s].
-        assumed : float
-            The delay in trajectories whose commands somebody else has shifted [s]; see
-            `Trajectory.delayed_input`.
-
-        Returns
-        -------
-        Windows
-            The same windows, with other inputs and their slope.
-        """
+        """Hold the commands anew, for a transport delay to a fraction of a sample."""
         held = [trajectory.delayed_input(delay, assumed) for trajectory in self.trajectories]
         return replace(
             self,
@@ -83,20 +58,7 @@ class Windows:
         )
 
     def past(self, starts: Int[np.ndarray, " B"] | None = None, length: int | None = None) -> Past:
-        """Gather what an encoder may look at.
-
-        Parameters
-        ----------
-        starts : array of int, shape (B,), optional
-            First samples of some windows; by default all.
-        length : int, optional
-            Samples up to the present, by default E. More of them begin before the window does.
-
-        Returns
-        -------
-        Past
-            The samples.
-        """
+        """Gather what an encoder may look at."""
         starts = self.starts if starts is None else starts
         length = length or self.encoder_length
         first = starts + self.encoder_length - length
@@ -105,22 +67,7 @@ class Windows:
     def future(
         self, starts: Int[np.ndarray, " B"] | None = None
     ) -> tuple[Float[np.ndarray, "T n B"], Float[np.ndarray, "T B"], Float[np.ndarray, "T 6 B"]]:
-        """Gather what happened after the present.
-
-        Parameters
-        ----------
-        starts : array of int, shape (B,), optional
-            First samples of some windows; by default all.
-
-        Returns
-        -------
-        commands : array, shape (T, n, B)
-            The command in force over each step.
-        durations : array, shape (T, B)
-            Length of each step [s].
-        state : array, shape (T, 6, B)
-            Measured state at the end of each step.
-        """
+        """Gather what happened after the present."""
         starts = self.starts if starts is None else starts
         present = starts + self.encoder_length - 1
         index = present + np.arange(self.prediction_length + 1)[:, None]
@@ -133,46 +80,18 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """The samples up to and including the present, of a batch of windows.
+    """The samples up to and including the present, of a batch of windows."""
 
-    Attributes
-    ----------
-    state : array, shape (E, 6, B)
-        Measured states.
-    command : array, shape (E, n, B)
-        Held commands.
-    duration : array, shape (E - 1, B)
-        Time from each sample to the next [s].
-    """
-
+    #: Measured states.
     state: Any
+    #: Held commands.
     command: Any
+    #: Time from each sample to the next [s].
     duration: Any
 
 
 def gather_past(xp: Any, time: Any, state: Any, command: Any, starts: Any, length: int) -> Past:
-    """Gather the first samples of windows.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    time : array, shape (N,)
-        Sample times [s].
-    state : array, shape (N, 6)
-        Measured states.
-    command : array, shape (N, n)
-        Held commands.
-    starts : array of int, shape (B,)
-        First samples.
-    length : int
-        Samples to gather, E.
-
-    Returns
-    -------
-    Past
-        The samples, batch last.
-    """
+    """Gather the first samples of windows."""
     index = starts + xp.arange(length)[:, None]
     return Past(
         state=xp.moveaxis(state[index], -1, 1),

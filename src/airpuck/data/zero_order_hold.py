@@ -43,23 +43,6 @@ def mean_hold(
     sample. What it does to a lagging motor differs from what the events do by the variance that it
     adds to their time, x (1 - x) h² for an event at the fraction x of a step: next to a lag of
     28 ms, a change of the lag by at most 0.08 ms.
-
-    Parameters
-    ----------
-    event_time : array of float64, shape (K,)
-        When the values were set, not decreasing [s].
-    values : array of float64, shape (K, n)
-        The values.
-    time : array of float64, shape (N,)
-        Increasing times [s].
-
-    Returns
-    -------
-    mean : array of float64, shape (N, n)
-        At the last time, where no interval begins, the value held there.
-    slope : array of float64, shape (N, n)
-        ``du_k/dd = (u(t_k - d) - u(t_{k+1} - d)) / h`` [1/s]. Where an event falls on a time, that
-        towards less delay.
     """
     held = hold(event_time, values, time)
     length = np.diff(time)[:, None]

@@ -24,36 +24,18 @@ from airpuck.physics.thrust import thrust_slope
 
 @dataclass(frozen=True)
 class EffectivenessPrior:
-    """What is thought of the motors before looking: normal deviations from full effectiveness.
+    """What is thought of the motors before looking: normal deviations from full effectiveness."""
 
-    Attributes
-    ----------
-    weight : float
-        How probable this state of the craft is.
-    common, single : float
-        Standard deviations of what all motors share, and of what each has for itself.
-    name : str
-        What it is called.
-    """
-
+    #: How probable this state of the craft is.
     weight: float
+    #: Standard deviations of what all motors share, and of what each has for itself.
     common: float
     single: float
+    #: What it is called.
     name: str = ""
 
     def covariance(self, n: int) -> Float[np.ndarray, "n n"]:
-        """Return the prior covariance.
-
-        Parameters
-        ----------
-        n : int
-            Number of motors.
-
-        Returns
-        -------
-        array, shape (n, n)
-            Of their deviations.
-        """
+        """Return the prior covariance."""
         return self.common**2 * np.ones((n, n)) + self.single**2 * np.eye(n)
 
 
@@ -72,23 +54,15 @@ _FIRST_SPEED = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Actuation:
-    """What the past says about a batch of windows.
+    """What the past says about a batch of windows."""
 
-    Attributes
-    ----------
-    state : array, shape (6 + n, B)
-        x, y, γ, vx, vy, ω and motor speeds at the present.
-    effectiveness : array, shape (n, B)
-        Share of the modelled thrust that each motor gives, 1: all.
-    deviation : array, shape (n, B)
-        Its standard deviation.
-    probability : array, shape (H, B)
-        Of each prior.
-    """
-
+    #: x, y, γ, vx, vy, ω and motor speeds at the present.
     state: Float[np.ndarray, "z B"]
+    #: Share of the modelled thrust that each motor gives, 1: all.
     effectiveness: Float[np.ndarray, "n B"]
+    #: Its standard deviation.
     deviation: Float[np.ndarray, "n B"]
+    #: Of each prior.
     probability: Float[np.ndarray, "H B"]
 
 
@@ -260,20 +234,7 @@ def _accelerations(
 def twice_integrated(
     acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
 ) -> Float[np.ndarray, "E ... B"]:
-    """Integrate backwards from the present twice, linear between samples.
-
-    Parameters
-    ----------
-    acceleration : array, shape (E, ..., B)
-        At the samples; the last one is the present.
-    duration : array, shape (E - 1, B)
-        Time from each sample to the next [s].
-
-    Returns
-    -------
-    array, shape (E, ..., B)
-        Where one was at each sample, against the position and velocity of the present.
-    """
+    """Integrate backwards from the present twice, linear between samples."""
     position = np.zeros_like(acceleration)
     velocity = np.zeros_like(acceleration[0])
     for k in range(len(duration) - 1, -1, -1):
@@ -299,28 +260,7 @@ def precisions(
     start: tuple[float, float],
     time_constant: float,
 ) -> tuple[Float[np.ndarray, "E E"], ...]:
-    """Return the inverse covariances of the residuals of x, y and γ.
-
-    Parameters
-    ----------
-    length : int
-        Samples E.
-    step : float
-        Time between them [s].
-    pose_noise : (float, float)
-        Standard deviation of measured positions [m] and yaw [rad].
-    disturbance : (float, float)
-        Density of white accelerations [m/s²/√Hz, rad/s²/√Hz].
-    start : (float, float)
-        Standard deviation of accelerations from what motors did before the first sample.
-    time_constant : float
-        Lag with which these fade [s].
-
-    Returns
-    -------
-    tuple of array, shape (E, E)
-        One for each channel.
-    """
+    """Return the inverse covariances of the residuals of x, y and γ."""
     integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))
     fading = np.exp(-np.arange(length) * step / time_constant) if time_constant > 0 else 0.0
     found = []

@@ -48,24 +48,7 @@ from airpuck.model.model_file import Model
 
 
 class ActuationFilter(RecursiveFilter):
-    """Estimates state, motor speeds, disturbance, and what each motor does with its command.
-
-    Parameters
-    ----------
-    model : Model
-        The craft, with its transport delay.
-    noise : Noise
-        What to expect of measurements and model.
-    encoder : ActuationEncoder, optional
-        Whose priors compete, and how.
-    lasting : float, default 3
-        How long a state of the craft, healthy or not, lasts in the mean: what is not confirmed is
-        forgotten in that time [s].
-    delay_deviation : float, default 3e-3
-        By how much the transport delay may differ from the model's, standard deviation [s].
-    compiled : bool, default True
-        Whether to compile the mathematics (some seconds, once) or to run it in NumPy.
-    """
+    """Estimates state, motor speeds, disturbance, and what each motor does with its command."""
 
     def __init__(
         self,

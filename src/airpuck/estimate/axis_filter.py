@@ -16,20 +16,13 @@ from airpuck.physics.rigid_body import Dynamics, acceleration
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of the three axes x, y, γ.
+    """Noise of the three axes x, y, γ."""
 
-    Attributes
-    ----------
-    pose : tuple of float
-        Standard deviation of the measured pose [m, m, rad].
-    acceleration : tuple of float
-        Density of the white acceleration w₁ [m/s²/√Hz, m/s²/√Hz, rad/s²/√Hz].
-    disturbance : tuple of float
-        Density of w₂, which drives the disturbance [m/s³/√Hz, m/s³/√Hz, rad/s³/√Hz].
-    """
-
+    #: Standard deviation of the measured pose [m, m, rad].
     pose: tuple[float, float, float]
+    #: Density of the white acceleration w₁ [m/s²/√Hz, m/s²/√Hz, rad/s²/√Hz].
     acceleration: tuple[float, float, float]
+    #: Density of w₂, which drives the disturbance [m/s³/√Hz, m/s³/√Hz, rad/s³/√Hz].
     disturbance: tuple[float, float, float]
 
 
@@ -41,20 +34,7 @@ _TURN, _PER_TURN = np.array([0.0, 0.0, 2 * np.pi]), np.array([0.0, 0.0, 0.5 / np
 
 
 def wrapped(xp: Any, difference: Any) -> Any:
-    """Take whole turns off a difference of poses.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    difference : array, shape (3,)
-        Of x, y [m] and yaw [rad].
-
-    Returns
-    -------
-    array, shape (3,)
-        The same, the yaw's between -π and π.
-    """
+    """Take whole turns off a difference of poses."""
     return difference - _TURN * xp.round(difference * _PER_TURN)
 
 
@@ -64,26 +44,6 @@ def propagate(
     """Move mean and motor speeds through pieces of time with one command each.
 
     In each piece the acceleration is that of its middle, so that the error is of second order.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        The model.
-    mean : array, shape (3, 3)
-        Axes x, y, γ; components p, v, d.
-    motor_speed : array, shape (n,)
-        φ.
-    durations : array, shape (S,)
-        Lengths of the pieces, zero for none [s].
-    commands : array, shape (S, n)
-        The command that acts in each.
-
-    Returns
-    -------
-    mean, motor_speed : array, shape (3, 3) and (n,)
-        At the end.
     """
     tau = dynamics.motor_time_constant
     for k in range(len(durations)):
@@ -100,24 +60,7 @@ def propagate(
 def spread(
     xp: Any, covariance: Any, duration: Any, acceleration_density: Any, disturbance_density: Any
 ) -> Any:
-    """Let the covariance grow over a time without measurements.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    covariance : array, shape (3, 3, 3)
-        One matrix for each axis.
-    duration : float
-        h [s].
-    acceleration_density, disturbance_density : array, shape (3,)
-        Squared densities of w₁ and w₂.
-
-    Returns
-    -------
-    array, shape (3, 3, 3)
-        A P Aᵀ plus the integrals of both noises over h.
-    """
+    """Let the covariance grow over a time without measurements."""
     h = duration
     step = xp.array([[1.0, h, h * h / 2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
     grown = process_noise(xp, h, acceleration_density, disturbance_density)
@@ -127,22 +70,7 @@ def spread(
 def process_noise(
     xp: Any, duration: Any, acceleration_density: Any, disturbance_density: Any
 ) -> Any:
-    """Integrate both noises over a time.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    duration : float
-        h [s].
-    acceleration_density, disturbance_density : array, shape (3,)
-        Squared densities of w₁ and w₂.
-
-    Returns
-    -------
-    array, shape (3, 3, 3)
-        Covariance of (p, v, d) of each axis.
-    """
+    """Integrate both noises over a time."""
     h = duration
     by_acceleration = xp.array([[h**3 / 3, h**2 / 2, 0.0], [h**2 / 2, h, 0.0], [0.0, 0.0, 0.0]])
     by_disturbance = xp.array(
@@ -166,26 +94,7 @@ def _product(xp: Any, left: Any, right: Any) -> Any:
 def correct(
     mean: Any, covariance: Any, component: int, innovation: Any, variance: Any
 ) -> tuple[Any, Any]:
-    """Use a measurement of one component of every axis.
-
-    Parameters
-    ----------
-    mean : array, shape (3, 3)
-        Axes x, y, γ; components p, v, d.
-    covariance : array, shape (3, 3, 3)
-        One matrix for each axis.
-    component : int
-        0: p, 1: v, 2: d.
-    innovation : array, shape (3,)
-        Measured minus predicted.
-    variance : array, shape (3,)
-        Of the measurement; infinite where an axis was not measured.
-
-    Returns
-    -------
-    mean, covariance : array, shape (3, 3) and (3, 3, 3)
-        After the measurement.
-    """
+    """Use a measurement of one component of every axis."""
     column = covariance[:, :, component]
     gain = column / (column[:, component] + variance)[:, None]
     return (

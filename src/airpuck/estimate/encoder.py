@@ -28,22 +28,7 @@ class Encoder(Protocol):
         ...
 
     def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
-        """Estimate what to predict from, and what with.
-
-        Parameters
-        ----------
-        dynamics : Dynamics
-            The model.
-        past : Past
-            E samples of B windows.
-
-        Returns
-        -------
-        state : array, shape (6 + n, B)
-            x, y, γ, vx, vy, ω and the motor speeds at the present.
-        dynamics : Dynamics
-            The model as it seems to hold now, of all windows or of each.
-        """
+        """Estimate what to predict from, and what with."""
         ...
 
 
@@ -57,22 +42,7 @@ class StateEncoder(Encoder, Protocol):
         ...
 
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
-        """Estimate the state.
-
-        Parameters
-        ----------
-        xp : module
-            Array namespace.
-        dynamics : Dynamics
-            The model.
-        past : Past
-            E samples of B windows.
-
-        Returns
-        -------
-        array, shape (6 + n, B)
-            x, y, γ, vx, vy, ω and the motor speeds.
-        """
+        """Estimate the state."""
         ...
 
 

@@ -12,26 +12,17 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimator believes.
+    """What an estimator believes."""
 
-    Attributes
-    ----------
-    time : float
-        When [s].
-    state : array, shape (6,)
-        x, y, γ (continuous), vx, vy, ω.
-    motor_speed : array, shape (n,)
-        Normalised motor speeds φ.
-    disturbance : array, shape (3,)
-        Acceleration that the model does not explain [m/s², m/s², rad/s²].
-    actuation : ActuationEstimate, optional
-        What the motors do with their commands; None: as the model says, nobody has looked.
-    """
-
+    #: When [s].
     time: float
+    #: x, y, γ (continuous), vx, vy, ω.
     state: Float[np.ndarray, " 6"]
+    #: Normalised motor speeds φ.
     motor_speed: Float[np.ndarray, " n"]
+    #: Acceleration that the model does not explain [m/s², m/s², rad/s²].
     disturbance: Float[np.ndarray, " 3"]
+    #: What the motors do with their commands; None: as the model says, nobody has looked.
     actuation: ActuationEstimate | None = None
 
     @property
@@ -44,24 +35,16 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class ActuationEstimate:
-    """What the motors really do with their commands.
+    """What the motors really do with their commands."""
 
-    Attributes
-    ----------
-    effectiveness : array, shape (n,)
-        Share of the modelled thrust that each motor gives, 1: all.
-    deviation : array, shape (n,)
-        Its standard deviation; that of the prior where a motor idles, since that says nothing.
-    probability : mapping of str to float
-        Of each state of the craft by its name (`airpuck.estimate.actuation.PRIORS`).
-    delay, delay_deviation : float
-        By how much the transport delay seems longer than the model's, and the standard deviation
-        of that [s].
-    """
-
+    #: Share of the modelled thrust that each motor gives, 1: all.
     effectiveness: Float[np.ndarray, " n"]
+    #: Its standard deviation; that of the prior where a motor idles, since that says nothing.
     deviation: Float[np.ndarray, " n"]
+    #: Of each state of the craft by its name (`airpuck.estimate.actuation.PRIORS`).
     probability: dict[str, float] = field(default_factory=dict)
+    #: By how much the transport delay seems longer than the model's, and the standard deviation of
+    #: that [s].
     delay: float = 0.0
     delay_deviation: float = 0.0
 

@@ -151,19 +151,6 @@ class KalmanFilter(RecursiveFilter):
 
 
 def turned(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:
-    """Turn a body vector into the world frame.
-
-    Parameters
-    ----------
-    vector : array, shape (2,)
-        Along the body's axes.
-    yaw : float
-        γ [rad].
-
-    Returns
-    -------
-    tuple of float
-        Along the world's axes.
-    """
+    """Turn a body vector into the world frame."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]

@@ -37,25 +37,17 @@ class States:
 
     A state lasts for some time; then another one, or the same, is drawn by the weights, and e
     anew from its prior.
-
-    Attributes
-    ----------
-    weight : array, shape (H,)
-        How probable each is.
-    covariance : array, shape (H, m, m)
-        Of e, around zero.
-    lasting : float
-        How long one lasts in the mean [s].
-    tail : float
-        Degrees of freedom of Student's distribution of the innovations.
-    tempering : float
-        Power of the likelihood by which states compete.
     """
 
+    #: How probable each is.
     weight: Float[np.ndarray, " H"]
+    #: Of e, around zero.
     covariance: Float[np.ndarray, "H m m"]
+    #: How long one lasts in the mean [s].
     lasting: float
+    #: Degrees of freedom of Student's distribution of the innovations.
     tail: float
+    #: Power of the likelihood by which states compete.
     tempering: float
 
 
@@ -65,30 +57,6 @@ def drift(
     """Integrate the accelerations over pieces of time with one command each.
 
     In each piece they are those of its middle.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        The model.
-    mean : array, shape (9 + m,)
-        x, along which everything is linear.
-    speed : array, shape (n,)
-        Motor speeds φ.
-    durations : array, shape (S,)
-        Lengths of the pieces, zero for none [s].
-    commands : array, shape (S, n)
-        The command that acts in each.
-
-    Returns
-    -------
-    transition : array, shape (9 + m, 9 + m)
-        A of x⁺ = A x + b.
-    offset : array, shape (9 + m,)
-        b.
-    speed : array, shape (n,)
-        At the end.
     """
     tau = dynamics.motor_time_constant
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
@@ -122,26 +90,7 @@ def drift(
 def sensitivity(
     xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any
 ) -> tuple[Any, Any]:
-    """Return the modelled accelerations and their derivatives by e.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        The model.
-    motion : sequence of float
-        γ [rad], vx, vy [m/s], ω [rad/s].
-    speed, command : array, shape (n,)
-        Motor speeds φ and what they follow.
-
-    Returns
-    -------
-    acceleration : array, shape (3,)
-        a.
-    by_e : array, shape (3, m)
-        By the effectiveness of each motor, and by the delay [1/s].
-    """
+    """Return the modelled accelerations and their derivatives by e."""
     by_motor, rest = motor_accelerations(xp, dynamics, motion, speed)
     a = xp.sum(by_motor, axis=1) + rest
     # Had the commands come a little later: a(t - δ).
@@ -153,24 +102,7 @@ def sensitivity(
 
 
 def renewed(xp: Any, states: States, belief: tuple[Any, ...], duration: Any) -> tuple[Any, ...]:
-    """Let some time pass in which the state of the craft may have been drawn anew.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    states : States
-        Their priors.
-    belief : tuple of array, shape (H, 9 + m), (H, 9 + m, 9 + m) and (H,)
-        What each state believes, its covariance, and how probable it is.
-    duration : float
-        How much time [s].
-
-    Returns
-    -------
-    tuple of array
-        The same, each with the first two moments of its mixture.
-    """
+    """Let some time pass in which the state of the craft may have been drawn anew."""
     means, covariances, weights = belief
     same = xp.exp(-duration / states.lasting)
     mean, covariance = mixed(xp, belief)
@@ -186,20 +118,7 @@ def renewed(xp: Any, states: States, belief: tuple[Any, ...], duration: Any) -> 
 
 
 def mixed(xp: Any, belief: tuple[Any, ...]) -> tuple[Any, Any]:
-    """Return mean and covariance of the mixture of all states.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    belief : tuple of array, shape (H, 9 + m), (H, 9 + m, 9 + m) and (H,)
-        What each state believes, its covariance, and how probable it is.
-
-    Returns
-    -------
-    mean, covariance : array, shape (9 + m,) and (9 + m, 9 + m)
-        Of all.
-    """
+    """Return mean and covariance of the mixture of all states."""
     means, covariances, weights = belief
     mean = xp.sum(weights[:, None] * means, axis=0)
     away = means - mean
@@ -217,30 +136,7 @@ def advance(
     durations: Any,
     commands: Any,
 ) -> tuple[tuple[Any, ...], Any]:
-    """Move all beliefs through pieces of time with one command each.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        The model.
-    states : States
-        That compete.
-    noise : Noise
-        Of the accelerations and of what drives the disturbance.
-    belief : tuple of array, shape (H, 9 + m), (H, 9 + m, 9 + m) and (H,)
-        Means, covariances and probabilities.
-    speed : array, shape (n,)
-        Motor speeds.
-    durations, commands : array, shape (S,) and (S, n)
-        The pieces.
-
-    Returns
-    -------
-    belief, speed
-        At the end.
-    """
+    """Move all beliefs through pieces of time with one command each."""
     total = xp.sum(durations)
     means, covariances, weights = renewed(xp, states, belief, total)
     path = xp.sum(weights[:, None] * means, axis=0)
@@ -265,28 +161,7 @@ def measure(
     innovations: Any,
     variances: Any,
 ) -> tuple[Any, ...]:
-    """Use measurements y = Hx + noise, one component after the other.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    states : States
-        That compete.
-    belief : tuple of array, shape (H, 9 + m), (H, 9 + m, 9 + m) and (H,)
-        Means, covariances and probabilities.
-    rows : array, shape (k, 9 + m)
-        H.
-    innovations : array, shape (k,)
-        Measured minus predicted by the mean of all states.
-    variances : array, shape (k,)
-        Of the measurements.
-
-    Returns
-    -------
-    tuple of array
-        What is believed now.
-    """
+    """Use measurements y = Hx + noise, one component after the other."""
     means, covariances, weights = belief
     reference = xp.sum(weights[:, None] * means, axis=0)
     unknown = np.zeros(means.shape[1])

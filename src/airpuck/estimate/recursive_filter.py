@@ -36,24 +36,7 @@ Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
 
 class RecursiveFilter(ABC):
-    """Estimates state, motor speeds and disturbance; uses nothing from the future.
-
-    Parameters
-    ----------
-    model : Model
-        The craft, with its transport delay.
-    compiled : bool
-        Whether to compile the mathematics or to run it in NumPy.
-
-    Notes
-    -----
-    Commands act `model.transport_delay` after their time. They must be given in the order of their
-    times and before measurements that they have acted on.
-
-    Once an inertial sensor or a mouse has spoken, the measurements of the last 100 ms are
-    remembered with the filter before each: one that comes late is put where it belongs, and those
-    after it are used again.
-    """
+    """Estimates state, motor speeds and disturbance; uses nothing from the future."""
 
     def __init__(self, model: Model, compiled: bool) -> None:
         self.model = model
@@ -138,15 +121,7 @@ class RecursiveFilter(ABC):
         return self._time
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of a command that was sent.
-
-        Parameters
-        ----------
-        time : float
-            When it was sent [s].
-        command : array, shape (n,)
-            Motor commands. They are copied.
-        """
+        """Take note of a command that was sent."""
         begins = time + self.model.transport_delay
         # Commands that would begin later than this one, which was sent after them, had wrong times.
         while self._pending and self._pending[-1][0] >= begins:
@@ -158,11 +133,6 @@ class RecursiveFilter(ABC):
 
         Where that is later than the last measurement, the rest of the state is lost: the next pose
         begins anew.
-
-        Parameters
-        ----------
-        time : float
-            Up to when [s].
         """
         while self._pending and self._pending[0][0] <= time:
             begins, command = self._pending.popleft()
@@ -186,24 +156,7 @@ class RecursiveFilter(ABC):
         pose: Float[np.ndarray, " 3"],
         gate: tuple[float, float, float] | None = None,
     ) -> bool:
-        """Use a measured pose.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad], wrapped or not.
-        gate : tuple of float, optional
-            Largest difference from the prediction, the yaw's wrapped, at which the pose is used
-            [m, m, rad]; by default any.
-
-        Returns
-        -------
-        bool
-            Whether it was used; otherwise the filter is as it was. One from before what is
-            remembered is not.
-        """
+        """Use a measured pose."""
         if self._time is None or self._motors_at is not None:
             self.restart(time, pose)
             return True
@@ -230,19 +183,7 @@ class RecursiveFilter(ABC):
         gyro: float,
         noise: tuple[float, float],
     ) -> None:
-        """Use an inertial measurement.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp; from before what is remembered, it is not used [s].
-        acceleration_body : array, shape (2,)
-            Acceleration along the body's x and y axes [m/s²].
-        gyro : float
-            Spin [rad/s].
-        noise : tuple of float
-            Standard deviations of acceleration and spin [m/s², rad/s].
-        """
+        """Use an inertial measurement."""
         given = time, np.array(acceleration_body, dtype=float), gyro, noise
         before = self._prepare(time, "imu", given)
         if before is None:
@@ -252,17 +193,7 @@ class RecursiveFilter(ABC):
         self._remember(before, "imu", given)
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
-        """Use the velocity that the optical sensor under the craft measured.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp; from before what is remembered, it is not used [s].
-        velocity : array, shape (2,)
-            Velocity along the body's x and y axes [m/s].
-        noise : float
-            Standard deviation [m/s].
-        """
+        """Use the velocity that the optical sensor under the craft measured."""
         given = time, np.array(velocity, dtype=float), noise
         before = self._prepare(time, "mouse", given)
         if before is None:
@@ -272,37 +203,11 @@ class RecursiveFilter(ABC):
         self._remember(before, "mouse", given)
 
     def predict(self, time: float) -> Estimate:
-        """Predict with the commands that are known, without changing anything.
-
-        Parameters
-        ----------
-        time : float
-            When, at or after the last measurement; later than the last command's action, that
-            command is taken to stay in force [s].
-
-        Returns
-        -------
-        Estimate
-            The prediction.
-        """
+        """Predict with the commands that are known, without changing anything."""
         return self.predict_with(self._predict, time)[0]
 
     def composed(self, then: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-        """Make one program of a prediction and what follows: two would take twice the time to call.
-
-        Parameters
-        ----------
-        then : callable
-            Pure function of an array namespace, the predicted state, motor speeds, disturbance and
-            effectiveness of the motors (as in `Estimate`), and more arrays; to a tuple of arrays.
-        *examples : array or float
-            More arrays of the shapes that it will be called with.
-
-        Returns
-        -------
-        callable
-            For `predict_with`.
-        """
+        """Join a prediction and what follows in one program: each call costs time."""
         predict = self._prediction()
         pieces = _arrays([(0.0, self._idle)], PIECES_TO_PREDICT)
         believed = *self._begun(np.zeros(3), None, 0.0), self._idle, *pieces
@@ -317,37 +222,12 @@ class RecursiveFilter(ABC):
     def predict_with(
         self, composed: Callable[..., Any], time: float, *more: Any
     ) -> tuple[Estimate, Sequence[Any]]:
-        """Predict, and compute what follows from it.
-
-        Parameters
-        ----------
-        composed : callable
-            What `composed` made, of this filter or one like it.
-        time : float
-            See `predict` [s].
-        *more : array or float
-            Arguments of the function that follows.
-
-        Returns
-        -------
-        estimate : Estimate
-            The prediction.
-        results : sequence of array
-            What the function returns.
-        """
+        """Predict, and compute what follows from it."""
         belief, speed, pieces, _ = self._pieces(time, PIECES_TO_PREDICT)
         return self._estimate(time, composed(*belief, speed, *pieces, *more))
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Begin anew at a pose, at rest; commands and motor speeds are kept.
-
-        Parameters
-        ----------
-        time : float
-            Stamp of the pose [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad].
-        """
+        """Begin anew at a pose, at rest; commands and motor speeds are kept."""
         if self._time is not None and time < self._time and self._motors_at is None:
             self._rewind(time)
         before, elapsed = None, 0.0

@@ -13,25 +13,7 @@ def cut_at_commands(
     event_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
 ) -> tuple[Float[np.ndarray, "N S"], Float[np.ndarray, "N S n"]]:
-    """Cut the time before each sample into pieces with one command each.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Sample times, strictly increasing [s].
-    event_time : array, shape (K,)
-        When each command begins to act, not decreasing [s].
-    command : array, shape (K, n)
-        The commands; the first acts before its time, too.
-
-    Returns
-    -------
-    durations : array, shape (N, S)
-        Lengths of the pieces between the sample before and each sample; those that are not needed,
-        and all of the first sample, are zero [s].
-    commands : array, shape (N, S, n)
-        What acts in each.
-    """
+    """Cut the time before each sample into pieces with one command each."""
     inside = (event_time > time[0]) & (event_time < time[-1])
     moments, which = event_time[inside], np.flatnonzero(inside)
     interval = np.searchsorted(time, moments, side="left")
@@ -56,24 +38,7 @@ def speed_before(
     command: Float[np.ndarray, "K n"],
     time_constant: float,
 ) -> Float[np.ndarray, " n"]:
-    """Let motors follow all commands before a time.
-
-    Parameters
-    ----------
-    time : float
-        Up to when [s].
-    event_time : array, shape (K,)
-        When each command begins to act, not decreasing [s].
-    command : array, shape (K, n)
-        The commands; motors start at the first.
-    time_constant : float
-        Lag τ ≥ 0 [s].
-
-    Returns
-    -------
-    array, shape (n,)
-        Normalised motor speeds.
-    """
+    """Let motors follow all commands before a time."""
     past = int(np.searchsorted(event_time, time, side="right"))
     ends = np.append(event_time[1:past], time)
     speed = command[0]

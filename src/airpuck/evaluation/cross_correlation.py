@@ -26,40 +26,28 @@ _ALONE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class CrossCorrelation:
-    """What one motor's command still says about one channel.
+    """What one motor's command still says about one channel."""
 
-    Attributes
-    ----------
-    channel, motor : str
-        Which.
-    correlation : array, shape (2 M + 1,)
-        Of the innovation at t with the command in force at t − k, for lags k = −M … M.
-    band : float
-        99 % lie within ±band, each by itself, where the command explains nothing; from the
-        autocorrelations of both.
-    statistic : float
-        Wald's, that the coefficients of the command at lags 1 … M in a regression on all motors'
-        commands are zero.
-    degrees : int
-        Of the χ² that it follows then.
-    p_value : float
-        Probability of so large a statistic, adjusted for the number of motors (Holm).
-    early : float
-        Summed coefficients of the first third of the lags, in standard errors, positive where the
-        motor does more than modelled: how the innovations answer to a step of the command.
-    share : float
-        How much the motor moves the channel in the model, against the strongest motor; 0 where
-        none does.
-    """
-
+    #: Which.
     channel: str
     motor: str
+    #: Of the innovation at t with the command in force at t − k, for lags k = −M … M.
     correlation: Float[np.ndarray, " K"]
+    #: 99 % lie within ±band, each by itself, where the command explains nothing; from the
+    #: autocorrelations of both.
     band: float
+    #: Wald's, that the coefficients of the command at lags 1 … M in a regression on all motors'
+    #: commands are zero.
     statistic: float
+    #: Of the χ² that it follows then.
     degrees: int
+    #: Probability of so large a statistic, adjusted for the number of motors (Holm).
     p_value: float
+    #: Summed coefficients of the first third of the lags, in standard errors, positive where the
+    #: motor does more than modelled: how the innovations answer to a step of the command.
     early: float
+    #: How much the motor moves the channel in the model, against the strongest motor; 0 where none
+    #: does.
     share: float
 
     @property
@@ -97,30 +85,7 @@ def cross_correlations(
     effect: Float[np.ndarray, " n"],
     lags: int,
 ) -> list[CrossCorrelation]:
-    """Test one channel against all motors.
-
-    Parameters
-    ----------
-    channel : str
-        Its name.
-    values : array, shape (N,)
-        Innovations.
-    used : array of bool, shape (N,)
-        Which count.
-    command : array, shape (N, n)
-        Command in force at each sample.
-    motors : sequence of str
-        Their names.
-    effect : array, shape (n,)
-        Which way, and how much, each motor pushes the channel in the model.
-    lags : int
-        M.
-
-    Returns
-    -------
-    list of CrossCorrelation
-        One for each motor that moved.
-    """
+    """Test one channel against all motors."""
     from scipy.stats import chi2
 
     moved: list[int] = np.flatnonzero(np.ptp(command[used], axis=0) > 0).tolist()
@@ -198,18 +163,7 @@ def _pseudo_inverse(matrix: Float[np.ndarray, "F F"]) -> tuple[Float[np.ndarray,
 
 
 def suspicions(tests: Sequence[CrossCorrelation]) -> list[str]:
-    """Say what rejected tests look like: timing, which concerns all motors, or one motor.
-
-    Parameters
-    ----------
-    tests : sequence of CrossCorrelation
-        Of all channels and motors.
-
-    Returns
-    -------
-    list of str
-        A sentence or none; a test finds a cause that it is told to look for.
-    """
+    """Say what rejected tests look like: timing, which concerns all motors, or one motor."""
     if all(test.passed for test in tests):
         return []
     motors = list(dict.fromkeys(test.motor for test in tests))

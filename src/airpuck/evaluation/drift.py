@@ -18,33 +18,23 @@ LEVEL = 0.05
 
 @dataclass(frozen=True)
 class Change:
-    """One quantity in two models.
+    """One quantity in two models."""
 
-    Attributes
-    ----------
-    label, words, unit : str
-        Which quantity.
-    before, after : float
-        In the earlier and the later model.
-    standard_error : float
-        Of the difference.
-    z : float
-        Difference over standard error.
-    p_value : float
-        Two-sided, by Student's t with Welch and Satterthwaite's degrees of freedom, adjusted for
-        the number of quantities (Holm).
-    relative : bool
-        Whether a percentage says something.
-    """
-
+    #: Which quantity.
     label: str
     words: str
     unit: str
+    #: In the earlier and the later model.
     before: float
     after: float
+    #: Of the difference.
     standard_error: float
+    #: Difference over standard error.
     z: float
+    #: Two-sided, by Student's t with Welch and Satterthwaite's degrees of freedom, adjusted for the
+    #: number of quantities (Holm).
     p_value: float
+    #: Whether a percentage says something.
     relative: bool
 
     @property

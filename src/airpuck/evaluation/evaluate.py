@@ -24,28 +24,19 @@ CHANNELS = ("x_m", "y_m", "yaw_rad")
 
 @dataclass(frozen=True)
 class Protocol:
-    """Which predictions are made and when they are judged.
+    """Which predictions are made and when they are judged."""
 
-    Attributes
-    ----------
-    name : str
-        Every number names its protocol.
-    encoder_length, prediction_length : int
-        E and T, in samples; windows do not overlap.
-    horizon : float
-        When errors are reported [s]; the nearest step counts.
-    longest_past : int, optional
-        Samples up to the present that an encoder may look at where so many are usable; by default
-        E, the window's own.
-    causal : bool
-        Whether an encoder must not use anything that was measured after the present.
-    """
-
+    #: Every number names its protocol.
     name: str = "paper"
+    #: E and T, in samples; windows do not overlap.
     encoder_length: int = 20
     prediction_length: int = 50
+    #: When errors are reported [s]; the nearest step counts.
     horizon: float = 0.2
+    #: Samples up to the present that an encoder may look at where so many are usable; by default E,
+    #: the window's own.
     longest_past: int | None = None
+    #: Whether an encoder must not use anything that was measured after the present.
     causal: bool = False
 
 
@@ -59,27 +50,7 @@ ENCODERS = ("paper", "actuation")
 
 
 def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
-    """Build an encoder by its name.
-
-    Parameters
-    ----------
-    name : {"paper", "actuation"}
-        Which.
-    model : Model
-        Says with which indexing it was learned.
-    protocol : Protocol
-        Says how long the past is, and whether it is all.
-
-    Returns
-    -------
-    Encoder
-        The encoder.
-
-    Raises
-    ------
-    InputError
-        If there is no such encoder.
-    """
+    """Build an encoder by its name."""
     if name == "paper":
         return PaperEncoder(protocol.encoder_length, model.indexing)
     if name == "actuation":

@@ -18,56 +18,19 @@ from airpuck.physics.thrust import thrust
 
 
 def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:
-    """Return the factor that brings each thrust curve to newtons.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Returns
-    -------
-    array, shape (n,)
-        m ‖Π_xy,i‖; ones where Π follows from the vehicle.
-    """
+    """Return the factor that brings each thrust curve to newtons."""
     return parameters_scale(np, model.parameters, model.vehicle)
 
 
 def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:
-    """Return the thrust coefficients at the physical scale.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Returns
-    -------
-    array, shape (n, degree)
-        Coefficients of φ, φ², … [N].
-    """
+    """Return the thrust coefficients at the physical scale."""
     return thrust_scale(model)[:, None] * np.asarray(model.parameters.thrust)
 
 
 def largest_accelerations(
     model: Model, speed: float = 1.0
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return what each propeller alone does to the craft, whatever the scale of its thrust.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    speed : float, default 1
-        Normalised motor speed φ.
-
-    Returns
-    -------
-    linear : array, shape (n,)
-        ‖Π_xy,i‖ F_i(φ) [m/s²].
-    angular : array, shape (n,)
-        Π_z,i F_i(φ) [rad/s²], positive counter-clockwise.
-    """
+    """Return what each propeller alone does to the craft, whatever the scale of its thrust."""
     coefficients = np.asarray(model.parameters.thrust)
     force = thrust(coefficients, np.full(len(coefficients), speed))
     matrix = np.asarray(model.dynamics.configuration)

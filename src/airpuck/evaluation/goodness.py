@@ -23,35 +23,23 @@ RESTART, SETTLE = 2.0, 0.25
 
 @dataclass(frozen=True, eq=False)
 class Goodness:
-    """Fit of one model to one trajectory.
+    """Fit of one model to one trajectory."""
 
-    Attributes
-    ----------
-    steps : int
-        k of the k-step prediction [samples].
-    k_step : array, shape (3,)
-        Fit of x, y, γ, predicted k steps ahead by the filter's estimate [%].
-    free_run : array, shape (3,)
-        Fit of simulations that start anew every `restart` seconds [%].
-    whole : array, shape (3,)
-        Fit of one simulation over the whole trajectory [%].
-    restart : float
-        Length of the restarted simulations [s].
-    log_likelihood : float
-        Of the innovations.
-    samples : int
-        Innovations of three channels each.
-    parameters : int
-        Parameters that were fitted: those of the model that the data determine, and of the noise.
-    """
-
+    #: k of the k-step prediction [samples].
     steps: int
+    #: Fit of x, y, γ, predicted k steps ahead by the filter's estimate [%].
     k_step: Float[np.ndarray, " 3"]
+    #: Fit of simulations that start anew every `restart` seconds [%].
     free_run: Float[np.ndarray, " 3"]
+    #: Fit of one simulation over the whole trajectory [%].
     whole: Float[np.ndarray, " 3"]
+    #: Length of the restarted simulations [s].
     restart: float
+    #: Of the innovations.
     log_likelihood: float
+    #: Innovations of three channels each.
     samples: int
+    #: Parameters that were fitted: those of the model that the data determine, and of the noise.
     parameters: int
 
     @property
@@ -65,14 +53,7 @@ class Goodness:
         return float(self.parameters * np.log(self.samples) - 2 * self.log_likelihood)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``fit_percent`` with ``k_step``, ``free_run`` and ``whole`` by channel, ``k``,
-            ``restart_s``, ``log_likelihood, parameters, samples, aic, bic``.
-        """
+        """Return the figures."""
 
         def named(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
             return dict(zip(CHANNELS, values.tolist(), strict=True))
@@ -96,19 +77,7 @@ class Goodness:
 def fit_percent(
     predicted: Float[np.ndarray, "N C"], measured: Float[np.ndarray, "N C"]
 ) -> Float[np.ndarray, " C"]:
-    """Compute the normalised root mean square fit of each channel.
-
-    Parameters
-    ----------
-    predicted, measured : array, shape (N, C)
-        The signals.
-
-    Returns
-    -------
-    array, shape (C,)
-        100 (1 − ‖y − ŷ‖ / ‖y − mean y‖) [%]: 100 for a perfect model, 0 for one that knows no more
-        than the mean, and less for a worse one.
-    """
+    """Compute the normalised root mean square fit of each channel."""
     around = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
     return 100 * (1 - np.linalg.norm(measured - predicted, axis=0) / around)
 
@@ -175,18 +144,7 @@ def goodness(
 
 
 def fitted_parameters(model: Model) -> int:
-    """Count the parameters that were learned.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Returns
-    -------
-    int
-        Free ones less the directions that the data did not determine, such as the six scales of M4.
-    """
+    """Count the parameters that were learned."""
     undetermined = 0 if model.uncertainty is None else len(model.uncertainty.undetermined)
     return int(model.free.sum()) - undetermined
 
@@ -194,22 +152,7 @@ def fitted_parameters(model: Model) -> int:
 def simulation_starts(
     known: Innovations, period: float, length: int | None
 ) -> Int[np.ndarray, " M"]:
-    """Choose where simulations start.
-
-    Parameters
-    ----------
-    known : Innovations
-        Say what is usable.
-    period : float
-        Sample period [s].
-    length : int, optional
-        Samples from one start to the next; by default there is one start only.
-
-    Returns
-    -------
-    array of int, shape (M,)
-        Samples by which the filter has heard poses for a quarter of a second without a break.
-    """
+    """Choose where simulations start."""
     settle = max(2, round(SETTLE / period))
     quiet = np.convolve(known.used, np.ones(settle))[: len(known.used)] >= settle
     able = np.flatnonzero(quiet)

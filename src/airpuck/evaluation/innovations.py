@@ -33,40 +33,27 @@ _FIRST_GUESS = Noise((5e-5, 5e-5, 6e-4), (0.1, 0.1, 2.0), (0.2, 0.2, 6.0))
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of one model on one trajectory, and the filter behind them.
+    """Innovations of one model on one trajectory, and the filter behind them."""
 
-    Attributes
-    ----------
-    time : array, shape (N,)
-        Sample times [s].
-    values : array, shape (N, 3)
-        Measured minus predicted x, y [m], γ [rad].
-    deviation : array, shape (N, 3)
-        Standard deviations that the filter gives them.
-    used : array of bool, shape (N,)
-        False in excluded spans, and at the first two samples of every stretch, which only determine
-        where the craft is and how fast it moves.
-    mean : array, shape (N, 3, 3)
-        Estimates after each pose: axes x, y, γ; components p, v, d.
-    covariance : array, shape (N, 3, 3, 3)
-        Of the estimates, for each axis.
-    motor_speed : array, shape (N, n)
-        φ at each sample.
-    noise : Noise
-        Standard deviations of the pose and densities of w₁ and w₂.
-    noise_parameters : tuple of int
-        How many numbers of the noise were found in these data, of each axis; those that came out as
-        zero do not count.
-    """
-
+    #: Sample times [s].
     time: Float[np.ndarray, " N"]
+    #: Measured minus predicted x, y [m], γ [rad].
     values: Float[np.ndarray, "N 3"]
+    #: Standard deviations that the filter gives them.
     deviation: Float[np.ndarray, "N 3"]
+    #: False in excluded spans, and at the first two samples of every stretch, which only determine
+    #: where the craft is and how fast it moves.
     used: Bool[np.ndarray, " N"]
+    #: Estimates after each pose: axes x, y, γ; components p, v, d.
     mean: Float[np.ndarray, "N 3 3"]
+    #: Of the estimates, for each axis.
     covariance: Float[np.ndarray, "N 3 3 3"]
+    #: φ at each sample.
     motor_speed: Float[np.ndarray, "N n"]
+    #: Standard deviations of the pose and densities of w₁ and w₂.
     noise: Noise
+    #: How many numbers of the noise were found in these data, of each axis; those that came out as
+    #: zero do not count.
     noise_parameters: tuple[int, int, int]
 
     @property
@@ -141,24 +128,7 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
 def free_run(
     model: Model, trajectory: Trajectory, known: Innovations, starts: Int[np.ndarray, " M"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Simulate: predict without looking at any pose but those before the starts.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    trajectory : Trajectory
-        The commands.
-    known : Innovations
-        Of this model on this trajectory: position and speed to start from.
-    starts : array of int, shape (M,)
-        Samples at which a simulation starts anew from what is known then, increasing.
-
-    Returns
-    -------
-    array, shape (N, 3)
-        Simulated x, y [m], γ [rad]; nan before the first start.
-    """
+    """Simulate: predict without looking at any pose but those before the starts."""
     restart = np.zeros(len(trajectory), dtype=bool)
     restart[starts] = True
     begin = known.mean.copy()

@@ -31,33 +31,22 @@ _POSITIVE = frozenset({"motor_time_constant", "transport_delay", "inertia", "thr
 
 @dataclass(frozen=True)
 class MainQuantity:
-    """A number that follows from a model's parameters.
+    """A number that follows from a model's parameters."""
 
-    Attributes
-    ----------
-    label, words : str
-        For a table, and for a sentence.
-    unit : str
-        For people.
-    parameter : str
-        The quantity of `Parameters` that it belongs to.
-    entry : int or None
-        Which entry of that it is; None where it is made from several.
-    form : str
-        Format that suits it.
-    value : callable
-        ``model -> number`` in `unit`.
-    factor : float
-        From SI to `unit`.
-    """
-
+    #: For a table, and for a sentence.
     label: str
     words: str
+    #: For people.
     unit: str
+    #: The quantity of `Parameters` that it belongs to.
     parameter: str
+    #: Which entry of that it is; None where it is made from several.
     entry: int | None
+    #: Format that suits it.
     form: str
+    #: ``model -> number`` in `unit`.
     value: Callable[[Model], Any]
+    #: From SI to `unit`.
     factor: float = 1.0
 
     @property
@@ -66,56 +55,20 @@ class MainQuantity:
         return self.parameter in _POSITIVE
 
     def used(self, model: Model) -> bool:
-        """Whether a model has it.
-
-        Parameters
-        ----------
-        model : Model
-            A model.
-
-        Returns
-        -------
-        bool
-            False where its configuration matrix takes its place.
-        """
+        """Whether a model has it."""
         if getattr(model.parameters, self.parameter, None) is None:
             return False
         direct = model.parameters.configuration_matrix is not None
         return not (direct and self.parameter in UNUSED_WHERE_DIRECT)
 
     def learned(self, model: Model) -> bool:
-        """Whether a model learned it.
-
-        Parameters
-        ----------
-        model : Model
-            A model that has it.
-
-        Returns
-        -------
-        bool
-            True if its entry, or any entry that it is made from, was free.
-        """
+        """Whether a model learned it."""
         free = model.free[model.parameters.mask(frozenset({self.parameter}))]
         return bool(free.any() if self.entry is None else free[self.entry])
 
 
 def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[MainQuantity]:
-    """List what a person asks of a model first.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    speeds : tuple of float, optional
-        Motor speeds φ at which thrusts are told; by default full speed.
-
-    Returns
-    -------
-    list of MainQuantity
-        Every parameter but thrust coefficients and configuration matrix; then each propeller's
-        thrust at the physical scale (`airpuck.evaluation.gauge`).
-    """
+    """List what a person asks of a model first."""
     listed = []
     for quantity in model.parameters.quantities:
         if quantity.name not in _BY_EFFECT:

@@ -11,16 +11,6 @@ def holm(p_values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
 
     The step-down procedure of Holm (1979): the smallest counts K times, the next K - 1 times, ….
     It needs no independence.
-
-    Parameters
-    ----------
-    p_values : array, shape (K,)
-        Of the single tests.
-
-    Returns
-    -------
-    array, shape (K,)
-        Adjusted, at most 1: reject where they are below the level.
     """
     order = np.argsort(p_values, kind="stable")
     stepped = p_values[order] * np.arange(len(p_values), 0, -1)

@@ -37,32 +37,7 @@ def most_likely_noise(
     typical: float,
     near: Noise | None = None,
 ) -> tuple[Noise, tuple[int, int, int]]:
-    """Find the noise with the largest likelihood of the innovations.
-
-    Parameters
-    ----------
-    pose : array, shape (N, 3)
-        Measured x, y, γ.
-    known : array, shape (N, 3, 2)
-        What the model adds to position and speed of each axis from the sample before.
-    period : array, shape (N,)
-        Time since the sample before [s].
-    restart : array of bool, shape (N,)
-        Where the filter begins anew.
-    used : array of bool, shape (N,)
-        Which innovations count.
-    typical : float
-        Sample period h [s].
-    near : Noise, optional
-        Where to begin the search; by default everywhere.
-
-    Returns
-    -------
-    noise : Noise
-        Standard deviations and densities.
-    counts : tuple of int
-        How many of the three numbers of each axis are not zero.
-    """
+    """Find the noise with the largest likelihood of the innovations."""
     given = pose, known, period, restart, used.astype(float)
     point, step = _begin(near, typical, given)
     axis, least = np.arange(3), np.full(3, np.inf)
@@ -169,24 +144,7 @@ def _compiled() -> Any:
 
 
 def initial_covariance(xp: Any, pose_variance: Any, disturbance: Any, period: Any) -> Any:
-    """Return what is known at the first pose of a stretch.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    pose_variance : array, shape (A,)
-        Of the measurement, for each axis.
-    disturbance : array, shape (A,)
-        Squared density of w₂.
-    period : float
-        Sample period [s].
-
-    Returns
-    -------
-    array, shape (A, 3, 3)
-        The position as measured; the speed hardly; a disturbance that has wandered for a second.
-    """
+    """Return what is known at the first pose of a stretch."""
     zero = xp.zeros_like(pose_variance)
     speed = pose_variance * (_UNSURE / period) ** 2
     rows = [[pose_variance, zero, zero], [zero, speed, zero], [zero, zero, disturbance]]

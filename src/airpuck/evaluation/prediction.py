@@ -17,40 +17,14 @@ _BATCH = 1024
 
 
 def delay_for(model: Model, trajectory: Trajectory) -> float:
-    """Return how long after its time in a trajectory a command acts, as a model wants it.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    trajectory : Trajectory
-        With a delay of its own.
-
-    Returns
-    -------
-    float
-        The trajectory's delay, or what follows from the one that the model has learned [s].
-    """
+    """Return how long after its time in a trajectory a command acts, as a model wants it."""
     if not model.delay_learned:
         return trajectory.delay
     return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
 def hold_for(model: Model, windows: Windows) -> Windows:
-    """Hold the commands of windows as a model wants them.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    windows : Windows
-        With commands held by the delay of each trajectory.
-
-    Returns
-    -------
-    Windows
-        The same, or with commands that act after the delay that the model has learned.
-    """
+    """Hold the commands of windows as a model wants them."""
     if not model.delay_learned:
         return windows
     return windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
@@ -62,25 +36,7 @@ def prediction_errors(
     encoder: Encoder,
     past: Int[np.ndarray, " W"] | None = None,
 ) -> Float[np.ndarray, "T 3 W"]:
-    """Predict every window and compare with what was measured.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The model.
-    windows : Windows
-        What to predict.
-    encoder : Encoder
-        Where predictions start from.
-    past : array of int, shape (W,), optional
-        Samples up to the present that the encoder sees of each window; by default those in it.
-
-    Returns
-    -------
-    array, shape (T, 3, W)
-        Predicted minus measured x, y [m] and γ [rad] after each step. Yaw is continuous in a
-        trajectory, so its error is not wrapped.
-    """
+    """Predict every window and compare with what was measured."""
     errors = np.empty((windows.prediction_length, 3, len(windows)))
     if past is None:
         past = np.full(len(windows), windows.encoder_length)

@@ -177,22 +177,7 @@ def prediction_bands(
 def bands_of_all_horizons(
     model: Model, trajectory: Trajectory, known: Innovations
 ) -> tuple[PredictionBands, ...]:
-    """Predict over each of `HORIZONS` for which the recording has a stretch that is long enough.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    trajectory : Trajectory
-        Measured poses, and commands.
-    known : Innovations
-        Of the same model on the same trajectory.
-
-    Returns
-    -------
-    tuple of PredictionBands
-        From the shortest horizon to the longest.
-    """
+    """Predict over each of `HORIZONS` for which the recording has a stretch that is long enough."""
     found = []
     for horizon in HORIZONS:
         starts = _starts(known, trajectory.sample_period, horizon)

@@ -36,34 +36,7 @@ def predict_with_errors(
     steps: int,
     entries: Bool[np.ndarray, " P"],
 ) -> tuple[Float[np.ndarray, "T 3 W"], Float[np.ndarray, "T 3 W"], Float[np.ndarray, "T 3 W F"]]:
-    """Predict from the filter's estimates, with the covariance and sensitivities of predictions.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    trajectory : Trajectory
-        The commands.
-    known : Innovations
-        Of this model on this trajectory: estimates to start from, and the noise.
-    starts : array of int, shape (W,)
-        Samples that predictions start from; ``starts + steps`` are within the trajectory.
-    steps : int
-        T, in samples.
-    entries : array of bool, shape (P,)
-        Parameters whose sensitivities are wanted, F of them.
-
-    Returns
-    -------
-    predicted : array, shape (T, 3, W)
-        x, y [m], γ [rad] after each step.
-    variance : array, shape (T, 3, W)
-        Of the true pose about it, from the estimate's covariance and the densities of w₁ and w₂;
-        parameters taken as exact.
-    sensitivity : array, shape (T, 3, W, F)
-        Derivatives of `predicted` with respect to the parameters, that of the motor speeds at the
-        start included, that of the filter's estimate not.
-    """
+    """Predict from the filter's estimates, with the covariance and sensitivities of predictions."""
     import jax
 
     acts = trajectory.command_time + delay_for(model, trajectory)

@@ -27,25 +27,17 @@ _WAYS = (
 
 @dataclass(frozen=True)
 class Value:
-    """A number with its error.
+    """A number with its error."""
 
-    Attributes
-    ----------
-    label, unit : str
-        What it is.
-    value, standard_error : float
-        In `unit`; the error is nan where there is none.
-    quantile : float
-        Half the 95 % interval is so many standard errors.
-    learned : bool
-        Whether it was learned, or follows from what was.
-    """
-
+    #: What it is.
     label: str
     unit: str
+    #: In `unit`; the error is nan where there is none.
     value: float
     standard_error: float
+    #: Half the 95 % interval is so many standard errors.
     quantile: float
+    #: Whether it was learned, or follows from what was.
     learned: bool
 
     @property
@@ -62,13 +54,7 @@ class Value:
         return self.value - reach, self.value + reach
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``label, unit, value, standard_error, interval_95, learned``.
-        """
+        """Return the figures."""
         return {
             "label": self.label,
             "unit": self.unit,
@@ -148,20 +134,7 @@ def present(model: Model) -> Presentation:
 
 
 def value_of(model: Model, quantity: MainQuantity) -> Value:
-    """Evaluate a quantity and its error.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    quantity : MainQuantity
-        One that it has.
-
-    Returns
-    -------
-    Value
-        With a standard error if it was learned here.
-    """
+    """Evaluate a quantity and its error."""
     learned = quantity.learned(model)
     return _value(model, quantity.label, quantity.unit, quantity.value, learned)
 
@@ -178,19 +151,7 @@ def _value(
 
 
 def delay_words(model: Model) -> str:
-    """Say how long commands take, and by how much that differs from packet to packet.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Returns
-    -------
-    str
-        For example ``21.6 ± 0.1 ms, jitter 6.2 ± 0.4 ms over 140 packets``; what is not known is
-        left out.
-    """
+    """Say how long commands take, and by how much that differs from packet to packet."""
     error = float(model.standard_error(lambda m: m.transport_delay))
     told = f"{1e3 * model.transport_delay:.2f} ms"
     if np.isfinite(error):
@@ -205,19 +166,7 @@ def delay_words(model: Model) -> str:
 
 
 def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
-    """Compute how hard a craft at rest can be pushed each way, all motors together.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Returns
-    -------
-    array, shape (6,)
-        Forward, backward, left, right [m/s²], counter-clockwise, clockwise [rad/s²]: motors that
-        help at the highest command, the others at the lowest.
-    """
+    """Compute how hard a craft at rest can be pushed each way, all motors together."""
     vehicle, matrix = model.vehicle, np.asarray(model.dynamics.configuration)
     coefficients = np.asarray(model.parameters.thrust)
     ends = [

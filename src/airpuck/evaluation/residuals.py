@@ -198,20 +198,7 @@ def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
 
 
 def to_body(found: Innovations, yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
-    """Turn standardised innovations into the frame of the body.
-
-    Parameters
-    ----------
-    found : Innovations
-        Of x, y, yaw.
-    yaw : array, shape (N,)
-        γ [rad].
-
-    Returns
-    -------
-    array, shape (N, 3)
-        Forward, left, yaw, by their standard deviations; zero where they are not used.
-    """
+    """Turn standardised innovations into the frame of the body."""
     x, y, spin = found.standardised.T
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.stack([cos * x + sin * y, cos * y - sin * x, spin], axis=1)

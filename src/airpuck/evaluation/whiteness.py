@@ -15,30 +15,20 @@ BAND = 2.5758293035489004
 
 @dataclass(frozen=True, eq=False)
 class Whiteness:
-    """Autocorrelation of one channel.
+    """Autocorrelation of one channel."""
 
-    Attributes
-    ----------
-    channel : str
-        Which.
-    autocorrelation : array, shape (M,)
-        r(1) … r(M).
-    band : float
-        99 % of white noise's lie within ±band, each by itself.
-    statistic : float
-        Q = N(N + 2) Σ r(k)²/(N − k) of Ljung and Box.
-    degrees : int
-        Of the χ² that Q follows for white innovations: M less the ratios of noises that were
-        fitted to these data.
-    p_value : float
-        Probability of so large a Q.
-    """
-
+    #: Which.
     channel: str
+    #: r(1) … r(M).
     autocorrelation: Float[np.ndarray, " M"]
+    #: 99 % of white noise's lie within ±band, each by itself.
     band: float
+    #: Q = N(N + 2) Σ r(k)²/(N − k) of Ljung and Box.
     statistic: float
+    #: Of the χ² that Q follows for white innovations: M less the ratios of noises that were fitted
+    #: to these data.
     degrees: int
+    #: Probability of so large a Q.
     p_value: float
 
     @property
@@ -66,26 +56,7 @@ def ljung_box(
     lags: int,
     fitted: int,
 ) -> Whiteness:
-    """Test one channel by Ljung and Box.
-
-    Parameters
-    ----------
-    channel : str
-        Its name.
-    values : array, shape (N,)
-        Innovations, zero where they are not used.
-    used : array of bool, shape (N,)
-        Which are; pairs that are not both used, or belong to different stretches, do not count.
-    lags : int
-        M.
-    fitted : int
-        Parameters of the noise that were fitted to make the innovations white.
-
-    Returns
-    -------
-    Whiteness
-        The test.
-    """
+    """Test one channel by Ljung and Box."""
     from scipy.stats import chi2
 
     row = with_pauses(values[:, None], used, lags)[:, 0]
@@ -101,38 +72,12 @@ def ljung_box(
 def with_pauses(
     values: Float[np.ndarray, "N C"], used: Bool[np.ndarray, " N"], lags: int
 ) -> Float[np.ndarray, "L C"]:
-    """Put zeros between stretches, so that no product of two samples reaches across.
-
-    Parameters
-    ----------
-    values : array, shape (N, C)
-        Samples.
-    used : array of bool, shape (N,)
-        Which count; the others become zeros.
-    lags : int
-        Largest lag: so many zeros.
-
-    Returns
-    -------
-    array, shape (L, C)
-        The samples that count, and zeros.
-    """
+    """Put zeros between stretches, so that no product of two samples reaches across."""
     values = np.where(used[:, None], values, 0.0)
     begins = np.flatnonzero(used & ~np.concatenate([[True], used[:-1]]))
     return np.insert(values, np.repeat(begins, lags), 0.0, axis=0)
 
 
 def p_text(p_value: float) -> str:
-    """Write a p-value.
-
-    Parameters
-    ----------
-    p_value : float
-        From 0 to 1.
-
-    Returns
-    -------
-    str
-        ``p = 0.32``, or ``p < 1e-300`` where it is too small for a number.
-    """
+    """Write a p-value."""
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"

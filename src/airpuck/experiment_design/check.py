@@ -31,23 +31,15 @@ _SEEDS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Obtained:
-    """What flights of a plan gave, each identified by itself.
+    """What flights of a plan gave, each identified by itself."""
 
-    Attributes
-    ----------
-    predicted : array, shape (K,)
-        Relative standard errors that were predicted for such a flight alone.
-    errors : array, shape (N, K)
-        Relative standard errors that each fit states.
-    misses : array, shape (N, K)
-        By how much each estimate misses the truth, in the same shares.
-    clearance : array, shape (N,)
-        Least distance to a rail [m].
-    """
-
+    #: Relative standard errors that were predicted for such a flight alone.
     predicted: Float[np.ndarray, " K"]
+    #: Relative standard errors that each fit states.
     errors: Float[np.ndarray, "N K"]
+    #: By how much each estimate misses the truth, in the same shares.
     misses: Float[np.ndarray, "N K"]
+    #: Least distance to a rail [m].
     clearance: Float[np.ndarray, " N"]
 
     @property
@@ -63,19 +55,7 @@ class Obtained:
         return np.divide(self.typical, self.predicted, out=unknown, where=judged)
 
     def to_json(self, labels: list[str]) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Parameters
-        ----------
-        labels : list of str
-            Of the interests.
-
-        Returns
-        -------
-        dict
-            ``quantities``: ``predicted``, ``obtained``, ``ratio`` (obtained over predicted) and
-            ``misses`` of each; ``clearance_m`` of each flight.
-        """
+        """Return the figures for ``--json``."""
         return {
             "quantities": {
                 label: {
@@ -97,24 +77,7 @@ def check_design(
     processes: int | None = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Obtained, Obtained]:
-    """Fly the usual excitation and the proposal with other chances, identify, and compare.
-
-    Parameters
-    ----------
-    found : Design
-        What is to be checked.
-    flights : int, default 4
-        Of each.
-    processes : int, optional
-        By default one for each core.
-    progress : callable, optional
-        Called with the number of flights done, and how many there will be.
-
-    Returns
-    -------
-    usual, proposal : Obtained
-        Without what is known before: each flight is identified by itself.
-    """
+    """Fly the usual excitation and the proposal with other chances, identify, and compare."""
     candidates = (found.usual, found.proposal)
     tasks = [(one.plan, _SEEDS + k) for one in candidates for k in range(flights)]
     results = []

@@ -36,49 +36,29 @@ _FINALISTS, _FLIGHTS = 3, 3
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A proposal, and what it was chosen from.
+    """A proposal, and what it was chosen from."""
 
-    Attributes
-    ----------
-    model : Model
-        The truth of the rehearsals, and what is known before.
-    wanted : tuple of Interest
-        What candidates are judged by.
-    known : array, shape (K,)
-        Relative standard errors now; infinite where nothing is known.
-    usual : Candidate
-        The excitation of the paper, of the same length.
-    proposal : Candidate
-        The best that keeps away from the rails.
-    candidates : tuple of Candidate
-        All that were rehearsed, the best first.
-    criterion : {"worst", "mean"}
-        By what.
-    level : float
-        Variance of the residuals of the model's fit, in those of the twin.
-    stage : Stage
-        Where it was rehearsed.
-    """
-
+    #: The truth of the rehearsals, and what is known before.
     model: Model
+    #: What candidates are judged by.
     wanted: tuple[Interest, ...]
+    #: Relative standard errors now; infinite where nothing is known.
     known: Float[np.ndarray, " K"]
+    #: The excitation of the paper, of the same length.
     usual: Candidate
+    #: The best that keeps away from the rails.
     proposal: Candidate
+    #: All that were rehearsed, the best first.
     candidates: tuple[Candidate, ...]
+    #: By what.
     criterion: Criterion
+    #: Variance of the residuals of the model's fit, in those of the twin.
     level: float
+    #: Where it was rehearsed.
     stage: Stage
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``criterion, residual_level, known, usual, proposal, candidates``; errors by quantity,
-            relative to its ``scale``, None where it is not determined.
-        """
+        """Return the figures for ``--json``."""
         labels = [one.label for one in self.wanted]
 
         def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:

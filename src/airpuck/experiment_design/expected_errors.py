@@ -40,48 +40,26 @@ _PAST, _AHEAD, _STRIDE = 40, 50, 7
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What each second of a flight says about the parameters of a known model.
+    """What each second of a flight says about the parameters of a known model."""
 
-    Attributes
-    ----------
-    hessian : array, shape (P, P)
-        Gauss-Newton Hessian H of the loss, summed over windows, at the truth [1/s].
-    scores : array, shape (P, P)
-        Covariance of the sum of scores, from those of blocks of time about their mean [1/s]: what
-        is wrong in all blocks alike is a bias, of which a standard error knows nothing.
-    loss : float
-        Mean squared weighted prediction error.
-    duration : float
-        Of the flight [s].
-    blocks : int
-        Blocks of time behind `scores`.
-    packets : float, default 0
-        Variance of the mean delay of the packets whose arrival is known, times the duration [s³]:
-        they are a sample of the radio's.
-    """
-
+    #: Gauss-Newton Hessian H of the loss, summed over windows, at the truth [1/s].
     hessian: Float[np.ndarray, "P P"]
+    #: Covariance of the sum of scores, from those of blocks of time about their mean [1/s]: what is
+    #: wrong in all blocks alike is a bias, of which a standard error knows nothing.
     scores: Float[np.ndarray, "P P"]
+    #: Mean squared weighted prediction error.
     loss: float
+    #: Of the flight [s].
     duration: float
+    #: Blocks of time behind `scores`.
     blocks: int
+    #: Variance of the mean delay of the packets whose arrival is known, times the duration [s³]:
+    #: they are a sample of the radio's.
     packets: float = 0.0
 
 
 def fit_settings(model: Model) -> dict[str, Any]:
-    """Return the arguments of `identify` that a model was learned with.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-
-    Returns
-    -------
-    dict
-        ``encoder, weights, prediction_length, stride, frame``; those of `identify` by default, as
-        far as the model does not say.
-    """
+    """Return the arguments of `identify` that a model was learned with."""
     fit = model.fit
     x, y, yaw = fit.get("weights", PUBLISHED_WEIGHTS)
     return {
@@ -96,29 +74,7 @@ def fit_settings(model: Model) -> dict[str, Any]:
 def information_of(
     trajectory: Trajectory, model: Model, duration: float, delays: Sequence[PacketDelays] = ()
 ) -> Information:
-    """Compute what a flight of a known model says about its parameters.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The flight.
-    model : Model
-        The truth. Windows and weights are those that it was learned with.
-    duration : float
-        Of the flight before anything was cut off it [s].
-    delays : sequence of PacketDelays, optional
-        When packets arrived, where the flight was prepared with that.
-
-    Returns
-    -------
-    Information
-        Of each second.
-
-    Raises
-    ------
-    InputError
-        If the flight is too short for two blocks of time.
-    """
+    """Compute what a flight of a known model says about its parameters."""
     how = fit_settings(model)
     encoder = how["encoder"]
     trajectory = _whole_seconds(trajectory)
@@ -160,18 +116,7 @@ def _whole_seconds(trajectory: Trajectory) -> Trajectory:
 
 
 def joined(flights: Sequence[Information]) -> Information:
-    """Join what several flights of one kind say.
-
-    Parameters
-    ----------
-    flights : sequence of Information
-        Of the same model.
-
-    Returns
-    -------
-    Information
-        Their mean, each weighted by its length.
-    """
+    """Join what several flights of one kind say."""
     weights = np.array([one.duration for one in flights])
 
     def mean(values: list[Any]) -> Any:
@@ -188,17 +133,7 @@ def joined(flights: Sequence[Information]) -> Information:
 
 
 class Forecast:
-    """Predicts standard errors of flights of any length.
-
-    Parameters
-    ----------
-    model : Model
-        The truth of the rehearsals; its uncertainty is what is known before.
-    rehearsed : sequence of Information
-        Flights that K is taken from, the more the better.
-    level : float, default 1
-        Variance of the residuals of a real flight, in those of the rehearsals.
-    """
+    """Predicts standard errors of flights of any length."""
 
     def __init__(self, model: Model, rehearsed: Sequence[Information], level: float = 1.0) -> None:
         self.model, self.level = model, level
@@ -229,24 +164,7 @@ class Forecast:
         return (1 - weight) * shape + weight * light
 
     def of(self, flight: Information, duration: float, *, alone: bool = False) -> Uncertainty:
-        """Predict what will be known after a flight.
-
-        Parameters
-        ----------
-        flight : Information
-            Of a rehearsal.
-        duration : float
-            Length of the flight [s].
-        alone : bool, default False
-            From that flight only, without what is known before and with the residuals of the
-            rehearsals.
-
-        Returns
-        -------
-        Uncertainty
-            Of the model's parameters. The precision is the sum of what is known before and what
-            the flight gives.
-        """
+        """Predict what will be known after a flight."""
         precision = self._precision(flight) * duration
         if not alone:
             precision = precision / self.level

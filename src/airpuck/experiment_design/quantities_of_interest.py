@@ -27,62 +27,26 @@ HELD = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Interest:
-    """A quantity that a model is judged by.
+    """A quantity that a model is judged by."""
 
-    Attributes
-    ----------
-    label : str
-        Its name.
-    unit : str
-        Of its value.
-    scale : float
-        An error of this size is one of 100 %. Infinite where the quantity has no size to be
-        compared with: it is then told, but not judged.
-    of : callable
-        ``model -> value``.
-    """
-
+    #: Its name.
     label: str
+    #: Of its value.
     unit: str
+    #: An error of this size is one of 100 %. Infinite where the quantity has no size to be compared
+    #: with: it is then told, but not judged.
     scale: float
+    #: ``model -> value``.
     of: Callable[[Model], Any]
 
 
 def interests(model: Model) -> tuple[Interest, ...]:
-    """List what a model is judged by: whatever it has learned, in comparable units.
-
-    Parameters
-    ----------
-    model : Model
-        The model; `Model.free` says what is learned.
-
-    Returns
-    -------
-    tuple of Interest
-        The force of each propeller at half and at full speed, against that at full speed; where Π
-        is learned, the direction of each push, against 1 rad, and its turn per push, against one
-        over the radius of gyration; the angle offset α against 1 rad (the share of a force that
-        goes astray), the centre of mass against the radius of gyration (the share of a force that
-        turns); everything else against its own value.
-
-    Notes
-    -----
-    The force is m ‖Π_xy‖ F(φ), which is F(φ) where Π follows from the vehicle, and does not depend
-    on how a learned Π and the thrust share a factor.
-    """
+    """List what a model is judged by: whatever it has learned, in comparable units."""
     return (*_pushes(model), *_scalars(model))
 
 
 class RelativeErrors:
-    """Standard errors of interests for many uncertainties of one model (delta method).
-
-    Parameters
-    ----------
-    model : Model
-        Its parameters are the estimate.
-    wanted : tuple of Interest
-        From `interests`.
-    """
+    """Standard errors of interests for many uncertainties of one model (delta method)."""
 
     def __init__(self, model: Model, wanted: tuple[Interest, ...]) -> None:
         self._estimate = vector = model.parameters.to_vector()
@@ -99,19 +63,7 @@ class RelativeErrors:
         self._gradient = np.array(rows)
 
     def of(self, uncertainty: Uncertainty | None) -> Float[np.ndarray, " K"]:
-        """Compute standard errors.
-
-        Parameters
-        ----------
-        uncertainty : Uncertainty or None
-            Of the model's parameters.
-
-        Returns
-        -------
-        array, shape (K,)
-            In shares of the scale of each; infinite where the data do not determine one, or nothing
-            is known; nan for one without a size to be compared with.
-        """
+        """Compute standard errors."""
         if uncertainty is None or not np.array_equal(uncertainty.estimate, self._estimate):
             return np.full(len(self._scale), np.inf)
         errors = uncertainty.propagate(lambda v: (v - self._estimate) @ self._gradient)
@@ -120,54 +72,17 @@ class RelativeErrors:
 
 
 def relative_errors(model: Model, wanted: tuple[Interest, ...]) -> Float[np.ndarray, " K"]:
-    """Compute the standard errors of interests, from the model's own uncertainty.
-
-    Parameters
-    ----------
-    model : Model
-        With its uncertainty.
-    wanted : tuple of Interest
-        From `interests`.
-
-    Returns
-    -------
-    array, shape (K,)
-        See `RelativeErrors.of`.
-    """
+    """Compute the standard errors of interests, from the model's own uncertainty."""
     return RelativeErrors(model, wanted).of(model.uncertainty)
 
 
 def values_of(model: Model, wanted: tuple[Interest, ...]) -> Float[np.ndarray, " K"]:
-    """Return the values of interests.
-
-    Parameters
-    ----------
-    model : Model
-        Of any parameters.
-    wanted : tuple of Interest
-        From `interests`.
-
-    Returns
-    -------
-    array, shape (K,)
-        In their units.
-    """
+    """Return the values of interests."""
     return np.array([float(one.of(model)) for one in wanted])
 
 
 def scales_of(wanted: tuple[Interest, ...]) -> Float[np.ndarray, " K"]:
-    """Return the scales of interests.
-
-    Parameters
-    ----------
-    wanted : tuple of Interest
-        From `interests`.
-
-    Returns
-    -------
-    array, shape (K,)
-        In their units.
-    """
+    """Return the scales of interests."""
     return np.array([one.scale for one in wanted])
 
 

@@ -31,95 +31,50 @@ from airpuck.twin.twin import build_plant
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """A flight of an excitation on the twin.
+    """A flight of an excitation on the twin."""
 
-    Attributes
-    ----------
-    plan : ExcitationPlan
-        What was flown.
-    seed : int
-        Of signals, radio and noise.
-    clearance : float
-        Least distance between craft and rail [m]; 0 where it met one.
-    paused : float
-        For how long the signals paused near the rails [s].
-    information : Information or None
-        What it says about the model; None where it met a rail, which no model knows.
-    """
-
+    #: What was flown.
     plan: ExcitationPlan
+    #: Of signals, radio and noise.
     seed: int
+    #: Least distance between craft and rail [m]; 0 where it met one.
     clearance: float
+    #: For how long the signals paused near the rails [s].
     paused: float
+    #: What it says about the model; None where it met a rail, which no model knows.
     information: Information | None
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """What is compiled once for all flights of a process.
+    """What is compiled once for all flights of a process."""
 
-    Attributes
-    ----------
-    plant : Plant
-        The craft on the table.
-    controller : TrackingController
-        Of the excitation; flights copy it.
-    """
-
+    #: The craft on the table.
     plant: Plant
+    #: Of the excitation; flights copy it.
     controller: TrackingController
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Where rehearsals are flown: the twin's truth and its settings.
+    """Where rehearsals are flown: the twin's truth and its settings."""
 
-    Attributes
-    ----------
-    model : Model
-        The truth of the twin.
-    settings : TwinSettings
-        Table, sensors, radio.
-    tuning : Tuning
-        Of the controller.
-    """
-
+    #: The truth of the twin.
     model: Model
+    #: Table, sensors, radio.
     settings: TwinSettings
+    #: Of the controller.
     tuning: Tuning
 
     def build(self) -> World:
-        """Compile what flights share.
-
-        Returns
-        -------
-        World
-            Plant and controller.
-        """
+        """Compile what flights share."""
         return World(
             plant=build_plant(self.model, self.settings),
             controller=excitation_controller(nominal_model(self.model.vehicle), tuning=self.tuning),
         )
 
     def fly(self, plan: ExcitationPlan, seed: int, world: World) -> tuple[Trajectory, Rehearsal]:
-        """Fly a plan.
-
-        Parameters
-        ----------
-        plan : ExcitationPlan
-            What to fly.
-        seed : int
-            Of signals, radio and noise.
-        world : World
-            Of this stage.
-
-        Returns
-        -------
-        trajectory : Trajectory
-            As preprocessed.
-        rehearsal : Rehearsal
-            Without information.
-        """
+        """Fly a plan."""
         flown = fly_excitation(
             self.model,
             plan.duration_s,
@@ -173,20 +128,7 @@ def _act(act: Act[Result], plan: ExcitationPlan, seed: int) -> Result:
 
 
 class Crew:
-    """Flies several plans at once, one process for each core; a context manager.
-
-    Parameters
-    ----------
-    stage : Stage
-        Where to fly.
-    processes : int, optional
-        By default as many as there are cores; 1: none but this one.
-
-    Raises
-    ------
-    InputError
-        If there should be less than one.
-    """
+    """Flies several plans at once, one process for each core; a context manager."""
 
     def __init__(self, stage: Stage, processes: int | None = None) -> None:
         if processes is not None and processes < 1:
@@ -215,21 +157,7 @@ class Crew:
     def fly(
         self, act: Act[Result], tasks: Sequence[tuple[ExcitationPlan, int]]
     ) -> Iterator[Result]:
-        """Fly plans.
-
-        Parameters
-        ----------
-        act : callable
-            ``(stage, plan, seed, world) -> result``, such as `Stage.rehearse`; of a module, so that
-            other processes find it.
-        tasks : sequence of (ExcitationPlan, int)
-            Plans and seeds.
-
-        Yields
-        ------
-        object
-            Results in the order of the tasks, which no number of processes changes.
-        """
+        """Fly plans."""
         if self._pool is not None:
             yield from self._pool.map(partial(_act, act), *zip(*tasks, strict=True))
             return

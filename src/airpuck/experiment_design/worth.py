@@ -27,45 +27,25 @@ Criterion = Literal["worst", "mean"]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An excitation, and what it is expected to give.
+    """An excitation, and what it is expected to give."""
 
-    Attributes
-    ----------
-    plan : ExcitationPlan
-        What to fly.
-    clearance : float
-        Least distance to a rail in all its rehearsals [m]; 0: it met one.
-    relative : array, shape (K,)
-        Standard errors after the flight, with what is known before, in shares of the scale of each
-        interest; infinite where one stays undetermined.
-    alone : array, shape (K,)
-        The same from this flight alone, on the twin.
-    score : float
-        The criterion, smaller is better; infinite for what is refused.
-    refused : str
-        Why it is not proposed; empty where it may be.
-    """
-
+    #: What to fly.
     plan: ExcitationPlan
+    #: Least distance to a rail in all its rehearsals [m]; 0: it met one.
     clearance: float
+    #: Standard errors after the flight, with what is known before, in shares of the scale of each
+    #: interest; infinite where one stays undetermined.
     relative: Float[np.ndarray, " K"]
+    #: The same from this flight alone, on the twin.
     alone: Float[np.ndarray, " K"]
+    #: The criterion, smaller is better; infinite for what is refused.
     score: float
+    #: Why it is not proposed; empty where it may be.
     refused: str
 
 
 class Judge:
-    """Compares what was flown.
-
-    Parameters
-    ----------
-    model : Model
-        The truth of the rehearsals, and what is known before.
-    criterion : {"worst", "mean"}
-        By what.
-    margin : float
-        Least distance to the rails of what is not refused [m].
-    """
+    """Compares what was flown."""
 
     def __init__(self, model: Model, criterion: Criterion, margin: float) -> None:
         self.wanted, self.margin = interests(model), margin
@@ -79,53 +59,20 @@ class Judge:
         self.scaled = model.fit.get("loss") is not None and not model.fit.get("robust")
 
     def level(self, usual: ExcitationPlan) -> float:
-        """Return the variance of the residuals of the model's fit, in those of the twin.
-
-        Parameters
-        ----------
-        usual : ExcitationPlan
-            The excitation whose flights are the twin's.
-
-        Returns
-        -------
-        float
-            1 where it is not known.
-        """
+        """Return the variance of the residuals of the model's fit, in those of the twin."""
         told = self._informations(usual) if self.as_fitted is None else self.as_fitted
         if not (self.scaled and told):
             return 1.0
         return float(self._model.fit["loss"]) / joined(told).loss
 
     def ranked(self) -> list[Candidate]:
-        """Judge all plans that were flown.
-
-        Returns
-        -------
-        list of Candidate
-            The best first, the refused last.
-
-        Raises
-        ------
-        InputError
-            If every flight met a rail.
-        """
+        """Judge all plans that were flown."""
         forecast = self._forecast()
         found = (self._judged(plan, forecast) for plan in self.flown)
         return sorted(found, key=lambda one: (one.score, -one.clearance))
 
     def candidate(self, plan: ExcitationPlan) -> Candidate:
-        """Judge a plan by all its flights.
-
-        Parameters
-        ----------
-        plan : ExcitationPlan
-            One that was flown.
-
-        Returns
-        -------
-        Candidate
-            What it is expected to give.
-        """
+        """Judge a plan by all its flights."""
         return self._judged(plan, self._forecast())
 
     def _informations(self, plan: ExcitationPlan) -> list[Information]:

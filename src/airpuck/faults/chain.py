@@ -29,36 +29,18 @@ _UNARMED = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """States: normal, each fault at each of its ages, and last what nothing explains.
+    """States: normal, each fault at each of its ages, and last what nothing explains."""
 
-    Attributes
-    ----------
-    transition : array, shape (S, S)
-        Probability to go from a row's state to a column's within a step.
-    initial : array, shape (S,)
-        Probabilities at the start.
-    causes : dict of str to array of bool, shape (S,)
-        The states in which each cause is at work. Two may be at once.
-    """
-
+    #: Probability to go from a row's state to a column's within a step.
     transition: Float[np.ndarray, "S S"]
+    #: Probabilities at the start.
     initial: Float[np.ndarray, " S"]
+    #: The states in which each cause is at work. Two may be at once.
     causes: dict[str, Bool[np.ndarray, " S"]]
 
 
 def stalled(name: str) -> str:
-    """Name the cause of a motor that stands.
-
-    Parameters
-    ----------
-    name : str
-        Of its propeller.
-
-    Returns
-    -------
-    str
-        As it is written in a `Span`.
-    """
+    """Name the cause of a motor that stands."""
     return f"{name} stalled"
 
 
@@ -67,18 +49,6 @@ def fault_chain(faults: Sequence[Fault], names: Sequence[str]) -> Chain:
 
     A fault goes on for all of its ages before it can end, and motors that stand then go on
     standing; a held command may also end earlier, or in a stop.
-
-    Parameters
-    ----------
-    faults : sequence of Fault
-        Hypotheses about the motors; all of them standing is among these.
-    names : sequence of str
-        Of the propellers.
-
-    Returns
-    -------
-    Chain
-        The chain.
     """
     first = np.cumsum([1, *(fault.ages for fault in faults)])
     size = int(first[-1]) + 1

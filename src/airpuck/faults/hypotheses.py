@@ -32,64 +32,34 @@ _SPACING = 2
 
 @dataclass(frozen=True)
 class Fault:
-    """A way in which motors do not do what they are told.
+    """A way in which motors do not do what they are told."""
 
-    Attributes
-    ----------
-    motors : tuple of int
-        Motors that stand; empty: all motors stay at the last command received.
-    ages : int
-        Steps in its chain.
-    """
-
+    #: Motors that stand; empty: all motors stay at the last command received.
     motors: tuple[int, ...]
+    #: Steps in its chain.
     ages: int
 
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Mean accelerations over K steps, measured and under each hypothesis.
+    """Mean accelerations over K steps, measured and under each hypothesis."""
 
-    Attributes
-    ----------
-    knots : array of int, shape (K + 1,)
-        Samples at the steps' borders.
-    measured : array, shape (K, 3)
-        From the smoothed velocities [m/s², m/s², rad/s²].
-    normal : array, shape (K, 3)
-        Modelled with motors that follow their commands.
-    change : array, shape (K, 3)
-        By how much the modelled acceleration changes over each step.
-    faults : tuple of Fault
-        The other hypotheses.
-    faulty : tuple of array, shape (ages, K, 3)
-        Modelled under each of them; entry j: it began j steps before this one.
-    """
-
+    #: Samples at the steps' borders.
     knots: Int[np.ndarray, " K1"]
+    #: From the smoothed velocities [m/s², m/s², rad/s²].
     measured: Float[np.ndarray, "K 3"]
+    #: Modelled with motors that follow their commands.
     normal: Float[np.ndarray, "K 3"]
+    #: By how much the modelled acceleration changes over each step.
     change: Float[np.ndarray, "K 3"]
+    #: The other hypotheses.
     faults: tuple[Fault, ...]
+    #: Modelled under each of them; entry j: it began j steps before this one.
     faulty: tuple[Float[np.ndarray, "_ K 3"], ...]
 
 
 def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
-    """Predict what each hypothesis would have done to the craft, along the measured motion.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The recording, at least two steps long.
-    dynamics : Dynamics
-        The model.
-
-    Returns
-    -------
-    Predicted
-        Accelerations. A pair of motors that stand counts as their sum: what one propeller blows
-        into its twin is left out of that.
-    """
+    """Predict what each hypothesis would have done to the craft, along the measured motion."""
     half = max(1, round(STEP / trajectory.sample_period / _SPACING))
     knots = np.arange(0, len(trajectory), _SPACING * half)
     steps = len(knots) - 1
@@ -177,18 +147,5 @@ def _by_motor(
 
 
 def usable_steps(trajectory: Trajectory, knots: Int[np.ndarray, " K1"]) -> Bool[np.ndarray, " K"]:
-    """Say which steps touch no excluded span.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The recording.
-    knots : array of int, shape (K + 1,)
-        Samples at the steps' borders.
-
-    Returns
-    -------
-    array of bool, shape (K,)
-        True where every sample from border to border is usable.
-    """
+    """Say which steps touch no excluded span."""
     return np.logical_and.reduceat(trajectory.usable, knots[:-1]) & trajectory.usable[knots[1:]]

@@ -27,48 +27,31 @@ _EXPLAINED = 0.3
 
 @dataclass(frozen=True)
 class PropellerCheck:
-    """What a recording says about one propeller.
+    """What a recording says about one propeller."""
 
-    Attributes
-    ----------
-    name : str
-        The propeller.
-    agreement : float
-        Cosine between the measured and the stated effect, 1: the same, -1: the opposite.
-    behaves_like : str
-        The propeller of the vehicle file whose effect the measured one resembles most.
-    verdict : str
-        ``agrees``, or what is wrong in words.
-    """
-
+    #: The propeller.
     name: str
+    #: Cosine between the measured and the stated effect, 1: the same, -1: the opposite.
     agreement: float
+    #: The propeller of the vehicle file whose effect the measured one resembles most.
     behaves_like: str
+    #: ``agrees``, or what is wrong in words.
     verdict: str
 
 
 @dataclass(frozen=True)
 class LayoutCheck:
-    """Result of `check_layout`.
+    """Result of `check_layout`."""
 
-    Attributes
-    ----------
-    propellers : tuple of PropellerCheck
-        One for each propeller.
-    explained : float
-        Share of the acceleration's variance that the commands explain.
-    delay : float
-        Transport delay at which they explain most [s].
-    rotation : float
-        Angle by which the whole layout seems turned against the measured yaw [rad].
-    mirrored : bool
-        Whether a mirrored layout fits better: an axis of the pose has the wrong sign.
-    """
-
+    #: One for each propeller.
     propellers: tuple[PropellerCheck, ...]
+    #: Share of the acceleration's variance that the commands explain.
     explained: float
+    #: Transport delay at which they explain most [s].
     delay: float
+    #: Angle by which the whole layout seems turned against the measured yaw [rad].
     rotation: float
+    #: Whether a mirrored layout fits better: an axis of the pose has the wrong sign.
     mirrored: bool
 
     @property
@@ -100,13 +83,7 @@ class LayoutCheck:
         return tuple(remarks)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``agrees, conclusive, explained, delay_s, rotation_rad, mirrored, propellers``.
-        """
+        """Return the figures for ``--json``."""
         return {
             "agrees": self.agrees,
             "conclusive": self.conclusive,

@@ -15,20 +15,6 @@ def state_probabilities(
 
     L. E. Baum, T. Petrie, G. Soules and N. Weiss, Annals of Mathematical Statistics 41 (1970)
     164-171, scaled at every step (Rabiner, Proceedings of the IEEE 77, 1989, sec. V.A).
-
-    Parameters
-    ----------
-    log_likelihood : array, shape (K, S)
-        Of each step's observation under each state.
-    transition : array, shape (S, S)
-        Probability to go from a row's state to a column's; rows sum to one.
-    initial : array, shape (S,)
-        Probabilities before the first observation.
-
-    Returns
-    -------
-    array, shape (K, S)
-        Rows sum to one.
     """
     likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     forward = np.empty_like(likelihood)

@@ -17,52 +17,35 @@ _ROUNDS, _LEAST = 5, 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A prediction and what became of it.
+    """A prediction and what became of it."""
 
-    Attributes
-    ----------
-    time : float
-        When it ended [s].
-    error : array, shape (6,)
-        What was measured less what was predicted: x, y, yaw and their rates.
-    slopes : array, shape (6, n + 1)
-        What the prediction gains with the effectiveness of each motor, and with the delay [1/s].
-    impulses : array, shape (6, 6)
-        Σ b bᵀ over the packets that mattered, where b is what the prediction loses by the lateness
-        of one packet [1/s].
-    """
-
+    #: When it ended [s].
     time: float
+    #: What was measured less what was predicted: x, y, yaw and their rates.
     error: Float[np.ndarray, " 6"]
+    #: What the prediction gains with the effectiveness of each motor, and with the delay [1/s].
     slopes: Float[np.ndarray, "6 m"]
+    #: Σ b bᵀ over the packets that mattered, where b is what the prediction loses by the lateness
+    #: of one packet [1/s].
     impulses: Float[np.ndarray, "6 6"]
 
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """How a craft differs from its model, and what that explains.
+    """How a craft differs from its model, and what that explains."""
 
-    Attributes
-    ----------
-    predictions : int
-        How many there were.
-    error : array, shape (3,)
-        Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
-    effectiveness, deviation : array, shape (n,)
-        Share of the modelled thrust that each motor gives, and its standard deviation.
-    delay, delay_deviation : float
-        By how much the transport delay is longer than the model's, and its standard deviation [s].
-    share : array, shape (n + 1,)
-        By how much the sum of squared errors of the pose would be smaller, had the model known this
-        motor, and the delay; yaw counts with the radius of gyration. NaN without predictions.
-    """
-
+    #: How many there were.
     predictions: int
+    #: Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
     error: Float[np.ndarray, " 3"]
+    #: Share of the modelled thrust that each motor gives, and its standard deviation.
     effectiveness: Float[np.ndarray, " n"]
     deviation: Float[np.ndarray, " n"]
+    #: By how much the transport delay is longer than the model's, and its standard deviation [s].
     delay: float
     delay_deviation: float
+    #: By how much the sum of squared errors of the pose would be smaller, had the model known this
+    #: motor, and the delay; yaw counts with the radius of gyration. NaN without predictions.
     share: Float[np.ndarray, " m"]
 
 
@@ -75,40 +58,7 @@ def deviations(
     jitter: float,
     radius: float,
 ) -> Deviations:
-    """Estimate what differs by weighted least squares.
-
-    Parameters
-    ----------
-    judged : sequence of Judged
-        In the order of their times.
-    motors : int
-        How many there are.
-    memory : float
-        Predictions count by exp(-age / memory) [s].
-    overlap : float
-        How many predictions are under way at a time, which share their errors.
-    jitter : float
-        Standard deviation of the delay of one packet [s].
-    radius : float
-        Of gyration [m].
-
-    Returns
-    -------
-    Deviations
-        The prior where there are no predictions.
-
-    Notes
-    -----
-    e = S p + Σ b a + w, where p = (effectiveness - 1, delay difference), a the lateness of each
-    packet, jitter, and w has the covariance R. With λ the weights divided by the overlap o,
-    V = R + jitter² Σ b bᵀ and the prior covariance P:
-
-        H = P⁻¹ + Σ λ Sᵀ V⁻¹ S,    p = H⁻¹ Σ λ Sᵀ V⁻¹ e,
-        cov p = H⁻¹ (P⁻¹ + o Σ λ² Sᵀ V⁻¹ S) H⁻¹.
-
-    Without the jitter, errors would be largest just where a prediction says most about motors, and
-    the deviations far too small. R is found by expectation and maximisation.
-    """
+    """Estimate what differs by weighted least squares."""
     prior = np.append(np.full(motors, PRIOR_LOSS), PRIOR_DELAY) ** -2.0
     if not judged:
         sd, none = prior**-0.5, np.full(motors + 1, np.nan)

@@ -17,20 +17,13 @@ _OPPOSITE = 0.5
 
 @dataclass(frozen=True)
 class Likeness:
-    """What a propeller's measured effect is like.
+    """What a propeller's measured effect is like."""
 
-    Attributes
-    ----------
-    acts_as : int or None
-        The propeller of the model whose effect it has; None: there is none.
-    sign : int
-        1, or -1 where it has the opposite effect.
-    cosine : float
-        Between the measured effect and the one expected of it.
-    """
-
+    #: The propeller of the model whose effect it has; None: there is none.
     acts_as: int | None
+    #: 1, or -1 where it has the opposite effect.
     sign: int
+    #: Between the measured effect and the one expected of it.
     cosine: float
 
 
@@ -38,36 +31,13 @@ def turn_between(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray,
     """Find the rotation that carries expected forces into measured ones.
 
     In complex numbers: the argument of their inner product (two-dimensional Procrustes).
-
-    Parameters
-    ----------
-    measured, expected : array, shape (3, m)
-        Effects: two forces and the moment.
-
-    Returns
-    -------
-    float
-        Angle, counter-clockwise [rad].
     """
     mine, theirs = measured[0] + 1j * measured[1], expected[0] + 1j * expected[1]
     return float(np.angle(np.vdot(theirs, mine)))
 
 
 def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
-    """Turn forces, and leave moments as they are.
-
-    Parameters
-    ----------
-    effects : array, shape (3, m)
-        Effects.
-    angle : float
-        Counter-clockwise [rad].
-
-    Returns
-    -------
-    array, shape (3, m)
-        Turned effects.
-    """
+    """Turn forces, and leave moments as they are."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ effects
 
@@ -75,18 +45,7 @@ def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray,
 def cosines(
     measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]
 ) -> Float[np.ndarray, " m"]:
-    """Compare directions of effects, one with one.
-
-    Parameters
-    ----------
-    measured, expected : array, shape (3, m)
-        Effects, forces and moment in one unit.
-
-    Returns
-    -------
-    array, shape (m,)
-        Cosines of the angles between them.
-    """
+    """Compare directions of effects, one with one."""
     return np.sum(_unit(measured) * _unit(expected), axis=0)
 
 
@@ -99,20 +58,6 @@ def match_effects(
 
     One that agrees with what is expected of it stays; the others are assigned to what is left such
     that most agree, in the same or in the opposite direction.
-
-    Parameters
-    ----------
-    measured : array, shape (3, m)
-        Effects, forces and moment in one unit.
-    expected : array, shape (3, n)
-        The model's, in the same unit.
-    motors : array of int, shape (m,)
-        Which of the n were measured.
-
-    Returns
-    -------
-    mapping of int to Likeness
-        For each of `motors`.
     """
     from scipy.optimize import linear_sum_assignment
 

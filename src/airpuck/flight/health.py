@@ -48,23 +48,15 @@ _BEFORE = 0.06
 
 @dataclass(frozen=True, eq=False)
 class Health:
-    """What a model got wrong in the last seconds, and what that says of the craft.
+    """What a model got wrong in the last seconds, and what that says of the craft."""
 
-    Attributes
-    ----------
-    motors : tuple of str
-        Names of the propellers.
-    flying : bool
-        Whether the craft is watched: poses and commands come, and no rail is near.
-    horizon : float
-        How far ahead is predicted [s].
-    found : Deviations
-        Errors of prediction, effectiveness of each motor, delay.
-    """
-
+    #: Names of the propellers.
     motors: tuple[str, ...]
+    #: Whether the craft is watched: poses and commands come, and no rail is near.
     flying: bool
+    #: How far ahead is predicted [s].
     horizon: float
+    #: Errors of prediction, effectiveness of each motor, delay.
     found: Deviations
 
     @property
@@ -102,13 +94,7 @@ class Health:
         return told + (f"; shares of the error: {', '.join(largest)}" if largest else "")
 
     def to_json(self) -> Mapping[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        mapping
-            By name; None instead of NaN.
-        """
+        """Return the figures for ``--json``."""
 
         def number(value: float) -> float | None:
             return float(value) if math.isfinite(value) else None
@@ -145,34 +131,7 @@ class _Begun:
 
 
 class HealthMonitor:
-    """Watches a craft in flight beside its model; computes nothing that flies.
-
-    Parameters
-    ----------
-    model : Model
-        What the craft is believed to be.
-    estimation : Estimation, optional
-        Noise to expect; by default that of the packaged tuning.
-    horizon : float, default 0.2
-        How far ahead to predict, as the paper does [s].
-    memory : float, default 5
-        Predictions count by exp(-age / memory) [s].
-    jitter : float, default 0.007
-        Standard deviation of the delay of one packet; by default as on the paper's table [s].
-    table : Table, optional
-        Its rails; a craft that leans on one is not judged.
-    compiled : bool, default True
-        Whether to compile the filter (some seconds, once) or to run it in NumPy.
-
-    Notes
-    -----
-    A `KalmanFilter` of its own estimates the state. Every 0.1 s a prediction begins at its state,
-    with the model as it is and no disturbance. When the pose at its end has come, the commands
-    between are known, and the error in pose and velocity is what the model does not know;
-    `airpuck.flight.deviations` finds what motors and delay have to do with it. An `ActuationFilter`
-    would know the motors, too, but it is made for a controller: it forgets sooner, and says nothing
-    of the errors.
-    """
+    """Watches a craft in flight beside its model; computes nothing that flies."""
 
     def __init__(
         self,
@@ -203,15 +162,7 @@ class HealthMonitor:
         self._judged: deque[Judged] = deque()
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of a command.
-
-        Parameters
-        ----------
-        time : float
-            When it was sent [s].
-        command : array, shape (n,)
-            Motor commands; one that is not finite is left aside.
-        """
+        """Take note of a command."""
         if not np.isfinite(command).all():
             return
         self._filter.command(time, command)
@@ -222,15 +173,7 @@ class HealthMonitor:
         self._commands.append((begins, np.array(command, dtype=float)))
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad]; one that is not finite, or older than the last, is left aside.
-        """
+        """Take note of a pose."""
         last = self._filter.time
         if not np.isfinite(pose).all() or (last is not None and time <= last):
             return
@@ -255,13 +198,7 @@ class HealthMonitor:
         self._forget(time)
 
     def health(self) -> Health:
-        """Say how the craft is.
-
-        Returns
-        -------
-        Health
-            Of the last seconds.
-        """
+        """Say how the craft is."""
         found = deviations(
             tuple(self._judged),
             self.model.vehicle.n_propellers,

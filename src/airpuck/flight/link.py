@@ -14,21 +14,14 @@ Kind = Literal["pose", "imu", "mouse"]
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What a sensor said.
+    """What a sensor said."""
 
-    Attributes
-    ----------
-    kind : {"pose", "imu", "mouse"}
-        Which sensor.
-    stamp : float
-        When it was measured, on the sensor's clock [s].
-    values : array, shape (k,)
-        Pose: x, y [m], yaw [rad]. IMU: acceleration along the body's x, y, z [m/s²], spin about
-        them [rad/s]. Mouse: velocity along the body's x, y [m/s].
-    """
-
+    #: Which sensor.
     kind: Kind
+    #: When it was measured, on the sensor's clock [s].
     stamp: float
+    #: Pose: x, y [m], yaw [rad]. IMU: acceleration along the body's x, y, z [m/s²], spin about them
+    #: [rad/s]. Mouse: velocity along the body's x, y [m/s].
     values: Float[np.ndarray, " k"]
 
 

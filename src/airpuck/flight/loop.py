@@ -47,45 +47,29 @@ class Pilot(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """What the controller did.
+    """What the controller did."""
 
-    Attributes
-    ----------
-    time : array, shape (K,)
-        When each command was sent [s].
-    command : array, shape (K, n)
-        Motor commands.
-    status : tuple of str
-        Outcome of each step.
-    reference : array, shape (K, 3)
-        Pose asked for.
-    """
-
+    #: When each command was sent [s].
     time: Float[np.ndarray, " K"]
+    #: Motor commands.
     command: Float[np.ndarray, "K n"]
+    #: Outcome of each step.
     status: tuple[Status, ...]
+    #: Pose asked for.
     reference: Float[np.ndarray, "K 3"]
 
 
 @dataclass(frozen=True, eq=False)
 class Action:
-    """One period of a flight.
+    """One period of a flight."""
 
-    Attributes
-    ----------
-    due : float
-        When it should have begun [s].
-    time : float
-        For when its command was computed [s].
-    step : Step
-        The command, and why.
-    reference : array, shape (6,)
-        What the craft is asked to do: x, y, yaw and their rates.
-    """
-
+    #: When it should have begun [s].
     due: float
+    #: For when its command was computed [s].
     time: float
+    #: The command, and why.
     step: Step
+    #: What the craft is asked to do: x, y, yaw and their rates.
     reference: Float[np.ndarray, " 6"]
 
 
@@ -139,27 +123,6 @@ def control(
 
     The times at which an action is due are fixed at the start: a late one does not delay those
     after it. Those that have become due meanwhile are left out.
-
-    Parameters
-    ----------
-    pilot : Pilot
-        Computes the commands.
-    link : Link
-        The craft.
-    duration : float
-        How long; may be infinite [s].
-    period : float, default 0.01
-        Time between commands [s].
-    on_board : bool, default False
-        Whether the pilot is told what the sensors on the craft say.
-    early : float, default 0
-        How long before a command is due the pilot is told what has come by then, so that little is
-        left to do when it is [s].
-
-    Yields
-    ------
-    Action
-        After its command was sent.
     """
     start, announced = link.now, np.full(6, np.nan)
     count = math.inf if math.isinf(duration) else round(duration / period)

@@ -39,23 +39,15 @@ _MOST_TURNS = 2
 
 @dataclass(frozen=True, eq=False)
 class Preflight:
-    """Result of `preflight`.
+    """Result of `preflight`."""
 
-    Attributes
-    ----------
-    checks : tuple of Check
-        In the order in which to mend them.
-    names : tuple of str
-        Of the propellers.
-    strength : array, shape (n,)
-        Thrust of each, as a share of the modelled one; nan where it was not measured.
-    delay : float
-        Median transport delay of the motors that do something [s]; nan where none does.
-    """
-
+    #: In the order in which to mend them.
     checks: tuple[Check, ...]
+    #: Of the propellers.
     names: tuple[str, ...]
+    #: Thrust of each, as a share of the modelled one; nan where it was not measured.
     strength: Float[np.ndarray, " n"]
+    #: Median transport delay of the motors that do something [s]; nan where none does.
     delay: float
 
     @property
@@ -64,13 +56,7 @@ class Preflight:
         return all(check.verdict != "wrong" for check in self.checks)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``ready, checks, strength, delay_s``.
-        """
+        """Return the figures for ``--json``."""
         strength = [None if np.isnan(share) else float(share) for share in self.strength]
         return {
             "ready": self.ready,
@@ -107,20 +93,7 @@ def preflight(
 
 
 def judge_test(pilot: PulseTest, model: Model) -> Preflight:
-    """Judge a test that was flown.
-
-    Parameters
-    ----------
-    pilot : PulseTest
-        With the poses that came and the commands that were sent.
-    model : Model
-        What the craft is believed to be.
-
-    Returns
-    -------
-    Preflight
-        What is wrong, in words.
-    """
+    """Judge a test that was flown."""
     if not pilot.poses:
         check = Check("poses", "wrong", "none came: is the motion capture sending, on this topic?")
         return _found_only(check, model)
@@ -146,25 +119,7 @@ def _found_only(check: Check, model: Model) -> Preflight:
 
 
 def judge_recording(model: Model, recording: Recording) -> Preflight:
-    """Judge the pulses of a recorded test; see `preflight`.
-
-    Parameters
-    ----------
-    model : Model
-        What the craft is believed to be.
-    recording : Recording
-        Poses and commands.
-
-    Returns
-    -------
-    Preflight
-        What is wrong, in words.
-
-    Raises
-    ------
-    InputError
-        If a stream is missing, or the commands are of other motors.
-    """
+    """Judge the pulses of a recorded test; see `preflight`."""
     pose, command = recording["pose"], recording["command"]
     names = model.vehicle.propeller_names
     if set(command.columns) != set(names):
@@ -186,26 +141,7 @@ def judge_pulses(
     command_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
 ) -> Preflight:
-    """Compare what pulses did with what the model expects of them.
-
-    Parameters
-    ----------
-    model : Model
-        What the craft is believed to be.
-    time : array, shape (N,)
-        Stamps of the poses [s].
-    pose : array, shape (N, 3)
-        x, y [m], yaw [rad].
-    command_time : array, shape (K,)
-        Stamps of the commands, on the same clock [s].
-    command : array, shape (K, n)
-        Commands.
-
-    Returns
-    -------
-    Preflight
-        What is wrong, in words.
-    """
+    """Compare what pulses did with what the model expects of them."""
     n, names = model.vehicle.n_propellers, model.vehicle.propeller_names
     pose = np.column_stack([pose[:, :2], _continuous(pose[:, 2])])
     checks = [pose_check(time, pose, command_time, command, model.vehicle.command_min)]

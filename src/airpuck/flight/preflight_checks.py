@@ -38,20 +38,13 @@ _FRAMES = (
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was checked.
+    """One thing that was checked."""
 
-    Attributes
-    ----------
-    name : str
-        What.
-    verdict : {"ok", "look", "wrong"}
-        Whether it is right, deserves a look, or must be mended before a flight.
-    words : str
-        What was found, and what to do.
-    """
-
+    #: What.
     name: str
+    #: Whether it is right, deserves a look, or must be mended before a flight.
     verdict: Verdict
+    #: What was found, and what to do.
     words: str
 
 
@@ -62,26 +55,7 @@ def pose_check(
     command: Float[np.ndarray, "K n"],
     idle: float,
 ) -> Check:
-    """Check rate, noise and drift of the poses before the first pulse.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Stamps [s].
-    pose : array, shape (N, 3)
-        x, y, yaw (continuous).
-    command_time : array, shape (K,)
-        Stamps of the commands [s].
-    command : array, shape (K, n)
-        Commands.
-    idle : float
-        Command of an idle motor.
-
-    Returns
-    -------
-    Check
-        What was found.
-    """
+    """Check rate, noise and drift of the poses before the first pulse."""
     running = (command > idle + 1e-6).any(axis=1)
     begins = command_time[running.argmax()] if running.any() else np.inf
     rest = time < begins
@@ -105,20 +79,7 @@ def pose_check(
 
 
 def beyond_any_table(pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2"]) -> Check | None:
-    """Say in which units a craft would be on the table that is far from it in metres.
-
-    Parameters
-    ----------
-    pose : array, shape (3,)
-        x, y, yaw.
-    reach : array, shape (2,)
-        Greatest distances of the craft's centre from the middle of the table [m].
-
-    Returns
-    -------
-    Check or None
-        What is wrong; None where the position may be in metres, at a rail or beside the table.
-    """
+    """Say in which units a craft would be on the table that is far from it in metres."""
     x, y = pose[:2]
     if (np.abs(pose[:2]) <= _FAR * reach).all():
         return None
@@ -136,22 +97,7 @@ def beyond_any_table(pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2
 def pose_units(
     responses: list[PulseResponse], expected: Float[np.ndarray, "3 n"]
 ) -> tuple[Float[np.ndarray, " 3"], str]:
-    """Say in which units poses seem to be, by how much too large the effects are.
-
-    Parameters
-    ----------
-    responses : list of PulseResponse
-        Measured.
-    expected : array, shape (3, n)
-        Effects of the model [1/kg, 1/kg, 1/(kg m)].
-
-    Returns
-    -------
-    factors : array, shape (3,)
-        What turns the poses into metres and radians.
-    words : str
-        The units, where they are wrong.
-    """
+    """Say in which units poses seem to be, by how much too large the effects are."""
     if not responses:
         return np.ones(3), ""
     push, turn = (
@@ -180,20 +126,6 @@ def frame_check(
     """Look for a frame of the poses that explains what all motors do, the likely ones first.
 
     One that explains only some of them is none: a motor that is wrong must not hide behind it.
-
-    Parameters
-    ----------
-    measured : callable
-        Effects of the motors if the poses were multiplied by three factors.
-    expected : array, shape (3, m)
-        The model's.
-
-    Returns
-    -------
-    check : Check
-        The frame in words.
-    explained : bool
-        Whether it explains all motors.
     """
     for change, words in _FRAMES:
         effects = measured(np.array(change))
@@ -219,26 +151,7 @@ def frame_check(
 def motor_verdict(
     names: tuple[str, ...], k: int, likeness: Likeness | None, strength: float
 ) -> tuple[Verdict, str]:
-    """Say what a motor does.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Of all propellers.
-    k : int
-        Which one.
-    likeness : Likeness or None
-        Whose effect it has; None: it was not tried, or does nothing.
-    strength : float
-        Its thrust as a share of the modelled one; nan where it was not tried.
-
-    Returns
-    -------
-    verdict : {"ok", "look", "wrong"}
-        Whether it is right.
-    words : str
-        What was found.
-    """
+    """Say what a motor does."""
     if likeness is None:
         if np.isnan(strength):
             return "look", "was not tried"
@@ -258,20 +171,7 @@ def motor_verdict(
 
 
 def delay_check(delays: Float[np.ndarray, " p"], modelled: float) -> Check:
-    """Compare the transport delay with the model's.
-
-    Parameters
-    ----------
-    delays : array, shape (p,)
-        Of single pulses [s].
-    modelled : float
-        The model's [s].
-
-    Returns
-    -------
-    Check
-        What was found.
-    """
+    """Compare the transport delay with the model's."""
     found = float(np.median(delays))
     spread = np.quantile(delays, [0.25, 0.75])
     words = (

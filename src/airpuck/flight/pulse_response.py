@@ -24,23 +24,15 @@ _CUT_OFF = 0.7
 
 @dataclass(frozen=True, eq=False)
 class PulseResponse:
-    """What one pulse did.
+    """What one pulse did."""
 
-    Attributes
-    ----------
-    motor : int
-        Index of the propeller.
-    effect : array, shape (3,)
-        Body accelerations per modelled thrust, like a column of Π [1/kg, 1/kg, 1/(kg m)].
-    delay : float
-        From the command's stamp to the motion, by which it is explained best [s].
-    misfit : float
-        Root mean square of what is left unexplained, in standard deviations of the poses' noise.
-    """
-
+    #: Index of the propeller.
     motor: int
+    #: Body accelerations per modelled thrust, like a column of Π [1/kg, 1/kg, 1/(kg m)].
     effect: Float[np.ndarray, " 3"]
+    #: From the command's stamp to the motion, by which it is explained best [s].
     delay: float
+    #: Root mean square of what is left unexplained, in standard deviations of the poses' noise.
     misfit: float
 
 
@@ -63,26 +55,6 @@ def pulse_responses(
     propellers, a tilted table), and g the effect in question. For a delay d this is a linear
     regression; d is the one with the least residual. The poses are used as they are, nothing is
     differentiated.
-
-    Parameters
-    ----------
-    model : Model
-        Thrust curves and motor lag.
-    time : array, shape (N,)
-        Stamps of the poses [s].
-    pose : array, shape (N, 3)
-        x, y [m], yaw (continuous) [rad].
-    command_time : array, shape (K,)
-        Stamps of the commands [s].
-    command : array, shape (K, n)
-        Commands.
-    delays : array, shape (pulses,), optional
-        Transport delay of each pulse, where it is known [s].
-
-    Returns
-    -------
-    list of PulseResponse
-        One for each pulse with enough poses around it.
     """
     idle = model.vehicle.command_min
     pulses = find_pulses(command_time, command, idle)
@@ -104,22 +76,7 @@ def pulse_responses(
 def find_pulses(
     command_time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"], idle: float
 ) -> list[tuple[int, float, float]]:
-    """Find the stretches in which one motor runs and all others idle.
-
-    Parameters
-    ----------
-    command_time : array, shape (K,)
-        Stamps [s].
-    command : array, shape (K, n)
-        Commands.
-    idle : float
-        Command of an idle motor.
-
-    Returns
-    -------
-    list of (int, float, float)
-        Index of the motor, stamp of its first command and of the first idle one after it [s].
-    """
+    """Find the stretches in which one motor runs and all others idle."""
     runs = command > idle + 1e-6
     alone = np.where(runs.sum(axis=1) == 1, runs.argmax(axis=1), -1)
     edges = np.flatnonzero(np.diff(alone)) + 1

@@ -24,21 +24,14 @@ _PAUSE = 0.2
 
 @dataclass(frozen=True)
 class PulsePlan:
-    """How strong and how long the pulses are.
+    """How strong and how long the pulses are."""
 
-    Attributes
-    ----------
-    level : float
-        Command of the motor whose turn it is; all others idle.
-    length, rest : float
-        Length of a pulse, and of the pause after it [s].
-    rounds : int
-        How often each motor has its turn.
-    """
-
+    #: Command of the motor whose turn it is; all others idle.
     level: float = 0.25
+    #: Length of a pulse, and of the pause after it [s].
     length: float = 0.1
     rest: float = 0.3
+    #: How often each motor has its turn.
     rounds: int = 2
 
     def __post_init__(self) -> None:
@@ -56,26 +49,6 @@ class PulseTest:
     It believes nothing: no layout, no thrust, no frame, so that it can find all of them wrong. What
     keeps the craft on the table is that the pulses are short, that the propellers of a pair follow
     each other and undo what each does, and that the test ends near a rail and without poses.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-    plan : PulsePlan, optional
-        Strength and length of the pulses.
-    table : Table, optional
-        Where the rails are; by default the paper's table.
-
-    Attributes
-    ----------
-    reach : array, shape (2,)
-        Greatest distances of the craft's centre from the middle of the table [m].
-    poses : list of (float, array of shape (3,))
-        Stamps and poses that have come.
-    sent_commands : list of (float, array of shape (n,))
-        What was sent, and when.
-    stopped : str
-        Why the test ended early; empty while it goes on as planned.
     """
 
     def __init__(

@@ -26,29 +26,17 @@ from airpuck.recording.stream import Recording
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of a regulator that treats x and y alike.
+    """Gains of a regulator that treats x and y alike."""
 
-    Attributes
-    ----------
-    position, speed : float
-        Acceleration for an error in position [1/s²] and in velocity [1/s].
-    yaw, spin : float
-        Angular acceleration for an error in yaw [1/s²] and in spin [1/s].
-    """
-
+    #: Acceleration for an error in position [1/s²] and in velocity [1/s].
     position: float
     speed: float
+    #: Angular acceleration for an error in yaw [1/s²] and in spin [1/s].
     yaw: float
     spin: float
 
     def matrix(self) -> Float[np.ndarray, "3 6"]:
-        """Return K of v = -K x, for the state x, y, γ, vx, vy, ω.
-
-        Returns
-        -------
-        array, shape (3, 6)
-            The gain.
-        """
+        """Return K of v = -K x, for the state x, y, γ, vx, vy, ω."""
         return np.concatenate(
             [
                 np.diag([self.position, self.position, self.yaw]),
@@ -59,18 +47,7 @@ class Gains:
 
     @classmethod
     def of(cls, matrix: Float[np.ndarray, "3 6"]) -> Gains:
-        """Read the gains off a matrix.
-
-        Parameters
-        ----------
-        matrix : array, shape (3, 6)
-            K.
-
-        Returns
-        -------
-        Gains
-            Its entries.
-        """
+        """Read the gains off a matrix."""
         return cls(*(float(matrix[i, j]) for i, j in ((0, 0), (0, 3), (2, 2), (2, 5))))
 
 

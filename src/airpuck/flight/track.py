@@ -26,41 +26,25 @@ _LEAD_S = 0.5
 
 @dataclass(frozen=True)
 class SetPointResult:
-    """What became of one set point.
+    """What became of one set point."""
 
-    Attributes
-    ----------
-    start, stop : float
-        When it was in force [s].
-    pose : tuple of float
-        x, y [m], yaw [rad].
-    settling_time : float or None
-        Until the pose stays within `TOLERANCE`; None if it does not [s].
-    overshoot : tuple of float
-        How far x, y, yaw went beyond, seen from where they were at the start [m, m, rad].
-    steady_state_error : tuple of float or None
-        Mean pose minus set point at the end of the dwell; None if poses are missing there
-        [m, m, rad].
-    effort : float
-        Mean over the dwell of the sum of squared commands above the lowest.
-    """
-
+    #: When it was in force [s].
     start: float
     stop: float
+    #: x, y [m], yaw [rad].
     pose: tuple[float, float, float]
+    #: Until the pose stays within `TOLERANCE`; None if it does not [s].
     settling_time: float | None
+    #: How far x, y, yaw went beyond, seen from where they were at the start [m, m, rad].
     overshoot: tuple[float, float, float]
+    #: Mean pose minus set point at the end of the dwell; None if poses are missing there [m, m,
+    #: rad].
     steady_state_error: tuple[float, float, float] | None
+    #: Mean over the dwell of the sum of squared commands above the lowest.
     effort: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            All attributes; vectors as ``x_m``, ``y_m``, ``yaw_rad``.
-        """
+        """Return the figures for ``--json``."""
         return {
             "start_s": self.start,
             "stop_s": self.stop,
@@ -76,60 +60,28 @@ class SetPointResult:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A flight to set points.
+    """A flight to set points."""
 
-    Attributes
-    ----------
-    label : str
-        What flew.
-    time : array, shape (N,)
-        Times of the poses, from the first command on [s].
-    pose : array, shape (N, 3)
-        x, y [m], yaw, continuous [rad].
-    set_points : SetPoints
-        What was asked for, on the same time axis.
-    command_time : array, shape (K,)
-        [s].
-    command : array, shape (K, n)
-        Motor commands.
-    motors : tuple of str
-        Names of the motors.
-    command_min : float
-        The lowest command.
-    """
-
+    #: What flew.
     label: str
+    #: Times of the poses, from the first command on [s].
     time: Float[np.ndarray, " N"]
+    #: x, y [m], yaw, continuous [rad].
     pose: Float[np.ndarray, "N 3"]
+    #: What was asked for, on the same time axis.
     set_points: SetPoints
+    #: [s].
     command_time: Float[np.ndarray, " K"]
+    #: Motor commands.
     command: Float[np.ndarray, "K n"]
+    #: Names of the motors.
     motors: tuple[str, ...]
+    #: The lowest command.
     command_min: float
 
     @classmethod
     def of(cls, recording: Recording, vehicle: Vehicle, label: str) -> Track:
-        """Read a flight off a recording.
-
-        Parameters
-        ----------
-        recording : Recording
-            Poses, commands and references.
-        vehicle : Vehicle
-            The craft.
-        label : str
-            What flew.
-
-        Returns
-        -------
-        Track
-            The flight.
-
-        Raises
-        ------
-        InputError
-            If a stream is missing or cannot be used.
-        """
+        """Read a flight off a recording."""
         pose, command = recording["pose"], recording["command"]
         order = match_columns(vehicle, command.columns, source=recording.source)
         aligned = align_clocks(pose, command)
@@ -175,24 +127,12 @@ class Track:
         return max(begin, float(self.time[0]))
 
     def moves(self) -> list[SetPointResult]:
-        """Measure what became of the set points from the first that differs from the start on.
-
-        Returns
-        -------
-        list of SetPointResult
-            As `results`, without the set point that holds the craft where it stands at first.
-        """
+        """Measure what became of the set points from the first that differs from the start on."""
         begin = self.set_points.times[self.first_move]
         return [result for result in self.results() if result.start >= begin]
 
     def results(self) -> list[SetPointResult]:
-        """Measure what became of each set point.
-
-        Returns
-        -------
-        list of SetPointResult
-            In order; a set point that was in force for fewer than ten poses is left out.
-        """
+        """Measure what became of each set point."""
         times = self.set_points.times
         stops = np.append(times[1:], self.time[-1])
         found = []
@@ -238,25 +178,7 @@ class Track:
     def difference(
         self, other: Track, span: tuple[float, float] = (0.5, 6.5)
     ) -> Float[np.ndarray, "M 3"]:
-        """Compare with another flight, at this one's poses.
-
-        Parameters
-        ----------
-        other : Track
-            Flown to the same set points at the same times.
-        span : (float, float), default (0.5, 6.5)
-            Times to compare, from this flight's `origin` on [s].
-
-        Returns
-        -------
-        array, shape (M, 3)
-            The other's pose minus this one's, yaw wrapped [m, m, rad].
-
-        Raises
-        ------
-        InputError
-            If the flights have no time in common.
-        """
+        """Compare with another flight, at this one's poses."""
         begin, stop = self.origin + span[0], self.origin + span[1]
         stop = min(stop, self.time[-1], other.time[-1])
         inside = (self.time >= max(begin, other.time[0])) & (self.time <= stop)
@@ -271,26 +193,7 @@ class Track:
 
 
 def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
-    """Return the set points that a recording logged.
-
-    Parameters
-    ----------
-    recording : Recording
-        With a stream ``reference``.
-    epoch : float
-        The recorder's time at which the time axis begins [s].
-
-    Returns
-    -------
-    SetPoints
-        On that axis; of several of one time the last, which is the one in force. One that is told
-        again is not another.
-
-    Raises
-    ------
-    InputError
-        If there are none, or they are not finite.
-    """
+    """Return the set points that a recording logged."""
     logged = recording["reference"]
     # In the same arithmetic as the commands: one of the same moment must not seem earlier.
     times = seconds(logged.received_ns) - epoch

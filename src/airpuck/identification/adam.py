@@ -127,21 +127,7 @@ class Adam:
 
 
 def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, Any], Any]:
-    """Return the prediction loss as a function that JAX differentiates.
-
-    Parameters
-    ----------
-    loss : PredictionLoss
-        Windows, encoder, weights.
-    parameters : Parameters
-        Their shapes.
-
-    Returns
-    -------
-    callable
-        ``(vector, starts) -> loss``: parameters as a vector of shape (P,), first samples of some
-        windows, shape (B,).
-    """
+    """Return the prediction loss as a function that JAX differentiates."""
     windows, encoder = loss.windows, loss.encoder
     time, state, command = map(jnp.asarray, (windows.time, windows.state, windows.input))
     weights = jnp.asarray(loss.weights)[:, None]

@@ -16,20 +16,7 @@ _LENGTHS = 5
 
 
 def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
-    """Group windows into blocks of time.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows of one or several trajectories, in the order of time.
-
-    Returns
-    -------
-    array of int, shape (W,)
-        The block that each window begins in. Blocks hold nearly equally many windows, span about
-        two seconds, or five windows where these are longer, and never reach from one trajectory
-        into another.
-    """
+    """Group windows into blocks of time."""
     trajectory, stride = _steps(windows)
     period = float(np.median(np.diff(windows.time)))
     span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
@@ -52,18 +39,6 @@ def shared_at_borders(windows: Windows, clusters: Int[np.ndarray, " W"]) -> floa
     Scores of windows of length L that begin ℓ apart have the correlation 1 - ℓ/L where they begin,
     since that much of what disturbs them is common. Pairs across the ends of a block of length B
     are a share (2/B) ∫₀ᴸ ℓ (1 - ℓ/L) dℓ / L = L/(3 B) of all.
-
-    Parameters
-    ----------
-    windows : Windows
-        Windows of one or several trajectories, in the order of time.
-    clusters : array of int, shape (W,)
-        The block that each window begins in (`cluster_windows`).
-
-    Returns
-    -------
-    float
-        0.06 for minutes of flight with the usual windows; 1/3 at most.
     """
     blocks = int(clusters.max()) + 1
     trajectory, stride = _steps(windows)

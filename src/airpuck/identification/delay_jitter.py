@@ -22,17 +22,6 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     1/(σ² + v), is its expectation, the degrees of freedom (Paule and Mandel, Journal of Research
     of the NBS 87, 1982); zero where the noise explains the spread. The standard error is that of a
     sample variance, by the fourth moment.
-
-    Parameters
-    ----------
-    delays : sequence of PacketDelays
-        From each recording.
-
-    Returns
-    -------
-    DelayJitter or None
-        None where fewer than ten packets switched a motor, beside one for the mean of each
-        recording.
     """
     delays = [found for found in delays if len(found)]
     degrees = sum(len(found) - 1 for found in delays)
@@ -58,18 +47,7 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
 
 
 def spread_of(delays: Sequence[PacketDelays]) -> float:
-    """Return the standard deviation of the packets' delays.
-
-    Parameters
-    ----------
-    delays : sequence of PacketDelays
-        From each recording.
-
-    Returns
-    -------
-    float
-        That of `delay_jitter` [s]; zero where there is none.
-    """
+    """Return the standard deviation of the packets' delays."""
     jitter = delay_jitter(delays)
     return jitter.standard_deviation_s if jitter else 0.0
 
@@ -80,18 +58,6 @@ def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
     A fit to packets at the times of their arrival knows the mean delay of those that it knows,
     as exactly as poses tell. These are a sample of B of the radio's packets: σ²/B where all are
     known equally well, σ² Σ w²/(Σ w)² with the weights w = 1/(σ² + v) of their mean.
-
-    Parameters
-    ----------
-    delays : sequence of PacketDelays
-        From each recording.
-    jitter : float
-        σ [s].
-
-    Returns
-    -------
-    float
-        [s²]; zero without packets or jitter.
     """
     if not jitter > 0 or not any(map(len, delays)):
         return 0.0

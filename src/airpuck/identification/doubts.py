@@ -15,18 +15,7 @@ _HARDLY = 0.02
 
 
 def idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
-    """Name the motors of which the data can say nothing.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        Data of one craft.
-
-    Returns
-    -------
-    list of str
-        A sentence for each motor that is told the same throughout.
-    """
+    """Name the motors of which the data can say nothing."""
     ranges = np.max([np.ptp(t.input[t.usable], axis=0) for t in trajectories], axis=0)
     return [
         f"the command of {name} hardly changes: these data do not determine its thrust"
@@ -36,22 +25,7 @@ def idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
 
 
 def doubts(model: Model, converged: bool, message: str) -> list[str]:
-    """Say what to look at before trusting a model.
-
-    Parameters
-    ----------
-    model : Model
-        The fitted model.
-    converged : bool
-        Whether the optimiser stopped by its own criterion.
-    message : str
-        Why it stopped.
-
-    Returns
-    -------
-    list of str
-        A sentence for each.
-    """
+    """Say what to look at before trusting a model."""
     warnings = [] if converged else [f"the optimiser has not converged: {message}"]
     vector = model.parameters.to_vector()
     lower, upper = model.parameters.bounds()

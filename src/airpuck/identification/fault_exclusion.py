@@ -19,34 +19,19 @@ _SETTLING = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Exclusion:
-    """What a fit is not learned from.
+    """What a fit is not learned from."""
 
-    Attributes
-    ----------
-    trajectories : tuple of Trajectory
-        The recordings without their faults.
-    faults : tuple of tuple of Span
-        The faults found in each recording.
-    share : float
-        Share of the windows that they took.
-    warnings : tuple of str
-        Recordings whose faults were too many to be true, and were not left out.
-    """
-
+    #: The recordings without their faults.
     trajectories: tuple[Trajectory, ...]
+    #: The faults found in each recording.
     faults: tuple[tuple[Span, ...], ...]
+    #: Share of the windows that they took.
     share: float
+    #: Recordings whose faults were too many to be true, and were not left out.
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json`` and the model file.
-
-        Returns
-        -------
-        dict
-            ``share_of_windows``, and ``spans`` with ``recording, start_s, stop_s, cause,
-            confidence``.
-        """
+        """Return the figures for ``--json`` and the model file."""
         return {
             "share_of_windows": self.share,
             "spans": [
@@ -66,24 +51,7 @@ class Exclusion:
 def exclude_faults(
     trajectories: Sequence[Trajectory], model: Model, length: int, stride: int
 ) -> Exclusion:
-    """Find the faults of recordings, and leave them out until the motors have caught up.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        Recordings of one craft.
-    model : Model
-        A first fit to them.
-    length : int
-        Samples in a window.
-    stride : int
-        Samples from one window to the next.
-
-    Returns
-    -------
-    Exclusion
-        The recordings without their faults.
-    """
+    """Find the faults of recordings, and leave them out until the motors have caught up."""
     settling = _SETTLING * float(model.dynamics.motor_time_constant)
     kept, found, warnings = [], [], []
     before = after = 0

@@ -36,20 +36,13 @@ _STEP = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """How scores follow the data that were prepared with an estimate.
+    """How scores follow the data that were prepared with an estimate."""
 
-    Attributes
-    ----------
-    mixed : array, shape (P, P)
-        M = ∂/∂θ' ∂L(θ; data prepared with θ')/∂θ.
-    hessian : array, shape (P, P)
-        Gauss-Newton Hessian H of the same windows.
-    rounds : int
-        How often the data were prepared anew.
-    """
-
+    #: M = ∂/∂θ' ∂L(θ; data prepared with θ')/∂θ.
     mixed: Float[np.ndarray, "P P"]
+    #: Gauss-Newton Hessian H of the same windows.
     hessian: Float[np.ndarray, "P P"]
+    #: How often the data were prepared anew.
     rounds: int
 
     def growth(self, basis: Float[np.ndarray, "P R"]) -> Float[np.ndarray, "R R"]:
@@ -57,17 +50,6 @@ class Feedback:
 
         An estimate from data that were prepared with the error e is off by K e, K = -H⁻¹ M, on top
         of an error of its own.
-
-        Parameters
-        ----------
-        basis : array, shape (P, R)
-            Directions that the data determine.
-
-        Returns
-        -------
-        array, shape (R, R)
-            1 + K + K² + … up to K to the power of `rounds`, along those directions. The first
-            estimate, whose data nobody had prepared, is taken to err like the others.
         """
         # A motor may stand all the time in that part of the recordings: nothing goes round then.
         inverse = np.linalg.pinv(basis.T @ self.hessian @ basis, rcond=_BLIND, hermitian=True)
@@ -86,30 +68,7 @@ def preparation_feedback(
     standard_errors: Float[np.ndarray, " P"],
     rounds: int,
 ) -> Feedback:
-    """Differentiate the gradient of a loss with respect to what its data were prepared with.
-
-    Parameters
-    ----------
-    loss : PredictionLoss
-        On prepared data.
-    trajectories : sequence of Trajectory
-        The recordings before that.
-    model : Model
-        The estimate θ.
-    delays : sequence of PacketDelays
-        Of each recording.
-    standard_errors : array, shape (P,)
-        Of the parameters, for the size of steps; nan for those that are left out, of which some
-        must not be.
-    rounds : int
-        How often the data were prepared anew.
-
-    Returns
-    -------
-    Feedback
-        At θ' = θ, from windows that overlap by two thirds, of two minutes at most, that all
-        count once; columns of parameters that are left out are zero.
-    """
+    """Differentiate the gradient of a loss with respect to what its data were prepared with."""
     windows = loss.windows
     ahead, past = windows.prediction_length, windows.encoder_length
     spread = spread_of(delays)

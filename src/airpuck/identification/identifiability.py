@@ -32,39 +32,23 @@ _POOR = 1e6
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What data can say about the parameters of a model.
+    """What data can say about the parameters of a model."""
 
-    Attributes
-    ----------
-    free : int
-        Number of free parameters.
-    rank : int
-        How many combinations of them the data determine.
-    condition : float
-        Condition number of the information on these, scaled to a unit diagonal.
-    weakest : tuple of str
-        Main parameters of the weakest direction that is determined.
-    correlated : tuple of (str, str, float)
-        Pairs whose estimates correlate by more than 0.95 in size, by the information alone.
-    notes : tuple of str
-        What is not determined, and what is hard to tell apart.
-    """
-
+    #: Number of free parameters.
     free: int
+    #: How many combinations of them the data determine.
     rank: int
+    #: Condition number of the information on these, scaled to a unit diagonal.
     condition: float
+    #: Main parameters of the weakest direction that is determined.
     weakest: tuple[str, ...]
+    #: Pairs whose estimates correlate by more than 0.95 in size, by the information alone.
     correlated: tuple[tuple[str, str, float], ...]
+    #: What is not determined, and what is hard to tell apart.
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            Its attributes; None for a condition that is not finite.
-        """
+        """Return the figures for ``--json``."""
         condition = self.condition if np.isfinite(self.condition) else None
         return {**asdict(self), "condition": condition}
 
@@ -75,24 +59,7 @@ def identifiability_of(
     free: Bool[np.ndarray, " P"],
     propellers: tuple[str, ...],
 ) -> Identifiability:
-    """Say what an information matrix determines.
-
-    Parameters
-    ----------
-    hessian : array, shape (P, P)
-        Gauss-Newton Hessian at a point; any factor.
-    parameters : Parameters
-        The point.
-    free : array of bool, shape (P,)
-        What is to be estimated.
-    propellers : tuple of str
-        Their names.
-
-    Returns
-    -------
-    Identifiability
-        In numbers and words.
-    """
+    """Say what an information matrix determines."""
     labels = [label for label, is_free in zip(parameters.labels(propellers), free, strict=True)
               if is_free]  # fmt: skip
     scale = scaling(hessian, free)

@@ -15,49 +15,32 @@ from airpuck.model.parameters import Parameters
 
 @dataclass(frozen=True)
 class Iteration:
-    """One step of an optimiser.
+    """One step of an optimiser."""
 
-    Attributes
-    ----------
-    number : int
-        0 is the start. A step of Levenberg-Marquardt, an epoch of Adam.
-    loss : float
-        Prediction loss on the training windows.
-    test_loss : float or None
-        The same on windows held out, where the optimiser holds some out.
-    """
-
+    #: 0 is the start. A step of Levenberg-Marquardt, an epoch of Adam.
     number: int
+    #: Prediction loss on the training windows.
     loss: float
+    #: The same on windows held out, where the optimiser holds some out.
     test_loss: float | None = None
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of an optimiser.
+    """Result of an optimiser."""
 
-    Attributes
-    ----------
-    parameters : Parameters
-        The best ones found.
-    loss : float
-        Their prediction loss, without any regulariser.
-    history : tuple of Iteration
-        The way there, beginning with the start.
-    converged : bool
-        Whether the optimiser stopped by its own criterion.
-    message : str
-        Why it stopped.
-    shares : Shares or None
-        What each cluster contributes to the loss at `parameters`, where it has clusters and the
-        optimiser knows.
-    """
-
+    #: The best ones found.
     parameters: Parameters
+    #: Their prediction loss, without any regulariser.
     loss: float
+    #: The way there, beginning with the start.
     history: tuple[Iteration, ...]
+    #: Whether the optimiser stopped by its own criterion.
     converged: bool
+    #: Why it stopped.
     message: str
+    #: What each cluster contributes to the loss at `parameters`, where it has clusters and the
+    #: optimiser knows.
     shares: Shares | None = None
 
 
@@ -72,24 +55,7 @@ class Method(Protocol):
         free: Bool[np.ndarray, " P"],
         progress: Callable[[Iteration], None] = ...,
     ) -> Outcome:
-        """Minimise a prediction loss.
-
-        Parameters
-        ----------
-        loss : PredictionLoss
-            What to minimise.
-        parameters : Parameters
-            Where to start.
-        free : array of bool, shape (P,)
-            Which entries of ``parameters.to_vector()`` may change.
-        progress : callable, optional
-            Called after every iteration.
-
-        Returns
-        -------
-        Outcome
-            The best parameters and the way there.
-        """
+        """Minimise a prediction loss."""
         ...
 
 
@@ -100,26 +66,7 @@ def minimize_on(
     free: Bool[np.ndarray, " P"],
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Outcome:
-    """Go on from an optimum with another loss; iterations are counted on.
-
-    Parameters
-    ----------
-    method : Method
-        The optimiser.
-    loss : PredictionLoss
-        What to minimise now.
-    outcome : Outcome
-        Where to start.
-    free : array of bool, shape (P,)
-        Entries that may change.
-    progress : callable, optional
-        Called after every iteration.
-
-    Returns
-    -------
-    Outcome
-        The optimum of `loss`; its history begins with that of `outcome`.
-    """
+    """Go on from an optimum with another loss; iterations are counted on."""
     begun = outcome.history[-1].number
 
     def counted_on(iteration: Iteration) -> None:

@@ -16,18 +16,6 @@ def monotone_penalty(xp: Any, coefficients: Any) -> Any:
     The sum over propellers of max(0, -F'(φ)) at φ = 0, at φ = 1 and, by Proposition 1
     (prop:thrust), at the minimum of F' where that lies in between. The minimum is exact for degrees
     up to three; for higher ones it is searched on a grid of 41 points.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-
-    Returns
-    -------
-    array, shape ()
-        Penalty [N]; zero where all curves rise.
     """
     n, degree = coefficients.shape
     ends = xp.broadcast_to(xp.array([0.0, 1.0]), (n, 2))
@@ -51,13 +39,6 @@ class SlopeConstraints:
     F'(φ) ≥ 0 for all φ in [0, 1] is one linear inequality in the coefficients for every φ. The
     ones at the ends are there from the start; `cut` adds the one at the minimum of a curve that
     falls somewhere. A few cuts suffice, since a polynomial's slope has few minima.
-
-    Parameters
-    ----------
-    free : array of bool, shape (n, degree)
-        Which coefficients can change.
-    margin : float, default 1e-6
-        Lowest slope [N]; above zero so that rounding cannot undo it.
     """
 
     def __init__(self, free: Bool[np.ndarray, "n degree"], margin: float = 1e-6) -> None:
@@ -66,13 +47,7 @@ class SlopeConstraints:
         self._points = [(i, speed) for i in range(len(free)) for speed in (0.0, 1.0)]
 
     def rows(self) -> Float[np.ndarray, "R entries"]:
-        """Return A such that the constraints read A c ≥ margin, c the flat coefficients.
-
-        Returns
-        -------
-        array, shape (R, n · degree)
-            One row for each constraint on a curve that can change.
-        """
+        """Return A such that the constraints read A c ≥ margin, c the flat coefficients."""
         n, degree = self._free.shape
         power = np.arange(1, degree + 1)
         rows = np.zeros((len(self._points), n, degree))
@@ -84,18 +59,7 @@ class SlopeConstraints:
         return rows[changeable].reshape(-1, n * degree)
 
     def cut(self, coefficients: Float[np.ndarray, "n degree"]) -> bool:
-        """Add constraints where curves fall.
-
-        Parameters
-        ----------
-        coefficients : array, shape (n, degree)
-            Thrust coefficients [N].
-
-        Returns
-        -------
-        bool
-            Whether any was added.
-        """
+        """Add constraints where curves fall."""
         slopes, speeds = lowest_slope(coefficients)
         new = [
             (propeller, float(speeds[propeller]))

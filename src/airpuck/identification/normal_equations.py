@@ -49,34 +49,6 @@ def normal_equations(
 
     Local coordinates are the thrust coefficients, K directions of Π and the effects, the centre of
     mass where it acts beside Π, τ, and the transport delay.
-
-    Parameters
-    ----------
-    dynamics : tuple
-        Thrust coefficients (n, degree); Π and the effects; centre of mass; τ.
-    basis : tuple
-        The directions: derivatives of Π and the effects by each, K first.
-    time, state, command : array, shape (N,), (N, 6), (N, n)
-        Samples.
-    command_slope : array, shape (N, n)
-        Derivative of `command` by the transport delay.
-    starts : array of int, shape (B,)
-        First samples of the windows.
-    multiplicity : array, shape (B,)
-        How often each window counts.
-    channel_weights : array, shape (3,)
-        Weights of x, y, γ.
-    encoder : StateEncoder
-        Where predictions start from.
-    horizon : int
-        Steps T.
-    frame : {"body", "world"}
-        Where the offset of the centre of mass is constant.
-
-    Returns
-    -------
-    square, score, curvature : array, shape (), (L,), (L, L)
-        Sums over windows, steps and channels.
     """
     coefficients, linear, center, tau = dynamics
     (n, degree), batch = coefficients.shape, starts.shape[0]

@@ -37,42 +37,27 @@ _MANY, _THINNED = 1000, 4
 
 @dataclass(frozen=True)
 class Shares:
-    """What each of G clusters of windows contributes to a `Quadratic`; they add up to it.
+    """What each of G clusters of windows contributes to a `Quadratic`; they add up to it."""
 
-    Attributes
-    ----------
-    loss : array, shape (G,)
-        Parts of the loss.
-    gradient : array, shape (G, P)
-        Scores: parts of the gradient.
-    hessian : array, shape (G, P, P)
-        Parts of the Gauss-Newton Hessian.
-    """
-
+    #: Parts of the loss.
     loss: Float[np.ndarray, " G"]
+    #: Scores: parts of the gradient.
     gradient: Float[np.ndarray, "G P"]
+    #: Parts of the Gauss-Newton Hessian.
     hessian: Float[np.ndarray, "G P P"]
 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A loss and its quadratic approximation at a point.
+    """A loss and its quadratic approximation at a point."""
 
-    Attributes
-    ----------
-    loss : float
-        Mean square of the weighted errors.
-    gradient : array, shape (P,)
-        Its gradient.
-    hessian : array, shape (P, P)
-        Its Gauss-Newton Hessian, 2 JᵀJ / M for M residuals.
-    shares : Shares or None
-        What each cluster of windows contributes, where the loss has clusters.
-    """
-
+    #: Mean square of the weighted errors.
     loss: float
+    #: Its gradient.
     gradient: Float[np.ndarray, " P"]
+    #: Its Gauss-Newton Hessian, 2 JᵀJ / M for M residuals.
     hessian: Float[np.ndarray, "P P"]
+    #: What each cluster of windows contributes, where the loss has clusters.
     shares: Shares | None = None
 
 

@@ -41,20 +41,13 @@ _RATIOS = np.concatenate([[0.0], np.logspace(2, 9, 57)])
 
 @dataclass(frozen=True, eq=False)
 class PacketDelays:
-    """When packets arrived, against the mean delay.
+    """When packets arrived, against the mean delay."""
 
-    Attributes
-    ----------
-    packet : array of int, shape (B,)
-        Number of each packet in ``Trajectory.command``, increasing.
-    deviation : array, shape (B,)
-        Arrival after the one that the model's delay predicts [s].
-    standard_error : array, shape (B,)
-        Of the deviation, from the noise of the poses and what the model does not explain [s].
-    """
-
+    #: Number of each packet in ``Trajectory.command``, increasing.
     packet: Int[np.ndarray, " B"]
+    #: Arrival after the one that the model's delay predicts [s].
     deviation: Float[np.ndarray, " B"]
+    #: Of the deviation, from the noise of the poses and what the model does not explain [s].
     standard_error: Float[np.ndarray, " B"]
 
     def __len__(self) -> int:
@@ -75,19 +68,6 @@ def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
     unknown. Those get a prior of 10 ms, which is taken out of what is returned. The noise is that
     of the poses and of white accelerations that the model does not explain, both as large as the
     residuals of the recording say (maximum likelihood).
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A recording.
-    model : Model
-        The craft.
-
-    Returns
-    -------
-    PacketDelays
-        Of packets that arrived within 60 ms of the mean, and are known to 4 ms; none for a model
-        without a motor lag.
     """
     near = _surroundings(trajectory, model)
     if near is None:
@@ -110,24 +90,7 @@ def delay_response(
     delays: PacketDelays,
     acceleration: Float[np.ndarray, "P N 3"],
 ) -> Float[np.ndarray, "P B"]:
-    """Return by how much the delays that are found change with the modelled accelerations.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The recording.
-    model : Model
-        The craft.
-    delays : PacketDelays
-        What `packet_delays` found in it.
-    acceleration : array, shape (P, N, 3)
-        P small changes of the modelled ax, ay [m/s²] and ω' [rad/s²] at all samples.
-
-    Returns
-    -------
-    array, shape (P, B)
-        Changes of ``delays.deviation`` [s], to first order.
-    """
+    """Return by how much the delays that are found change with the modelled accelerations."""
     near = _surroundings(trajectory, model)
     if near is None or not len(delays):
         return np.zeros((len(acceleration), len(delays)))
@@ -266,21 +229,7 @@ class _Components:
 
 
 class _Regression:
-    """Least squares for the delays of m packets nearby and what else may be wrong, all with priors.
-
-    Parameters
-    ----------
-    residual : array, shape (k, 3, B)
-        Components of the poses less those that the model predicts.
-    slope : array, shape (k, 3, u, B)
-        Their change with each unknown; the first m are the delays.
-    variance : array, shape (k, 3)
-        Of each component.
-    packet : array of int, shape (m, B)
-        Numbers of the packets.
-    late : array, shape (m, B)
-        The delays that residuals and slopes are linearised at [s].
-    """
+    """Regularised least squares for the delays of m packets nearby and other errors."""
 
     def __init__(
         self,

@@ -27,22 +27,7 @@ from airpuck.preprocessing.quality import stretches
 def refined(
     trajectories: Sequence[Trajectory], model: Model
 ) -> tuple[tuple[Trajectory, ...], tuple[PacketDelays, ...]]:
-    """Prepare recordings anew: commands at the times of arrival, velocities along the model.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        Recordings, as preprocessed.
-    model : Model
-        The craft, with a transport delay that was learned.
-
-    Returns
-    -------
-    trajectories : tuple of Trajectory
-        For the next fit; as they were for a model without a motor lag, which cannot tell.
-    delays : tuple of PacketDelays
-        Of each recording.
-    """
+    """Prepare recordings anew: commands at the times of arrival, velocities along the model."""
     delays = tuple(packet_delays(trajectory, model) for trajectory in trajectories)
     if not float(model.dynamics.motor_time_constant) > 0:
         return tuple(trajectories), delays
@@ -59,20 +44,6 @@ def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Traj
 
     The mean of δ given its estimate δ̂ of variance v is σ²/(σ² + v) δ̂ for packets whose delays have
     the standard deviation σ. All other packets keep the mean delay, but overtake none.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A recording.
-    delays : PacketDelays
-        Of some of its packets.
-    jitter : float
-        σ [s].
-
-    Returns
-    -------
-    Trajectory
-        With other times of the commands; the mean over the known packets is as before.
     """
     if not len(delays) or jitter == 0:
         return trajectory
@@ -93,18 +64,6 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     v = ∫ a + D(y - ∬ a), a the modelled accelerations along the measured yaw and D the derivative
     of preprocessing: linear, and exact for cubics. Where a is the true acceleration the kinks that
     switching motors leave are all in ∫ a, and are not smoothed away.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A recording.
-    model : Model
-        The craft.
-
-    Returns
-    -------
-    Trajectory
-        With other velocities, but for stretches between gaps that are too short to smooth.
     """
     time, state = trajectory.time, trajectory.state.copy()
     modelled = modelled_acceleration(trajectory, model)
@@ -117,20 +76,7 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
 
 
 def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndarray, "N 3"]:
-    """Compute what a model says of the accelerations along the measured motion.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A recording.
-    model : Model
-        The craft, with a transport delay that was learned.
-
-    Returns
-    -------
-    array, shape (N, 3)
-        ax, ay [m/s²] and ω' [rad/s²].
-    """
+    """Compute what a model says of the accelerations along the measured motion."""
     assumed = model.vehicle.nominal.transport_delay_s
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
     speed = motor_speeds(trajectory.time, held, float(model.dynamics.motor_time_constant))

@@ -33,26 +33,6 @@ def reweighted(
     (ν + 1)/(ν + s/σ²): what Student's distribution of ν degrees of freedom asks for (Holland and
     Welsch, Communications in Statistics A 6, 1977). A window whose error is ten times the median's
     counts a hundredth of one without error.
-
-    Parameters
-    ----------
-    method : Method
-        The optimiser of each pass.
-    loss : PredictionLoss
-        The unweighted loss.
-    outcome : Outcome
-        Where to start: its optimum.
-    free : array of bool, shape (P,)
-        Entries that may change.
-    progress : callable, optional
-        Called after every iteration of the optimiser; they are counted on.
-
-    Returns
-    -------
-    loss : PredictionLoss
-        With the last weights.
-    outcome : Outcome
-        Its optimum; the loss reported is the unweighted one.
     """
     if loss.multiplicity is not None:
         raise ValueError("windows that already count differently cannot be weighted")
@@ -76,20 +56,7 @@ def reweighted(
 
 
 def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.ndarray, " W"]:
-    """Return how much each window counts.
-
-    Parameters
-    ----------
-    loss : PredictionLoss
-        Windows, encoder and weights of the channels.
-    parameters : Parameters
-        θ.
-
-    Returns
-    -------
-    array, shape (W,)
-        Weights between 0 and 1 + 1/ν.
-    """
+    """Return how much each window counts."""
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
     errors = prediction_errors(dynamics, loss.windows_at(parameters), loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors

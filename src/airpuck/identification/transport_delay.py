@@ -29,32 +29,7 @@ _FAR_SAMPLES = 3.0
 def learns_delay(
     choice: DelayChoice | None, rung: Preset, method: Method, trajectories: Sequence[Trajectory]
 ) -> bool:
-    """Say whether a fit learns the transport delay.
-
-    Parameters
-    ----------
-    choice : {"fit", "fixed"} or None
-        What was asked for. None: learned by Levenberg-Marquardt on rungs with a motor lag, since
-        where none is modelled a free delay would take its place; and from recordings that tell
-        theirs. Where others have shifted the commands, each file has another delay left, and what
-        one of them teaches does not hold for the next.
-    rung : Preset
-        The rung.
-    method : Method
-        The optimiser.
-    trajectories : sequence of Trajectory
-        The recordings.
-
-    Returns
-    -------
-    bool
-        Whether the delay is free.
-
-    Raises
-    ------
-    InputError
-        If the optimiser cannot learn it.
-    """
+    """Say whether a fit learns the transport delay."""
     can = isinstance(method, LevenbergMarquardt)
     if choice is None:
         return rung.lag and can and all(t.delay_known for t in trajectories)
@@ -64,39 +39,13 @@ def learns_delay(
 
 
 def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
-    """Return the transport delay that preprocessing found.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        The recordings.
-    vehicle : Vehicle
-        Its nominal delay is taken where no recording tells its own.
-
-    Returns
-    -------
-    float
-        The mean [s].
-    """
+    """Return the transport delay that preprocessing found."""
     known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
     return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
 
 
 def delay_warnings(model: Model, trajectories: Sequence[Trajectory]) -> list[str]:
-    """Say which recordings seem to have another delay than the one that was learned.
-
-    Parameters
-    ----------
-    model : Model
-        The fitted model.
-    trajectories : sequence of Trajectory
-        What it was learned from.
-
-    Returns
-    -------
-    list of str
-        A sentence for each.
-    """
+    """Say which recordings seem to have another delay than the one that was learned."""
     if not model.delay_learned:
         return []
     return [

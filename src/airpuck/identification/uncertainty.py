@@ -34,21 +34,14 @@ _LEVERAGE = 0.999
 
 @dataclass(frozen=True, eq=False)
 class Subspace:
-    """Directions in which an estimate can vary.
+    """Directions in which an estimate can vary."""
 
-    Attributes
-    ----------
-    basis : array, shape (P, R)
-        What the data determine and no constraint holds: θ = basis @ z. The information about z is
-        about the identity.
-    undetermined : array, shape (K, P)
-        Orthonormal directions without information.
-    held : array of bool, shape (P,)
-        Free entries that constraints hold where they are.
-    """
-
+    #: What the data determine and no constraint holds: θ = basis @ z. The information about z is
+    #: about the identity.
     basis: Float[np.ndarray, "P R"]
+    #: Orthonormal directions without information.
     undetermined: Float[np.ndarray, "K P"]
+    #: Free entries that constraints hold where they are.
     held: Bool[np.ndarray, " P"]
 
 
@@ -57,23 +50,7 @@ def subspace(
     free: Bool[np.ndarray, " P"],
     constraints: Float[np.ndarray, "C P"],
 ) -> Subspace:
-    """Find the directions in which an estimate can vary.
-
-    Parameters
-    ----------
-    hessian : array, shape (P, P)
-        Information about the parameters, up to a factor.
-    free : array of bool, shape (P,)
-        What is estimated.
-    constraints : array, shape (C, P)
-        Rows A of the binding constraints A θ = b.
-
-    Returns
-    -------
-    Subspace
-        Split by the eigenvalues of the information, scaled to a unit diagonal so that units do not
-        matter.
-    """
+    """Find the directions in which an estimate can vary."""
     scale = scaling(hessian, free)
     entries = np.diag(scale)[:, free]
     rows = constraints @ entries
@@ -97,20 +74,7 @@ def subspace(
 def scaling(
     hessian: Float[np.ndarray, "P P"], free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, " P"]:
-    """Return the scale of each parameter: what moves the loss by as much as any other's.
-
-    Parameters
-    ----------
-    hessian : array, shape (P, P)
-        Information about the parameters.
-    free : array of bool, shape (P,)
-        What is estimated.
-
-    Returns
-    -------
-    array, shape (P,)
-        1/√Hᵢᵢ; 1 where there is no information; 0 for what is not estimated.
-    """
+    """Return the scale of each parameter: what moves the loss by as much as any other's."""
     diagonal = np.diag(hessian)
     return np.where(free, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
 
@@ -118,20 +82,7 @@ def scaling(
 def binding_constraints(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "C P"]:
-    """Return the rows of the constraints that hold an estimate: bounds, and rising thrust.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        The estimate.
-    free : array of bool, shape (P,)
-        What was estimated.
-
-    Returns
-    -------
-    array, shape (C, P)
-        One row for each bound that is reached and each speed where a thrust curve is flat.
-    """
+    """Return the rows of the constraints that hold an estimate: bounds, and rising thrust."""
     vector = parameters.to_vector()
     lower, upper = parameters.bounds()
     rows = list(np.eye(len(vector))[free & ((vector <= lower) | (vector >= upper))])
@@ -167,33 +118,7 @@ def sandwich(
     shared: float = 0.0,
     feedback: Feedback | None = None,
 ) -> Uncertainty:
-    """Estimate the covariance of fitted parameters from the scores of independent clusters.
-
-    Parameters
-    ----------
-    shares : Shares
-        Gradient and Hessian of each of G clusters, at the optimum.
-    parameters : Parameters
-        The optimum.
-    free : array of bool, shape (P,)
-        What was estimated.
-    constraints : array, shape (C, P), optional
-        Rows of binding constraints; by default `binding_constraints`.
-    gauge : array, shape (K, P), optional
-        Rows of what fixes a freedom that no data see; by default `gauge_constraints`.
-    shared : float, default 0
-        Share q of the variance that is between clusters (`airpuck.identification.blocks`).
-    feedback : Feedback, optional
-        Of data that were prepared with the estimate: an error then goes round, and grows by
-        1 + K + K² + …, K = -H⁻¹ M.
-
-    Returns
-    -------
-    Uncertainty
-        Covariance H⁻¹ (Σ s̃ s̃ᵀ) H⁻¹ (G-1)/G/(1 - q) on what the data determine and no constraint
-        holds, with s̃ = (1 - H_c H⁻¹)⁻¹ s_c: H⁻¹ s̃ is to first order the change of the estimate
-        when the cluster c is left out (jackknife, CR3).
-    """
+    """Estimate the covariance of fitted parameters from the scores of independent clusters."""
     from scipy.special import stdtrit
 
     if constraints is None:
@@ -237,22 +162,7 @@ def sandwich(
 def widened(
     uncertainty: Uncertainty, entries: Bool[np.ndarray, " P"], variance: float
 ) -> Uncertainty:
-    """Add an error that is independent of what clusters show, to single parameters.
-
-    Parameters
-    ----------
-    uncertainty : Uncertainty
-        Of all parameters.
-    entries : array of bool, shape (P,)
-        Which ones; those without a standard error stay so.
-    variance : float
-        Of the error.
-
-    Returns
-    -------
-    Uncertainty
-        Intervals by resampling are widened by as much, too.
-    """
+    """Add an error that is independent of what clusters show, to single parameters."""
     known = entries & np.isfinite(uncertainty.standard_errors)
     added = np.where(known, variance, 0.0)
     resampled = uncertainty.bootstrap

@@ -35,28 +35,11 @@ class Clock:
         return self.epoch_ns + time.monotonic_ns() - self._start_ns
 
     def of(self, stamp_ns: int) -> float:
-        """Return a stamp on this clock.
-
-        Parameters
-        ----------
-        stamp_ns : int
-            Of a message [ns since the epoch].
-
-        Returns
-        -------
-        float
-            Time since the start [s].
-        """
+        """Return a stamp on this clock."""
         return (stamp_ns - self.epoch_ns) / _SECOND_NS
 
     def sleep_until(self, due: float) -> None:
-        """Sleep.
-
-        Parameters
-        ----------
-        due : float
-            When to return [s].
-        """
+        """Sleep."""
         left = due - self.now
         if left > 0:
             time.sleep(left)
@@ -68,11 +51,6 @@ class StampClock:
     A sender on the same clock is taken at its word. One on another clock is believed once its
     stamps have agreed with each other for half a second; from then on the shortest latency counts
     as none, as in preprocessing, and drift is followed.
-
-    Attributes
-    ----------
-    offset : float
-        What is added to stamps [s].
     """
 
     def __init__(self) -> None:
@@ -81,21 +59,7 @@ class StampClock:
         self._block = (-math.inf, math.inf)
 
     def time(self, stamp: float, arrival: float) -> float | None:
-        """Return when a message was stamped.
-
-        Parameters
-        ----------
-        stamp : float
-            By the sender's clock [s].
-        arrival : float
-            By the receiver's clock [s].
-
-        Returns
-        -------
-        float or None
-            By the receiver's clock [s]; None where the stamp cannot be right, or cannot be placed
-            yet.
-        """
+        """Return when a message was stamped."""
         age = arrival - stamp - self.offset
         if -_AHEAD <= age <= _BEHIND:
             self._odd = None

@@ -16,36 +16,22 @@ _BATCH = 256
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Somebody who publishes on a topic.
+    """Somebody who publishes on a topic."""
 
-    Attributes
-    ----------
-    key : UUID
-        Its own.
-    participant : UUID
-        That of its process.
-    topic, msgtype : str
-        ROS names.
-    reliable, transient_local : bool
-        What it offers.
-    """
-
+    #: Its own.
     key: UUID
+    #: That of its process.
     participant: UUID
+    #: ROS names.
     topic: str
     msgtype: str
+    #: What it offers.
     reliable: bool
     transient_local: bool
 
 
 class Discovery:
-    """What DDS tells about other participants and their writers, kept up to date.
-
-    Parameters
-    ----------
-    participant : cyclonedds.domain.DomainParticipant
-        Who is told.
-    """
+    """What DDS tells about other participants and their writers, kept up to date."""
 
     def __init__(self, participant: Any) -> None:
         from cyclonedds import builtin
@@ -60,13 +46,7 @@ class Discovery:
         self._endpoints: dict[UUID, Endpoint] = {}
 
     def publishers(self) -> Iterable[Endpoint]:
-        """Return who publishes on ROS topics now.
-
-        Returns
-        -------
-        iterable of Endpoint
-            Alive ones, this participant's among them.
-        """
+        """Return who publishes on ROS topics now."""
         from cyclonedds.core import InstanceState, Policy
 
         for item in self._publications.take(_BATCH):
@@ -87,18 +67,7 @@ class Discovery:
         return self._endpoints.values()
 
     def owner(self, participant: UUID) -> str:
-        """Say who a participant is.
-
-        Parameters
-        ----------
-        participant : UUID
-            Its key.
-
-        Returns
-        -------
-        str
-            Name, process and machine, as far as it tells them.
-        """
+        """Say who a participant is."""
         from cyclonedds.core import InstanceState, Policy
 
         for item in self._participants.take(_BATCH):

@@ -21,25 +21,7 @@ _VARIABLE = "ROS_DOMAIN_ID"
 
 
 def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
-    """Return the number of the DDS domain.
-
-    Parameters
-    ----------
-    given : int or None
-        What the user asked for; None: ``ROS_DOMAIN_ID``, or 0 where that is not set.
-    environment : mapping, optional
-        By default the process's.
-
-    Returns
-    -------
-    int
-        From 0 to 232.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Return the number of the DDS domain."""
     field = "--domain"
     number = given
     if number is None:
@@ -51,13 +33,7 @@ def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) ->
 
 
 def loopback_name() -> str:
-    """Return the name of the loopback interface.
-
-    Returns
-    -------
-    str
-        ``lo``, or ``lo0`` where the system calls it so.
-    """
+    """Return the name of the loopback interface."""
     names = _interfaces()
     return next((name for name in names if name in (LOOPBACK, "lo0")), LOOPBACK)
 
@@ -68,21 +44,6 @@ def domain_config(interface: str | None) -> str:
     On loopback there is no multicast: participants look for each other at the ports of 127.0.0.1,
     and no packet can leave the machine. On a named interface discovery is by multicast, as ROS 2
     does it.
-
-    Parameters
-    ----------
-    interface : str or None
-        Name of a network interface, such as ``eth0``; None: loopback.
-
-    Returns
-    -------
-    str
-        XML.
-
-    Raises
-    ------
-    InputError
-        If there is no such interface.
     """
     names = _interfaces()
     loopback = loopback_name()

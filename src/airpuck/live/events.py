@@ -42,15 +42,6 @@ class EventLog:
     An event that repeats is told at once the first time; its repetitions within a second are
     counted, and told as one with the next heartbeat, in the order in which they last happened. So
     what is told last is what is so.
-
-    Parameters
-    ----------
-    graph : Graph
-        Where.
-    name : str
-        Of this process.
-    quiet : bool, default False
-        Whether to leave standard error alone.
     """
 
     def __init__(self, graph: Graph, name: str, *, quiet: bool = False) -> None:
@@ -66,18 +57,7 @@ class EventLog:
         self.counts: dict[str, int] = dict.fromkeys(_LOG_LEVELS, 0)
 
     def tell(self, level: Level, text: str, *, kind: str | None = None) -> None:
-        """Tell an event.
-
-        Parameters
-        ----------
-        level : {"info", "warning", "error"}
-            How bad it is.
-        text : str
-            What happened.
-        kind : str, optional
-            Events of one kind repeat each other; by default those of the same words, whatever the
-            numbers in them.
-        """
+        """Tell an event."""
         self.counts[level] += 1
         kind = _NUMBER.sub("#", text) if kind is None else kind
         if time.monotonic() - self._told.get(kind, -math.inf) < _AGAIN_AFTER:
@@ -108,17 +88,7 @@ class EventLog:
             print(f"{self._name}: {text}", file=sys.stderr, flush=True)
 
     def heartbeat(self, level: Level, text: str, values: Mapping[str, object]) -> None:
-        """Say that the process is alive, and how it fares; once a second.
-
-        Parameters
-        ----------
-        level : {"info", "warning", "error"}
-            How bad it is.
-        text : str
-            In a few words.
-        values : mapping of str to object
-            Figures by name.
-        """
+        """Say that the process is alive, and how it fares; once a second."""
         self.tell_held()
         message = self._heartbeat.blank()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), _SECOND_NS)

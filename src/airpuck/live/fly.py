@@ -43,37 +43,22 @@ _GO, _QUIT = "g", "q"
 
 @dataclass(frozen=True)
 class FlightReport:
-    """What a flight was like.
+    """What a flight was like."""
 
-    Attributes
-    ----------
-    duration : float
-        How long it took [s].
-    outcomes : mapping of str to int
-        How many periods ended how.
-    timing : LoopTiming
-        Jitter and latency.
-    poses, refused : int
-        Poses that were used, and messages on their topic that were not.
-    events : mapping of str to int
-        Events told, by level.
-    """
-
+    #: How long it took [s].
     duration: float
+    #: How many periods ended how.
     outcomes: Mapping[str, int]
+    #: Jitter and latency.
     timing: LoopTiming
+    #: Poses that were used, and messages on their topic that were not.
     poses: int
     refused: int
+    #: Events told, by level.
     events: Mapping[str, int]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            By name.
-        """
+        """Return the figures for ``--json``."""
         return {
             "duration_s": self.duration,
             "outcomes": dict(self.outcomes),
@@ -101,50 +86,7 @@ def fly_live(
     name: str = NAME,
     warm_up: bool = True,
 ) -> FlightReport:
-    """Fly a craft on the graph, until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    make_pilot : callable
-        Returns the `Pilot` that computes the commands; called when nobody else is found to fly,
-        since what it compiles takes a while.
-    vehicle : Vehicle
-        The craft.
-    limits : Limits
-        What the guard insists on.
-    period : float, default 0.01
-        Time between commands [s].
-    reference : PlannedSetPoints or FollowedSetPoint, optional
-        What the pilot tracks, where it must be told that the flight begins, or what the graph says.
-    topics : Topics, optional
-        Names; by default those of the authors' table.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback.
-    duration : float, default infinite
-        How long [s].
-    over : callable, optional
-        Is asked in every period, with the time [s], whether the flight is at its end.
-    on_board : bool, default False
-        Whether the pilot is told what the sensors on the craft say.
-    quiet : bool, default False
-        Whether to print nothing.
-    name : str, default "airpuck fly"
-        What others on the graph are told that this is.
-    warm_up : bool, default True
-        Whether the pilot flies some steps on the spot first, so that it is compiled and loaded.
-
-    Returns
-    -------
-    FlightReport
-        What the flight was like.
-
-    Raises
-    ------
-    InputError
-        If another process publishes commands already, or something given cannot be used.
-    """
+    """Fly a craft on the graph, until SIGINT or SIGTERM."""
     topics = topics or Topics()
     motors = StreamCodec("command", vehicle.propeller_names)
     hurry()

@@ -23,34 +23,17 @@ _FULL_ERROR = (0.016, 0.016, 0.5)
 
 @dataclass(frozen=True)
 class Gauge:
-    """A line with a bar.
+    """A line with a bar."""
 
-    Attributes
-    ----------
-    name, value : str
-        What, and how much, in words.
-    share : float or None
-        Length of the bar, 1 for a full one; one that is longer is drawn as too much. None: no bar.
-    """
-
+    #: What, and how much, in words.
     name: str
     value: str
+    #: Length of the bar, 1 for a full one; one that is longer is drawn as too much. None: no bar.
     share: float | None = None
 
 
 def gauges_html(gauges: list[Gauge]) -> str:
-    """Lay gauges out, one a line.
-
-    Parameters
-    ----------
-    gauges : list of Gauge
-        In order.
-
-    Returns
-    -------
-    str
-        A table.
-    """
+    """Lay gauges out, one a line."""
     style = (
         "width:100%;font-size:0.8em;line-height:1.35;padding:0 0.4em;border-spacing:0;"
         "font-variant-numeric:tabular-nums"
@@ -64,18 +47,7 @@ def gauges_html(gauges: list[Gauge]) -> str:
 
 
 def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
-    """Return how a controller keeps its time.
-
-    Parameters
-    ----------
-    figures : mapping of str to str
-        Of its heartbeat: percentiles as ``0.57 (p99)``, in milliseconds.
-
-    Returns
-    -------
-    list of Gauge
-        Those that it told; a full bar is the limit that its warnings begin at.
-    """
+    """Return how a controller keeps its time."""
     gauges = []
     for key, (name, limit) in _TIMES.items():
         try:
@@ -89,18 +61,7 @@ def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
 
 
 def health_html(health: Health) -> str:
-    """Lay out errors by channel, and what propellers and delay have to do with them.
-
-    Parameters
-    ----------
-    health : Health
-        How the craft fares.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Lay out errors by channel, and what propellers and delay have to do with them."""
     found = health.found
     if not health.flying or not found.predictions:
         return paragraph(str(health))
@@ -129,20 +90,7 @@ def health_html(health: Health) -> str:
 
 
 def paragraph(text: str, color: str = "inherit") -> str:
-    """Lay out a line of text.
-
-    Parameters
-    ----------
-    text : str
-        What.
-    color : str, default "inherit"
-        As CSS has it.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Lay out a line of text."""
     style = f"margin:0.15em 0.5em;font-size:0.8em;color:{color}"
     return f'<p style="{style}">{escape(text)}</p>'
 

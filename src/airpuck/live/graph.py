@@ -24,23 +24,15 @@ _BATCH = 256
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of service, as far as ROS 2 topics differ in it.
+    """Quality of service, as far as ROS 2 topics differ in it."""
 
-    Attributes
-    ----------
-    reliable : bool
-        Whether lost packets are sent again.
-    transient_local : bool
-        Whether those that come later are sent what was said before.
-    depth : int
-        Messages kept.
-    lifespan : float or None
-        For how long a message is worth being sent [s].
-    """
-
+    #: Whether lost packets are sent again.
     reliable: bool = True
+    #: Whether those that come later are sent what was said before.
     transient_local: bool = False
+    #: Messages kept.
     depth: int = 64
+    #: For how long a message is worth being sent [s].
     lifespan: float | None = None
 
 
@@ -53,17 +45,11 @@ LOG = Quality(transient_local=True, depth=1000, lifespan=10.0)
 
 @dataclass(frozen=True)
 class Sample:
-    """A message as it came.
+    """A message as it came."""
 
-    Attributes
-    ----------
-    sent_ns : int
-        When it was sent, by the sender's clock [ns since the epoch].
-    data : bytes
-        In CDR, with encapsulation.
-    """
-
+    #: When it was sent, by the sender's clock [ns since the epoch].
     sent_ns: int
+    #: In CDR, with encapsulation.
     data: bytes
 
 
@@ -79,13 +65,7 @@ class Publisher:
         return self._writer.get_guid()
 
     def send(self, data: bytes) -> None:
-        """Send a message.
-
-        Parameters
-        ----------
-        data : bytes
-            In CDR, with encapsulation.
-        """
+        """Send a message."""
         self._writer.write(self._kind(data))
 
 
@@ -98,13 +78,7 @@ class Subscription:
         self._condition = condition
 
     def take(self) -> list[Sample]:
-        """Take what has come since the last call.
-
-        Returns
-        -------
-        list of Sample
-            In the order of arrival.
-        """
+        """Take what has come since the last call."""
         taken = self._reader.take(_BATCH)
         return [
             Sample(item.sample_info.source_timestamp, item.data)

@@ -10,67 +10,23 @@ _TOPIC_PREFIX = "rt"
 
 
 def dds_topic(topic: str) -> str:
-    """Return the DDS name of a ROS topic.
-
-    Parameters
-    ----------
-    topic : str
-        Such as ``/drone/control``.
-
-    Returns
-    -------
-    str
-        Such as ``rt/drone/control``.
-    """
+    """Return the DDS name of a ROS topic."""
     return _TOPIC_PREFIX + topic
 
 
 def ros_topic(name: str) -> str | None:
-    """Return the ROS topic of a DDS topic.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``rt/drone/control``.
-
-    Returns
-    -------
-    str or None
-        Such as ``/drone/control``; None for what is no ROS topic, such as a service.
-    """
+    """Return the ROS topic of a DDS topic."""
     return name.removeprefix(_TOPIC_PREFIX) if name.startswith(f"{_TOPIC_PREFIX}/") else None
 
 
 def dds_type(msgtype: str) -> str:
-    """Return the DDS name of a ROS message type.
-
-    Parameters
-    ----------
-    msgtype : str
-        Such as ``geometry_msgs/msg/PoseStamped``.
-
-    Returns
-    -------
-    str
-        Such as ``geometry_msgs::msg::dds_::PoseStamped_``.
-    """
+    """Return the DDS name of a ROS message type."""
     package, kind, name = msgtype.split("/")
     return f"{package}::{kind}::dds_::{name}_"
 
 
 def ros_type(name: str) -> str:
-    """Return the ROS message type of a DDS type.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``geometry_msgs::msg::dds_::PoseStamped_``.
-
-    Returns
-    -------
-    str
-        Such as ``geometry_msgs/msg/PoseStamped``; a name of another form as it is.
-    """
+    """Return the ROS message type of a DDS type."""
     parts = name.split("::")
     if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
         return name
@@ -78,27 +34,7 @@ def ros_type(name: str) -> str:
 
 
 def idl_struct(types: Types, msgtype: str, made: dict[str, Any] | None = None) -> Any:
-    """Make the IDL type of a ROS message.
-
-    Parameters
-    ----------
-    types : mapping
-        Definitions by type name, as rosbags' parsers return them.
-    msgtype : str
-        The type.
-    made : dict, optional
-        Types made before, by name; new ones are added. Two types of one name must be one object.
-
-    Returns
-    -------
-    type
-        A subclass of ``cyclonedds.idl.IdlStruct``, named as ROS 2 does.
-
-    Raises
-    ------
-    ValueError
-        If a definition is missing.
-    """
+    """Make the IDL type of a ROS message."""
     from cyclonedds.idl import make_idl_struct
 
     made = {} if made is None else made
@@ -141,16 +77,6 @@ def raw_type(struct: Any) -> Any:
     What comes and goes is CDR as it is on the wire: a recorder need not take it apart, and bytes
     that are no message cannot make a reader fail. Cyclone asks a type for its name, its
     description, and to turn samples into bytes and back.
-
-    Parameters
-    ----------
-    struct : type
-        From `idl_struct`.
-
-    Returns
-    -------
-    type
-        Its instances have the attribute ``data``, bytes in CDR with encapsulation.
     """
 
     class RawMessage:

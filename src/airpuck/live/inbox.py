@@ -21,25 +21,7 @@ _STOOD_STILL, _COMES_LATE = 0.1, 0.05
 
 
 class Inbox:
-    """One stream as it arrives.
-
-    Parameters
-    ----------
-    graph : Graph
-        Where.
-    topic : str
-        ROS name.
-    codec : StreamCodec
-        Of the stream.
-    quality : Quality
-        What is asked of senders.
-    clock : Clock
-        Of this process.
-    events : EventLog
-        Is told what cannot be used, and why.
-    wakes : bool, default False
-        Whether a message ends `Graph.wait`.
-    """
+    """One stream as it arrives."""
 
     def __init__(
         self,
@@ -68,14 +50,7 @@ class Inbox:
         self._subscription.take()
 
     def take(self) -> list[tuple[float, Float[np.ndarray, " k"]]]:
-        """Take what has come.
-
-        Returns
-        -------
-        list of (float, array of shape (k,))
-            Stamp on this process's clock, or arrival where messages carry none [s]; the numbers,
-            finite or not.
-        """
+        """Take what has come."""
         taken = []
         for sample in self._subscription.take():
             arrival = self._clock.now
@@ -104,13 +79,7 @@ class Inbox:
         return taken
 
     def take_commands(self) -> list[Float[np.ndarray, " k"]]:
-        """Take numbers that act on arrival, whatever their stamps and the sender's clock say.
-
-        Returns
-        -------
-        list of array of shape (k,)
-            Finite ones; none of those that waited for this process while it stood still.
-        """
+        """Take numbers that act on arrival, whatever their stamps and the sender's clock say."""
         before, self._looked = self._looked, self._clock.now
         if self._looked - before > _STOOD_STILL:
             self._late_until = self._looked + _COMES_LATE

@@ -21,13 +21,7 @@ class Keyboard:
         return self._file is not None
 
     def pressed(self) -> str:
-        """Return the keys pressed since the last call.
-
-        Returns
-        -------
-        str
-            Their characters; empty for none.
-        """
+        """Return the keys pressed since the last call."""
         if self._file is None or not select.select([self._file], [], [], 0)[0]:
             return ""
         keys = os.read(self._file, 64).decode(errors="replace")
@@ -38,13 +32,7 @@ class Keyboard:
 
 @contextlib.contextmanager
 def keyboard() -> Iterator[Keyboard]:
-    """Let keys through as they are pressed, if standard input is a terminal.
-
-    Yields
-    ------
-    Keyboard
-        To ask.
-    """
+    """Let keys through as they are pressed, if standard input is a terminal."""
     # A process in the background would be stopped for reading.
     if not sys.stdin or not sys.stdin.isatty() or os.tcgetpgrp(0) != os.getpgrp():
         yield Keyboard(None)

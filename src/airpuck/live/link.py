@@ -18,32 +18,7 @@ _REMIND = 1.0
 
 
 class GraphLink:
-    """Poses from the graph, commands to the graph; a `Link`.
-
-    Parameters
-    ----------
-    graph : Graph
-        Where.
-    topics : Topics
-        Names.
-    motors : tuple of str
-        Names of the propellers.
-    clock : Clock
-        Of this process.
-    events : EventLog
-        Is told what is wrong with messages.
-    on_board : bool, default False
-        Whether to listen to the sensors on the craft.
-    announces : bool, default True
-        Whether `announce` publishes; not where the reference comes from the graph itself.
-
-    Attributes
-    ----------
-    newest : float or None
-        When the newest pose was measured [s].
-    sent : float
-        When the last command had been handed over [s].
-    """
+    """Poses from the graph, commands to the graph; a `Link`."""
 
     def __init__(
         self,
@@ -110,13 +85,7 @@ class GraphLink:
         self._publish_reference(self._reference.encode(self._clock.now_ns, reference))
 
     def tell_estimate(self, state: Float[np.ndarray, " 6"]) -> None:
-        """Publish the state estimate.
-
-        Parameters
-        ----------
-        state : array, shape (6,)
-            x, y, yaw and their rates.
-        """
+        """Publish the state estimate."""
         self._estimates.send(self._estimate.encode(self._clock.now_ns, state))
 
     def _publish_reference(self, message: bytes) -> None:

@@ -30,44 +30,20 @@ class _Topic:
 
 @dataclass(frozen=True)
 class Heard:
-    """A message that was heard.
+    """A message that was heard."""
 
-    Attributes
-    ----------
-    topic, msgtype : str
-        ROS names.
-    received_ns, sent_ns : int
-        When it came and when it was sent [ns since the epoch].
-    data : bytes
-        In CDR, with encapsulation.
-    """
-
+    #: ROS names.
     topic: str
     msgtype: str
+    #: When it came and when it was sent [ns since the epoch].
     received_ns: int
     sent_ns: int
+    #: In CDR, with encapsulation.
     data: bytes
 
 
 class Listener:
-    """Subscribes to whatever others publish, as they begin to.
-
-    Parameters
-    ----------
-    graph : Graph
-        Where.
-    motors : tuple of str, optional
-        Names of the propellers, for commands of a craft that has not the authors' six.
-    own : bool, default False
-        Whether to listen to this process itself, too.
-
-    Attributes
-    ----------
-    types : mapping
-        Definitions of all messages that are known.
-    notes : list of str
-        What cannot be listened to, and why; the caller may empty it.
-    """
+    """Subscribes to whatever others publish, as they begin to."""
 
     def __init__(self, graph: Graph, motors: tuple[str, ...] = (), *, own: bool = False) -> None:
         self._graph, self._own = graph, own
@@ -78,33 +54,11 @@ class Listener:
         self._looked = -_LOOK
 
     def topic(self, name: str) -> Endpoint:
-        """Return who was the first to publish on a topic that is listened to.
-
-        Parameters
-        ----------
-        name : str
-            ROS name.
-
-        Returns
-        -------
-        Endpoint
-            Its type, and the quality of service it offers.
-        """
+        """Return who was the first to publish on a topic that is listened to."""
         return self._topics[name].first
 
     def listen(self, seconds: float) -> Iterator[Heard]:
-        """Wait for messages, and take them.
-
-        Parameters
-        ----------
-        seconds : float
-            The longest time to wait [s].
-
-        Yields
-        ------
-        Heard
-            What has come, topic by topic.
-        """
+        """Wait for messages, and take them."""
         now = time.monotonic()
         if now - self._looked >= _LOOK:
             self._looked = now

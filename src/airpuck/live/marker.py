@@ -24,15 +24,6 @@ class SetPointMarker:
     """A ring where the craft should be; dragging it moves the set point, its knob turns it.
 
     It stays where it is until `show` moves it: what is wished and what is granted may differ.
-
-    Parameters
-    ----------
-    scene : viser.SceneApi
-        Where it is drawn.
-    radius : float
-        Of the craft [m].
-    wish : callable
-        Is given x, y [m] and yaw [rad] while the user drags.
     """
 
     def __init__(
@@ -72,13 +63,7 @@ class SetPointMarker:
         ball.on_drag(self._turn)
 
     def show(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Put it somewhere.
-
-        Parameters
-        ----------
-        pose : array, shape (k,)
-            x, y [m], yaw [rad]; more is left aside.
-        """
+        """Put it somewhere."""
         self._place, self._yaw = np.array(pose[:2], dtype=float), float(pose[2])
         self._frame.position = (*self._place.tolist(), 0.0)
         self._frame.wxyz = turned(self._yaw)
@@ -105,34 +90,12 @@ class SetPointMarker:
 
 
 def turned(yaw: float) -> tuple[float, float, float, float]:
-    """Return the quaternion of a turn about the vertical.
-
-    Parameters
-    ----------
-    yaw : float
-        The angle [rad].
-
-    Returns
-    -------
-    (float, float, float, float)
-        w, x, y, z.
-    """
+    """Return the quaternion of a turn about the vertical."""
     return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
 
 
 def on_table(eye: Any, through: Any) -> Float[np.ndarray, " 2"] | None:
-    """Return where somebody who looks through a point sees the table.
-
-    Parameters
-    ----------
-    eye, through : array-like, shape (3,)
-        Two points of the line of sight [m].
-
-    Returns
-    -------
-    array, shape (2,), or None
-        x, y where z = 0 [m]; None where the line does not go down.
-    """
+    """Return where somebody who looks through a point sees the table."""
     eye, through = np.asarray(eye, dtype=float), np.asarray(through, dtype=float)
     down = eye[2] - through[2]
     if down <= 1e-9 or eye[2] <= 0:

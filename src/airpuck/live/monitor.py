@@ -17,45 +17,22 @@ _BINS = 5000
 
 @dataclass
 class Histogram:
-    """Counts of durations, to 10 µs; memory does not grow with their number.
+    """Counts of durations, to 10 µs; memory does not grow with their number."""
 
-    Attributes
-    ----------
-    count : int
-        How many.
-    longest : float
-        The longest one [s].
-    """
-
+    #: How many.
     count: int = 0
+    #: The longest one [s].
     longest: float = 0.0
     _bins: np.ndarray = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
 
     def add(self, duration: float) -> None:
-        """Count a duration.
-
-        Parameters
-        ----------
-        duration : float
-            Not negative [s].
-        """
+        """Count a duration."""
         self.count += 1
         self.longest = max(self.longest, duration)
         self._bins[min(int(duration / _BIN), _BINS)] += 1
 
     def percentile(self, percent: float) -> float:
-        """Return a percentile.
-
-        Parameters
-        ----------
-        percent : float
-            From 0 to 100.
-
-        Returns
-        -------
-        float
-            At most 10 µs too long [s]; NaN for none, the longest beyond 50 ms.
-        """
+        """Return a percentile."""
         if self.count == 0:
             return math.nan
         rank = max(math.ceil(self.count * percent / 100), 1)
@@ -65,41 +42,22 @@ class Histogram:
 
 @dataclass
 class LoopTiming:
-    """Timing of a loop that should act once a period.
+    """Timing of a loop that should act once a period."""
 
-    Attributes
-    ----------
-    period : float
-        Time between actions [s].
-    jitter : Histogram
-        Of | time since the action before - period |.
-    latency : Histogram
-        From when an action was due, its newest pose waiting, to when it was done.
-    pose_age : Histogram
-        From when the newest pose was measured to when the command was sent.
-    missed : int
-        Actions later than 10 ms, and those left out since the one before was.
-    """
-
+    #: Time between actions [s].
     period: float
+    #: Of | time since the action before - period |.
     jitter: Histogram = field(default_factory=Histogram)
+    #: From when an action was due, its newest pose waiting, to when it was done.
     latency: Histogram = field(default_factory=Histogram)
+    #: From when the newest pose was measured to when the command was sent.
     pose_age: Histogram = field(default_factory=Histogram)
+    #: Actions later than 10 ms, and those left out since the one before was.
     missed: int = 0
     _last: tuple[float, float] | None = None
 
     def add(self, due: float, done: float, pose: float | None) -> None:
-        """Count an action.
-
-        Parameters
-        ----------
-        due : float
-            When it should have begun [s].
-        done : float
-            When it was done [s].
-        pose : float or None
-            When the newest pose was measured, if there is one [s].
-        """
+        """Count an action."""
         if self._last is not None:
             due_before, done_before = self._last
             self.jitter.add(abs(done - done_before - self.period))
@@ -111,13 +69,7 @@ class LoopTiming:
             self.pose_age.add(max(done - pose, 0.0))
 
     def warning(self) -> str | None:
-        """Say what is worse than it should be.
-
-        Returns
-        -------
-        str or None
-            A sentence; None if all is well.
-        """
+        """Say what is worse than it should be."""
         jitter, latency = self.jitter.percentile(99), self.latency.percentile(99)
         told = []
         if jitter > JITTER_P99:
@@ -129,13 +81,7 @@ class LoopTiming:
         return f"the loop is late: {', '.join(told)} (99th percentiles)" if told else None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            Percentiles in milliseconds.
-        """
+        """Return the figures for ``--json``."""
         figures: dict[str, Any] = {"periods": self.latency.count, "missed_deadlines": self.missed}
         for name, histogram in (
             ("period_jitter_ms", self.jitter),

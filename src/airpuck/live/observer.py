@@ -37,51 +37,34 @@ _LEVELS = ((40, "error"), (30, "warning"), (0, "info"))
 
 @dataclass(frozen=True)
 class Event:
-    """What a process said on ``/rosout``.
+    """What a process said on ``/rosout``."""
 
-    Attributes
-    ----------
-    time : float
-        When it came [s].
-    level : str
-        ``info``, ``warning`` or ``error``.
-    name, text : str
-        Who said it, and what.
-    """
-
+    #: When it came [s].
     time: float
+    #: ``info``, ``warning`` or ``error``.
     level: str
+    #: Who said it, and what.
     name: str
     text: str
 
 
 @dataclass
 class Sight:
-    """The newest of everything; what has not come yet is None.
+    """The newest of everything; what has not come yet is None."""
 
-    Attributes
-    ----------
-    pose, reference, estimate : array
-        x, y [m], yaw [rad], and of the last two their rates.
-    command : array, shape (n,)
-        Motor commands.
-    heard : mapping of str to float
-        When each of them came [s].
-    rates : mapping of str to float
-        How often they come [Hz].
-    beats : mapping of str to (float, str, mapping)
-        Newest heartbeat of each process: when it came, what it said, its figures.
-    events : deque of Event
-        The last ones.
-    """
-
+    #: x, y [m], yaw [rad], and of the last two their rates.
     pose: Float[np.ndarray, " 3"] | None = None
+    #: Motor commands.
     command: Float[np.ndarray, " n"] | None = None
     reference: Float[np.ndarray, " 6"] | None = None
     estimate: Float[np.ndarray, " 6"] | None = None
+    #: When each of them came [s].
     heard: dict[str, float] = field(default_factory=dict)
+    #: How often they come [Hz].
     rates: dict[str, float] = field(default_factory=dict)
+    #: Newest heartbeat of each process: when it came, what it said, its figures.
     beats: dict[str, tuple[float, str, Mapping[str, str]]] = field(default_factory=dict)
+    #: The last ones.
     events: deque[Event] = field(default_factory=lambda: deque(maxlen=_EVENTS))
 
 
@@ -96,17 +79,7 @@ class _Unheard(EventLog):
 
 
 class Observer:
-    """Listens to a craft and whoever flies it.
-
-    Parameters
-    ----------
-    graph : Graph
-        Where.
-    model : Model
-        What the craft is believed to be.
-    topics : Topics
-        Names.
-    """
+    """Listens to a craft and whoever flies it."""
 
     def __init__(self, graph: Graph, model: Model, topics: Topics) -> None:
         self._graph = graph
@@ -142,23 +115,11 @@ class Observer:
         return self._monitor.health()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``duration_s``, and how the craft fares.
-        """
+        """Return the figures for ``--json``."""
         return {"duration_s": self.clock.now, **self.health.to_json()}
 
     def look(self) -> list[Float[np.ndarray, " 3"]]:
-        """Take in what has come.
-
-        Returns
-        -------
-        list of array of shape (3,)
-            New poses, finite ones.
-        """
+        """Take in what has come."""
         sight, now = self.sight, self.clock.now
         poses = []
         for kind, inbox in self._inboxes.items():
@@ -181,18 +142,7 @@ class Observer:
         return poses
 
     def age(self, kind: str) -> float:
-        """Say how long ago something came.
-
-        Parameters
-        ----------
-        kind : str
-            ``pose``, ``command``, ``reference`` or ``estimate``.
-
-        Returns
-        -------
-        float
-            Infinite if it never did [s].
-        """
+        """Say how long ago something came."""
         return self.clock.now - self.sight.heard.get(kind, -math.inf)
 
     def _listen(self, now: float) -> None:

@@ -24,17 +24,7 @@ _GONE = 2.5
 
 
 class Panel:
-    """What is written beside the table.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The page.
-    reach : (float, float)
-        Greatest | x | and | y | of a set point [m].
-    wish : callable
-        Is given x, y [m] and yaw [rad] whenever the user enters a set point.
-    """
+    """What is written beside the table."""
 
     def __init__(
         self,
@@ -76,13 +66,7 @@ class Panel:
             number.on_update(entered)
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Write the set point.
-
-        Parameters
-        ----------
-        pose : array, shape (k,)
-            x, y [m], yaw [rad]; more is left aside.
-        """
+        """Write the set point."""
         yaw = math.remainder(float(pose[2]), 2 * math.pi)
         rounded = [round(value, 3) for value in (float(pose[0]), float(pose[1]), yaw)]
         # What the user is entering is left alone until the set point follows.
@@ -91,17 +75,7 @@ class Panel:
                 number.value = self._shown[k] = rounded[k]
 
     def show(self, observer: Observer, health: Health, hint: str) -> None:
-        """Write gauges and events.
-
-        Parameters
-        ----------
-        observer : Observer
-            What was seen.
-        health : Health
-            How the craft fares.
-        hint : str
-            On the set point.
-        """
+        """Write gauges and events."""
         sight, now = observer.sight, observer.clock.now
         self._hint.content = paragraph(hint)
         rates = [f"{sight.rates.get(kind, 0.0):.0f}" for kind in ("pose", "command")]

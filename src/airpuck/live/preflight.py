@@ -29,35 +29,7 @@ def preflight_live(
     interface: str | None = None,
     quiet: bool = False,
 ) -> Preflight:
-    """Give each motor of a craft on the graph short pulses, and judge what it does.
-
-    Parameters
-    ----------
-    model : Model
-        What the craft is believed to be.
-    plan : PulsePlan, optional
-        Strength and length of the pulses.
-    table : Table, optional
-        Where the rails are.
-    topics : Topics, optional
-        Names; by default those of the authors' table.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback.
-    quiet : bool, default False
-        Whether to print nothing.
-
-    Returns
-    -------
-    Preflight
-        What is wrong, in words.
-
-    Raises
-    ------
-    InputError
-        If another process publishes commands already, or something given cannot be used.
-    """
+    """Give each motor of a craft on the graph short pulses, and judge what it does."""
     pilot = PulseTest(model.vehicle, plan, table)
 
     def over(time: float) -> bool:

@@ -32,13 +32,7 @@ class Ending:
 
 @contextlib.contextmanager
 def orderly() -> Iterator[Ending]:
-    """Turn SIGINT and SIGTERM into a question that a loop asks.
-
-    Yields
-    ------
-    Ending
-        Its `asked` becomes true on a signal.
-    """
+    """Turn SIGINT and SIGTERM into a question that a loop asks."""
     ending = Ending()
     before = {number: signal.signal(number, ending._ask) for number in _SIGNALS}
     try:
@@ -59,13 +53,7 @@ def hurry() -> None:
 
 @contextlib.contextmanager
 def unhurried() -> Iterator[None]:
-    """Let others run first for a while: what is compiled meanwhile must not keep them waiting.
-
-    Yields
-    ------
-    None
-        Threads made before keep their priority.
-    """
+    """Let others run first for a while: what is compiled meanwhile must not keep them waiting."""
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -86,25 +74,7 @@ def settle_memory() -> None:
 
 
 def refuse_second(graph: Graph, topic: str, codec: StreamCodec, what: str) -> None:
-    """See that nobody else publishes on a topic.
-
-    Parameters
-    ----------
-    graph : Graph
-        Where; this process does not publish on the topic yet.
-    topic : str
-        ROS name.
-    codec : StreamCodec
-        Of what is published there.
-    what : str
-        Who publishes there, for the message.
-
-    Raises
-    ------
-    InputError
-        If somebody does: at once where messages come. One that says nothing may have been killed,
-        and is waited for until DDS takes it off the graph.
-    """
+    """See that nobody else publishes on a topic."""
     heard = graph.subscription(topic, codec.msgtype, codec.types, SENSOR)
     start = time.monotonic()
     while (others := graph.publishers(topic)) or graph.age < _LOOK_AROUND:

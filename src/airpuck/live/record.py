@@ -24,30 +24,17 @@ _HEARTBEAT = 1.0
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What was recorded.
+    """What was recorded."""
 
-    Attributes
-    ----------
-    duration : float
-        How long the recorder ran [s].
-    messages : mapping of str to int
-        By topic.
-    notes : tuple of str
-        What could not be recorded, and why.
-    """
-
+    #: How long the recorder ran [s].
     duration: float
+    #: By topic.
     messages: Mapping[str, int]
+    #: What could not be recorded, and why.
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            By name.
-        """
+        """Return the figures for ``--json``."""
         return {
             "duration_s": self.duration,
             "messages": dict(self.messages),
@@ -68,31 +55,6 @@ def record(
 
     What was received half a second ago is in the file, whatever happens; `read_recording` reads a
     file whose recorder was killed.
-
-    Parameters
-    ----------
-    folder : path-like
-        The folder to make.
-    motors : tuple of str, optional
-        Names of the propellers of a craft that has not the authors' six.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback.
-    duration : float, default infinite
-        How long [s].
-    quiet : bool, default False
-        Whether to print nothing.
-
-    Returns
-    -------
-    RecordingReport
-        What was recorded.
-
-    Raises
-    ------
-    InputError
-        If the folder exists or cannot be made, or something given cannot be used.
     """
     path = Path(folder)
     if path.exists() or path.is_symlink():

@@ -16,41 +16,25 @@ from airpuck.flight.loop import Pilot
 
 @dataclass(frozen=True)
 class Limits:
-    """What a flight must keep to.
+    """What a flight must keep to."""
 
-    Attributes
-    ----------
-    geofence : (float, float)
-        Greatest distance of the craft's centre from the middle of the table along x and y [m].
-    pose_timeout : float
-        Poses have stopped when none came for this long [s].
-    frozen : int
-        As many equal poses in a row are no measurement: every real one has noise.
-    jump : (float, float)
-        Two poses in a row further apart than this, beyond what `fastest` explains, are a jump
-        [m, rad].
-    fastest : (float, float)
-        Speed and spin that the craft never reaches [m/s, rad/s].
-    settle : float
-        After any fault, poses must be good for this long before motors may run again [s].
-    """
-
+    #: Greatest distance of the craft's centre from the middle of the table along x and y [m].
     geofence: tuple[float, float]
+    #: Poses have stopped when none came for this long [s].
     pose_timeout: float = 0.05
+    #: As many equal poses in a row are no measurement: every real one has noise.
     frozen: int = 12
+    #: Two poses in a row further apart than this, beyond what `fastest` explains, are a jump [m,
+    #: rad].
     jump: tuple[float, float] = (0.05, 0.5)
+    #: Speed and spin that the craft never reaches [m/s, rad/s].
     fastest: tuple[float, float] = (3.0, 40.0)
+    #: After any fault, poses must be good for this long before motors may run again [s].
     settle: float = 0.3
 
 
 class Guard:
-    """Watches the poses and says whether the craft may be steered.
-
-    Parameters
-    ----------
-    limits : Limits
-        What must hold.
-    """
+    """Watches the poses and says whether the craft may be steered."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -63,15 +47,7 @@ class Guard:
         self._stopped: dict[str, str] = {}
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Judge a pose.
-
-        Parameters
-        ----------
-        time : float
-            When it was measured [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad].
-        """
+        """Judge a pose."""
         before, self._last = self._last, (time, pose)
         fault = self._fault_of(time, pose, before)
         if fault is not None:
@@ -85,13 +61,7 @@ class Guard:
             self._good_since = time
 
     def fault(self, reason: str) -> None:
-        """Note that something is wrong; poses must be good for a while before motors run again.
-
-        Parameters
-        ----------
-        reason : str
-            What, in a few words.
-        """
+        """Note that something is wrong; poses must be good for a while before motors run again."""
         self._good_since = None
         self._reason = reason
 
@@ -102,41 +72,16 @@ class Guard:
         return self._last[1] if good and self._last is not None else None
 
     def stop(self, who: str, reason: str) -> None:
-        """Idle the motors until `release`.
-
-        Parameters
-        ----------
-        who : str
-            A name for this stop.
-        reason : str
-            Why, in a few words.
-        """
+        """Idle the motors until `release`."""
         self._stopped[who] = reason
 
     def release(self, who: str) -> None:
-        """Take a stop back.
-
-        Parameters
-        ----------
-        who : str
-            Its name; one that is not there does no harm.
-        """
+        """Take a stop back."""
         if self._stopped.pop(who, None) is not None:
             self.fault("after a stop")
 
     def refusal(self, time: float) -> str | None:
-        """Say why motors must idle.
-
-        Parameters
-        ----------
-        time : float
-            Now [s].
-
-        Returns
-        -------
-        str or None
-            The reason; None: the craft may be steered.
-        """
+        """Say why motors must idle."""
         if self._stopped:
             return next(iter(self._stopped.values()))
         if self._good_since is None:
@@ -175,21 +120,7 @@ class Guard:
 
 
 class GuardedPilot:
-    """A pilot whose commands a guard lets through, or not; itself a `Pilot`.
-
-    Parameters
-    ----------
-    pilot : Pilot
-        Computes commands.
-    guard : Guard
-        Has the last word.
-    lowest : float
-        Command at which motors idle.
-    n_propellers : int
-        Size of a command.
-    tell : callable
-        Is told, in words, why motors idle and when they run again; called with (severe, text).
-    """
+    """A pilot whose commands a guard lets through, or not; itself a `Pilot`."""
 
     def __init__(
         self,
@@ -227,19 +158,7 @@ class GuardedPilot:
         self.pilot.sent(time, np.asarray(command))
 
     def step(self, time: float) -> Step:
-        """Compute a command that is safe to send.
-
-        Parameters
-        ----------
-        time : float
-            Now [s].
-
-        Returns
-        -------
-        Step
-            The pilot's, every command within [lowest, 1]; idle with the status ``unsafe`` where the
-            guard refuses or the pilot fails.
-        """
+        """Compute a command that is safe to send."""
         reason = self.guard.refusal(time)
         if reason is None:
             try:

@@ -36,19 +36,7 @@ _TRAIL_POINTS, _TRAIL_STEP = 200, 0.005
 
 
 class Scene:
-    """Table, craft, trail, thrusts and set point on a viser page.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The page.
-    model : Model
-        The craft.
-    table : Table
-        Its rails.
-    wish : callable
-        Is given x, y [m] and yaw [rad] whenever the user drags the set point.
-    """
+    """Table, craft, trail, thrusts and set point on a viser page."""
 
     def __init__(
         self,
@@ -93,13 +81,7 @@ class Scene:
         self._marker = SetPointMarker(self._scene, model.vehicle.radius_m, wish)
 
     def add_pose(self, pose: Float[np.ndarray, " 3"]) -> None:
-        """Lengthen the trail.
-
-        Parameters
-        ----------
-        pose : array, shape (3,)
-            x, y [m], yaw [rad].
-        """
+        """Lengthen the trail."""
         point = np.array([pose[0], pose[1], 0.004])
         if not self._trail or np.hypot(*(point - self._trail[-1])[:2]) > _TRAIL_STEP:
             self._trail.append(point)
@@ -109,15 +91,7 @@ class Scene:
         pose: Float[np.ndarray, " 3"],
         command: Float[np.ndarray, " n"] | None,
     ) -> None:
-        """Move the craft.
-
-        Parameters
-        ----------
-        pose : array, shape (3,)
-            x, y [m], yaw [rad].
-        command : array, shape (n,) or None
-            Motor commands; their thrusts are drawn, as in the steady state.
-        """
+        """Move the craft."""
         self._craft.position = (float(pose[0]), float(pose[1]), 0.0)
         self._craft.wxyz = turned(float(pose[2]))
         self._craft.visible = True
@@ -136,13 +110,7 @@ class Scene:
             self._line.points = np.stack([filled[:-1], filled[1:]], axis=1).astype(np.float32)
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Move the set point.
-
-        Parameters
-        ----------
-        pose : array, shape (k,)
-            x, y [m], yaw [rad]; more is left aside.
-        """
+        """Move the set point."""
         self._marker.show(pose)
 
     def _draw_table(self, table: Table) -> None:

@@ -24,24 +24,7 @@ class _SetPointsFile(Section):
 
 
 def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
-    """Read set points from a TOML file.
-
-    Parameters
-    ----------
-    path : path-like
-        With a table ``[[setpoints]]`` for each: ``at_s`` from the start of the flight, ``x_m``,
-        ``y_m``, ``yaw_rad``.
-
-    Returns
-    -------
-    SetPoints
-        On a clock that begins with the flight.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or times do not increase.
-    """
+    """Read set points from a TOML file."""
     entries = read_toml(path, _SetPointsFile).setpoints
     try:
         return SetPoints([e.at_s for e in entries], [(e.x_m, e.y_m, e.yaw_rad) for e in entries])
@@ -50,20 +33,7 @@ def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
 
 
 def check_inside(points: SetPoints, geofence: tuple[float, float]) -> None:
-    """Refuse set points that the craft may not fly to.
-
-    Parameters
-    ----------
-    points : SetPoints
-        To check.
-    geofence : (float, float)
-        Greatest | x | and | y | [m].
-
-    Raises
-    ------
-    InputError
-        If one is outside.
-    """
+    """Refuse set points that the craft may not fly to."""
     for x, y, _ in points.poses.tolist():
         if abs(x) > geofence[0] or abs(y) > geofence[1]:
             raise InputError(
@@ -73,26 +43,14 @@ def check_inside(points: SetPoints, geofence: tuple[float, float]) -> None:
 
 
 class PlannedSetPoints:
-    """Set points whose times count from when the craft first flies; a `Reference`.
-
-    Parameters
-    ----------
-    points : SetPoints
-        On a clock that begins then.
-    """
+    """Set points whose times count from when the craft first flies; a `Reference`."""
 
     def __init__(self, points: SetPoints) -> None:
         self._points = points
         self._start: float | None = None
 
     def begin(self, start: float) -> None:
-        """Let time count; the first call does.
-
-        Parameters
-        ----------
-        start : float
-            Now [s].
-        """
+        """Let time count; the first call does."""
         if self._start is None:
             self._start = start
 
@@ -105,11 +63,6 @@ class FollowedSetPoint:
     """A set point that others may move while the craft flies; a `Reference`.
 
     It begins where the craft is seen first.
-
-    Parameters
-    ----------
-    geofence : (float, float)
-        Greatest | x | and | y | of a set point [m].
     """
 
     def __init__(self, geofence: tuple[float, float]) -> None:
@@ -126,18 +79,7 @@ class FollowedSetPoint:
         return (self._point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
 
     def move(self, pose: Float[np.ndarray, " k"]) -> str | None:
-        """Move the set point.
-
-        Parameters
-        ----------
-        pose : array, shape (k,)
-            x, y [m], yaw [rad]; more is left aside: a set point is at rest.
-
-        Returns
-        -------
-        str or None
-            Why it stays where it is; None if it moved.
-        """
+        """Move the set point."""
         if not np.isfinite(pose[:3]).all():
             return "a set point that is not finite"
         x, y, yaw = pose[:3].tolist()

@@ -26,34 +26,20 @@ _WARM_UP = 0.1
 
 @dataclass(frozen=True)
 class TwinReport:
-    """What a twin did.
+    """What a twin did."""
 
-    Attributes
-    ----------
-    duration : float
-        How long it ran [s].
-    poses : int
-        Poses that were sent.
-    commands, refused : int
-        Commands that were received, and messages that were none.
-    stops : int
-        How often the motors stopped since no command came.
-    """
-
+    #: How long it ran [s].
     duration: float
+    #: Poses that were sent.
     poses: int
+    #: Commands that were received, and messages that were none.
     commands: int
     refused: int
+    #: How often the motors stopped since no command came.
     stops: int
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            By name.
-        """
+        """Return the figures for ``--json``."""
         figures = dict(vars(self))
         figures["duration_s"] = figures.pop("duration")
         return figures
@@ -71,39 +57,7 @@ def serve_twin(
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
     quiet: bool = False,
 ) -> TwinReport:
-    """Put a simulated table on the graph, until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    model : Model
-        The truth of this world.
-    settings : TwinSettings, optional
-        Table, sensors, radio, faults; by default the packaged ones.
-    topics : Topics, optional
-        Names; by default those of the authors' table.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback.
-    duration : float, default infinite
-        How long [s].
-    seed : int, default 0
-        Of noise and radio.
-    pose : tuple of float, default (0, 0, 0)
-        Where the craft stands at first [m, m, rad].
-    quiet : bool, default False
-        Whether to print nothing.
-
-    Returns
-    -------
-    TwinReport
-        What it did.
-
-    Raises
-    ------
-    InputError
-        If another process publishes poses already, or something given cannot be used.
-    """
+    """Put a simulated table on the graph, until SIGINT or SIGTERM."""
     topics = topics or Topics()
     warm = Twin(model, settings, seed=seed, pose=pose)
     warm.wait_until(_WARM_UP)

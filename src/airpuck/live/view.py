@@ -33,13 +33,7 @@ _NICE = 5
 
 
 class Wishes:
-    """The set point that the user wants; written by the page's threads, read by the loop.
-
-    Parameters
-    ----------
-    reach : (float, float)
-        Greatest | x | and | y | [m].
-    """
+    """The set point that the user wants; written by the page's threads, read by the loop."""
 
     def __init__(self, reach: tuple[float, float]) -> None:
         self._reach, self._lock = reach, Lock()
@@ -47,15 +41,7 @@ class Wishes:
         self._new = False
 
     def put(self, x: float, y: float, yaw: float) -> None:
-        """Take note of a wish.
-
-        Parameters
-        ----------
-        x, y : float
-            Position; what is beyond the rails is brought back [m].
-        yaw : float
-            Direction [rad].
-        """
+        """Take note of a wish."""
         if not np.isfinite([x, y, yaw]).all():
             return
         place = np.clip([x, y], -np.array(self._reach), self._reach)
@@ -68,13 +54,7 @@ class Wishes:
         return self._wish
 
     def take(self) -> Float[np.ndarray, " 6"] | None:
-        """Return the wish if it came since the last call.
-
-        Returns
-        -------
-        array, shape (6,), or None
-            x, y, yaw, at rest.
-        """
+        """Return the wish if it came since the last call."""
         with self._lock:
             new, self._new = self._new, False
             return self._wish if new else None
@@ -92,40 +72,7 @@ def view_live(
     duration: float = float("inf"),
     quiet: bool = False,
 ) -> dict[str, Any]:
-    """Serve a page that shows the craft as it flies, until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    model : Model
-        What the craft is believed to be.
-    host : str, default "127.0.0.1"
-        Address to serve at.
-    port : int, default 8080
-        Of the page.
-    table : Table, optional
-        Its rails.
-    topics : Topics, optional
-        Names; by default those of the authors' table.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback.
-    duration : float, default infinite
-        How long [s].
-    quiet : bool, default False
-        Whether to print nothing.
-
-    Returns
-    -------
-    dict
-        Figures of the last second; see `airpuck.flight.health.Health.to_json`.
-
-    Raises
-    ------
-    InputError
-        If viser is not installed, the address cannot be served at, or something given cannot be
-        used.
-    """
+    """Serve a page that shows the craft as it flies, until SIGINT or SIGTERM."""
     if find_spec("viser") is None:
         raise InputError("the live view needs viser: pip install 'airpuck[view]'")
     _check_free(host, port)

@@ -29,31 +29,6 @@ def watch_live(
     """Compare a craft in flight with its model, until SIGINT or SIGTERM; nothing is commanded.
 
     What differs beyond doubt is told on the graph, too, when it changes.
-
-    Parameters
-    ----------
-    model : Model
-        What the craft is believed to be.
-    tell : callable
-        Is given a line a second.
-    topics : Topics, optional
-        Names; by default those of the authors' table.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback.
-    duration : float, default infinite
-        How long [s].
-
-    Returns
-    -------
-    dict
-        Figures of the last second; see `airpuck.flight.health.Health.to_json`.
-
-    Raises
-    ------
-    InputError
-        If something given cannot be used.
     """
     graph = Graph(NAME, domain=domain, interface=interface)
     try:

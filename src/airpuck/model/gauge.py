@@ -19,21 +19,7 @@ from airpuck.model.parameters import Parameters, thrust_scale
 def gauge_directions(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> dict[int, Float[np.ndarray, " P"]]:
-    """Return the directions along which nothing that can be observed changes.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        Where.
-    free : array of bool, shape (P,)
-        What may change.
-
-    Returns
-    -------
-    dict of int to array, shape (P,)
-        For each propeller whose scale is free: its thrust rises and its column of Π falls by the
-        same share. None where Π follows from the vehicle.
-    """
+    """Return the directions along which nothing that can be observed changes."""
     matrix = parameters.configuration_matrix
     if matrix is None:
         return {}
@@ -52,22 +38,7 @@ def gauge_directions(
 
 
 def fix_gauge(parameters: Parameters, vehicle: Vehicle, free: Bool[np.ndarray, " P"]) -> Parameters:
-    """Bring the thrusts whose scale is free to newtons; no prediction changes.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        At any scale.
-    vehicle : Vehicle
-        Its mass.
-    free : array of bool, shape (P,)
-        What may change.
-
-    Returns
-    -------
-    fixed : Parameters
-        With ‖Π_xy,i‖ = 1/m; as they were where Π follows from the vehicle.
-    """
+    """Bring the thrusts whose scale is free to newtons; no prediction changes."""
     motors = list(gauge_directions(parameters, free))
     if not motors:
         return parameters
@@ -83,20 +54,7 @@ def fix_gauge(parameters: Parameters, vehicle: Vehicle, free: Bool[np.ndarray, "
 def gauge_constraints(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "K P"]:
-    """Return the rows that keep ‖Π_xy,i‖ where it is, to first order.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        A point of the gauge.
-    free : array of bool, shape (P,)
-        What may change.
-
-    Returns
-    -------
-    array, shape (K, P)
-        ½ ∂‖Π_xy,i‖²/∂θ, one row for each propeller whose scale is free.
-    """
+    """Return the rows that keep ‖Π_xy,i‖ where it is, to first order."""
     motors = list(gauge_directions(parameters, free))
     rows = np.zeros((len(motors), len(free)))
     entries = np.flatnonzero(parameters.mask(frozenset({"configuration_matrix"})))

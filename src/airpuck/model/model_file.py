@@ -373,18 +373,7 @@ def published_model(name: str) -> Model:
 
 
 def nominal_model(vehicle: Vehicle) -> Model:
-    """Return what is known of a craft before any flight.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft with its nominal values.
-
-    Returns
-    -------
-    Model
-        The nominal values as a model.
-    """
+    """Return what is known of a craft before any flight."""
     parameters = nominal_parameters(vehicle)
     return Model(
         name="nominal",

@@ -20,48 +20,26 @@ from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuratio
 
 @dataclass(frozen=True)
 class Quantity:
-    """One kind of parameter.
+    """One kind of parameter."""
 
-    Attributes
-    ----------
-    name : str
-        Attribute of `Parameters`.
-    key : str
-        Key in a model file; ends with the unit.
-    unit : str
-        Unit for people.
-    symbol : str
-        Symbol in the documentation.
-    lower, upper : float
-        Bounds that a fit must respect.
-    meaning : str
-        A few words.
-    entries : callable
-        ``(propeller names, degree) -> labels`` of the entries, in the order of the flat vector.
-    """
-
+    #: Attribute of `Parameters`.
     name: str
+    #: Key in a model file; ends with the unit.
     key: str
+    #: Unit for people.
     unit: str
+    #: Symbol in the documentation.
     symbol: str
+    #: Bounds that a fit must respect.
     lower: float
     upper: float
+    #: A few words.
     meaning: str
+    #: ``(propeller names, degree) -> labels`` of the entries, in the order of the flat vector.
     entries: Callable[[tuple[str, ...], int], tuple[str, ...]]
 
     def of_entry(self, number: int) -> tuple[str, str]:
-        """Return what one entry is called, where each has a name of its own.
-
-        Parameters
-        ----------
-        number : int
-            Its place in the flat vector of this quantity.
-
-        Returns
-        -------
-        symbol, unit : str
-            Its symbol, and its unit for people.
-        """
+        """Return what one entry is called, where each has a name of its own."""
         symbols, units = self.symbol.split(", "), self.unit.split(", ")
         return symbols[number], units[min(number, len(units) - 1)]
 
@@ -394,20 +372,6 @@ def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
     By Newton's law a propeller's column of Π has a linear part of length 1/m. Where Π is learned
     directly, s times the thrust and 1/s times the column give the same motion, and the length can
     be any.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    parameters : Parameters
-        With or without a Π of its own.
-    vehicle : Vehicle
-        Its mass m.
-
-    Returns
-    -------
-    array, shape (n,)
-        m ‖Π_xy,i‖; ones where Π follows from the vehicle.
     """
     matrix = parameters.configuration_matrix
     if matrix is None:
@@ -417,21 +381,7 @@ def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
 
 
 def nominal_parameters(vehicle: Vehicle, degree: int | None = None) -> Parameters:
-    """Return the vehicle's nominal values as parameters.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-    degree : int, optional
-        Degree of the thrust polynomials; by default that of the vehicle's nominal thrust. A lower
-        degree is the least-squares fit to the nominal curve on [0, 1].
-
-    Returns
-    -------
-    nominal : Parameters
-        No angle offset, the centre of mass in the middle.
-    """
+    """Return the vehicle's nominal values as parameters."""
     return Parameters(
         thrust=change_degree(vehicle.nominal_thrust, degree),
         inertia=vehicle.nominal.inertia_kg_m2,
@@ -445,20 +395,7 @@ def nominal_parameters(vehicle: Vehicle, degree: int | None = None) -> Parameter
 def change_degree(
     coefficients: Float[np.ndarray, "n degree"], degree: int | None
 ) -> Float[np.ndarray, "n new_degree"]:
-    """Express thrust curves by polynomials of another degree.
-
-    Parameters
-    ----------
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-    degree : int or None
-        New degree; None leaves the curves as they are.
-
-    Returns
-    -------
-    array, shape (n, new degree)
-        The same curves where the degree rises, the nearest ones on [0, 1] where it falls.
-    """
+    """Express thrust curves by polynomials of another degree."""
     old = coefficients.shape[1]
     if degree is None or degree == old:
         return coefficients

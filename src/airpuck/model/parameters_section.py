@@ -30,23 +30,7 @@ class ParametersSection(Section):
     tilt_rad: tuple[float, float] | None = None
 
     def parameters(self, vehicle: Vehicle) -> Parameters:
-        """Return what the table says; the transport delay, which stands elsewhere, is nominal.
-
-        Parameters
-        ----------
-        vehicle : Vehicle
-            The craft.
-
-        Returns
-        -------
-        point : Parameters
-            The values.
-
-        Raises
-        ------
-        InputError
-            If there is not a thrust curve or a column of Π for each propeller.
-        """
+        """Return what the table says; the transport delay, which stands elsewhere, is nominal."""
         n = vehicle.n_propellers
         thrust = _matrix(self.thrust_N, "thrust_N")
         if len(thrust) != n:

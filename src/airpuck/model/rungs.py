@@ -14,50 +14,25 @@ from airpuck.model.parameters import EFFECTS, Parameters, nominal_parameters
 
 @dataclass(frozen=True)
 class Preset:
-    """A named choice of free parameters.
+    """A named choice of free parameters."""
 
-    Attributes
-    ----------
-    name : str
-        ``M0``, ….
-    summary : str
-        What it models, in a few words.
-    free : frozenset of str
-        Names of the free quantities.
-    lag : bool
-        Whether the motors lag behind their commands.
-    direct : bool
-        Whether the configuration matrix is learned directly.
-    powers : tuple of int or None
-        Powers of φ in the thrust curve; None: all up to the degree.
-    effects : tuple of str
-        Names of the optional effects that it models, in `airpuck.model.parameters.EFFECTS`.
-    """
-
+    #: ``M0``, ….
     name: str
+    #: What it models, in a few words.
     summary: str
+    #: Names of the free quantities.
     free: frozenset[str]
+    #: Whether the motors lag behind their commands.
     lag: bool = True
+    #: Whether the configuration matrix is learned directly.
     direct: bool = False
+    #: Powers of φ in the thrust curve; None: all up to the degree.
     powers: tuple[int, ...] | None = None
+    #: Names of the optional effects that it models, in `airpuck.model.parameters.EFFECTS`.
     effects: tuple[str, ...] = ()
 
     def initial(self, vehicle: Vehicle, degree: int | None = None) -> Parameters:
-        """Return where a fit of this rung starts.
-
-        Parameters
-        ----------
-        vehicle : Vehicle
-            The craft, with its nominal values.
-        degree : int, optional
-            Degree of the thrust polynomials; by default that of the nominal thrust.
-
-        Returns
-        -------
-        initial : Parameters
-            The vehicle's nominal values, as far as the rung has them; effects as in
-            `airpuck.model.parameters.EFFECTS`.
-        """
+        """Return where a fit of this rung starts."""
         parameters = nominal_parameters(vehicle, degree)
         if self.powers is not None:
             parameters = replace(parameters, thrust=_only(parameters.thrust, self.powers))
@@ -73,18 +48,7 @@ class Preset:
         )
 
     def mask(self, parameters: Parameters) -> Bool[np.ndarray, " P"]:
-        """Mark the free entries.
-
-        Parameters
-        ----------
-        parameters : Parameters
-            A set of this rung.
-
-        Returns
-        -------
-        array of bool, shape (P,)
-            True where ``parameters.to_vector()`` is free.
-        """
+        """Mark the free entries."""
         mask = parameters.mask(self.free.union(self.effects))
         if self.powers is not None:
             n, degree = np.shape(parameters.thrust)

@@ -19,20 +19,13 @@ _ALONG = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Percentile intervals from fits to resampled data.
+    """Percentile intervals from fits to resampled data."""
 
-    Attributes
-    ----------
-    replicates : int
-        Fits that came to an end.
-    seed : int
-        Seed of the resampling.
-    lower, upper : array, shape (P,)
-        95 % intervals, from the 2.5th and 97.5th percentile; nan where there is none.
-    """
-
+    #: Fits that came to an end.
     replicates: int
+    #: Seed of the resampling.
     seed: int
+    #: 95 % intervals, from the 2.5th and 97.5th percentile; nan where there is none.
     lower: Float[np.ndarray, " P"]
     upper: Float[np.ndarray, " P"]
 

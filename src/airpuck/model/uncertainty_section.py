@@ -18,22 +18,7 @@ from airpuck.model.uncertainty import Bootstrap, Uncertainty
 def uncertainty_content(
     uncertainty: Uncertainty | None, parameters: Parameters, vehicle: Vehicle
 ) -> dict[str, Any]:
-    """Return the table ``[uncertainty]`` of a model file.
-
-    Parameters
-    ----------
-    uncertainty : Uncertainty or None
-        What to write.
-    parameters : Parameters
-        The parameters that it belongs to.
-    vehicle : Vehicle
-        Names of the propellers.
-
-    Returns
-    -------
-    dict
-        ``{"uncertainty": …}``; empty where there is none, or where it belongs to other parameters.
-    """
+    """Return the table ``[uncertainty]`` of a model file."""
     if uncertainty is None or not np.array_equal(uncertainty.estimate, parameters.to_vector()):
         return {}
     labels = np.array(parameters.labels(vehicle.propeller_names))
@@ -69,20 +54,13 @@ def uncertainty_content(
 
 
 class DelayJitter(Section):
-    """The table ``[delay_jitter]``: by how much the transport delay differs from packet to packet.
+    """The table ``[delay_jitter]``: how much the delay differs from packet to packet."""
 
-    Attributes
-    ----------
-    standard_deviation_s : float
-        Of the delay of single packets.
-    standard_error_s : float
-        Of that standard deviation.
-    packets : int
-        Packets behind it.
-    """
-
+    #: Of the delay of single packets.
     standard_deviation_s: float = pydantic.Field(ge=0)
+    #: Of that standard deviation.
     standard_error_s: float = pydantic.Field(ge=0)
+    #: Packets behind it.
     packets: int = pydantic.Field(ge=1)
 
 
@@ -128,25 +106,7 @@ class UncertaintySection(_WithNan):
     bootstrap: _Bootstrap | None = None
 
     def uncertainty(self, parameters: Parameters, vehicle: Vehicle) -> Uncertainty:
-        """Return what the table says.
-
-        Parameters
-        ----------
-        parameters : Parameters
-            The model's parameters.
-        vehicle : Vehicle
-            Names of the propellers.
-
-        Returns
-        -------
-        Uncertainty
-            Over all entries of the parameters.
-
-        Raises
-        ------
-        InputError
-            If a label is unknown, or sizes do not agree.
-        """
+        """Return what the table says."""
         names = parameters.labels(vehicle.propeller_names)
         for label in self.labels:
             if label not in names:

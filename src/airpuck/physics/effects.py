@@ -20,21 +20,14 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """Velocities as the craft feels them.
+    """Velocities as the craft feels them."""
 
-    Attributes
-    ----------
-    forward, left : array or float
-        Velocity of the geometric centre along the body's axes [m/s].
-    spin : array or float
-        ω [rad/s].
-    cos, sin : array or float
-        Of the yaw.
-    """
-
+    #: Velocity of the geometric centre along the body's axes [m/s].
     forward: Any
     left: Any
+    #: ω [rad/s].
     spin: Any
+    #: Of the yaw.
     cos: Any
     sin: Any
 
@@ -43,56 +36,22 @@ class Effect:
     """Base of all effects: changes nothing."""
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
-        """Change the thrusts.
-
-        Parameters
-        ----------
-        xp : module
-            Array namespace.
-        thrust : array, shape (n, ...)
-            Thrusts so far [N].
-        motion : BodyMotion
-            Velocities.
-
-        Returns
-        -------
-        array, shape (n, ...)
-            Thrusts with the effect [N].
-        """
+        """Change the thrusts."""
         return thrust
 
     def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
-        """Add accelerations of the centre of mass.
-
-        Parameters
-        ----------
-        xp : module
-            Array namespace.
-        motion : BodyMotion
-            Velocities.
-
-        Returns
-        -------
-        forward, left, angular : array or float
-            In the body frame [m/s², m/s², rad/s²].
-        """
+        """Add accelerations of the centre of mass."""
         return 0.0, 0.0, 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Drag(Effect):
-    """Drag of air cushion and air: a = -(c₁ + c₂|v|) v, ω' = -(d₁ + d₂|ω|) ω.
+    """Drag of air cushion and air: a = -(c₁ + c₂|v|) v, ω' = -(d₁ + d₂|ω|) ω."""
 
-    Attributes
-    ----------
-    linear, quadratic : float
-        c₁ [1/s], c₂ [1/m].
-    spin_linear, spin_quadratic : float
-        d₁ [1/s], d₂ [1/rad].
-    """
-
+    #: c₁ [1/s], c₂ [1/m].
     linear: Any = 0.0
     quadratic: Any = 0.0
+    #: d₁ [1/s], d₂ [1/rad].
     spin_linear: Any = 0.0
     spin_quadratic: Any = 0.0
 
@@ -111,41 +70,19 @@ class Inflow(Effect):
 
     The linear term of the thrust of a propeller in axial flow, C_T(J) ≈ C_T(0) - k J (e.g.
     McCormick, "Aerodynamics, Aeronautics and Flight Mechanics", 1995, chapter 6).
-
-    Attributes
-    ----------
-    coefficient : float
-        c [s/m].
-    axes : array, shape (n, 3)
-        How the velocities forward, left and ω add up to the speed of each propeller along its
-        thrust: (dₓ, d_y, r × d).
     """
 
+    #: c [s/m].
     coefficient: Any
+    #: How the velocities forward, left and ω add up to the speed of each propeller along its
+    #: thrust: (dₓ, d_y, r × d).
     axes: Any
 
     @classmethod
     def of(
         cls, vehicle: Vehicle, coefficient: Any, angle_offset: Any = 0.0, xp: Any = np
     ) -> Inflow:
-        """Take the axes from a vehicle.
-
-        Parameters
-        ----------
-        vehicle : Vehicle
-            Positions and directions of the propellers.
-        coefficient : float
-            c [s/m].
-        angle_offset : float, default 0
-            Rotation α of the layout against the measured yaw [rad].
-        xp : module, default numpy
-            Array namespace.
-
-        Returns
-        -------
-        Inflow
-            The effect.
-        """
+        """Take the axes from a vehicle."""
         (px, py), (dx, dy) = vehicle.positions.T, vehicle.directions.T
         cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
         turned = [cos * dx - sin * dy, sin * dx + cos * dy, px * dy - py * dx]
@@ -159,38 +96,17 @@ class Inflow(Effect):
 
 @dataclass(frozen=True, eq=False)
 class PairInteraction(Effect):
-    """A propeller loses thrust when its twin blows into it: F / (1 + c F_twin).
+    """A propeller loses thrust when its twin blows into it: F / (1 + c F_twin)."""
 
-    Attributes
-    ----------
-    coefficient : float
-        c [1/N].
-    twins : array, shape (n, n)
-        One at the twin of each propeller, zeros elsewhere; where thrusts are not in newtons, what
-        brings the twin's there.
-    """
-
+    #: c [1/N].
     coefficient: Any
+    #: One at the twin of each propeller, zeros elsewhere; where thrusts are not in newtons, what
+    #: brings the twin's there.
     twins: Any
 
     @classmethod
     def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> PairInteraction:
-        """Take the twins from a vehicle.
-
-        Parameters
-        ----------
-        vehicle : Vehicle
-            Its pairs.
-        coefficient : float
-            c [1/N].
-        scale : float or array, shape (n,)
-            What brings each thrust to newtons.
-
-        Returns
-        -------
-        PairInteraction
-            The effect.
-        """
+        """Take the twins from a vehicle."""
         twins = np.zeros((vehicle.n_propellers, vehicle.n_propellers))
         for first, second in vehicle.pair_indices:
             twins[first, second] = twins[second, first] = 1.0
@@ -211,36 +127,16 @@ class VoltageSag(Effect):
     With I = k Σ F, c = R k / E and the thrusts F₀ at full voltage
 
         F = q² F₀,  q = V/E = 1 - c q² S,  S = Σ F₀,  so that  q = 2 / (1 + √(1 + 4 c S)).
-
-    Attributes
-    ----------
-    coefficient : float
-        c, the share of the voltage that is lost per thrust [1/N].
-    weights : array, shape (n,)
-        How thrusts add up to S: ones, or what brings them to newtons.
     """
 
+    #: c, the share of the voltage that is lost per thrust [1/N].
     coefficient: Any
+    #: How thrusts add up to S: ones, or what brings them to newtons.
     weights: Any
 
     @classmethod
     def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> VoltageSag:
-        """Count all propellers of a vehicle.
-
-        Parameters
-        ----------
-        vehicle : Vehicle
-            The craft.
-        coefficient : float
-            c [1/N].
-        scale : float or array, shape (n,)
-            What brings each thrust to newtons.
-
-        Returns
-        -------
-        VoltageSag
-            The effect.
-        """
+        """Count all propellers of a vehicle."""
         return cls(coefficient, np.ones(vehicle.n_propellers) * scale)
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
@@ -251,14 +147,9 @@ class VoltageSag(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Tilt(Effect):
-    """The table is not level: a constant acceleration in the world frame.
+    """The table is not level: a constant acceleration in the world frame."""
 
-    Attributes
-    ----------
-    x, y : float
-        Slope along the table's axes, positive where the table falls [rad].
-    """
-
+    #: Slope along the table's axes, positive where the table falls [rad].
     x: Any = 0.0
     y: Any = 0.0
 
@@ -284,32 +175,7 @@ def make_effects(
     scale: Any = 1.0,
     xp: Any = np,
 ) -> tuple[Effect, ...]:
-    """Make effects from their coefficients, in the order in which they act.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Positions, directions and pairs of the propellers.
-    drag : array, shape (4,), optional
-        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad]; left out, as all below: there is no such effect.
-    inflow : float, optional
-        [s/m].
-    pair_interaction, voltage_sag : float, optional
-        [1/N].
-    tilt : array, shape (2,), optional
-        [rad].
-    angle_offset : float, default 0
-        Rotation α of the layout against the measured yaw [rad].
-    scale : float or array, shape (n,)
-        What brings each thrust to newtons.
-    xp : module, default numpy
-        Array namespace.
-
-    Returns
-    -------
-    tuple of Effect
-        Those that there are.
-    """
+    """Make effects from their coefficients, in the order in which they act."""
     chosen: list[Effect] = []
     if inflow is not None:
         chosen.append(Inflow.of(vehicle, inflow, angle_offset, xp))

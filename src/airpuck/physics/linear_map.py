@@ -6,20 +6,7 @@ from typing import Any
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:
-    """Apply a matrix, one for all or one for each of a batch.
-
-    Parameters
-    ----------
-    matrix : array, shape (m, n) or (m, n, ...)
-        Matrices.
-    vector : array, shape (n, ...)
-        Vectors.
-
-    Returns
-    -------
-    array, shape (m, ...)
-        Their products.
-    """
+    """Apply a matrix, one for all or one for each of a batch."""
     if matrix.ndim == 2 and vector.ndim <= 2:
         return matrix @ vector
     if matrix.ndim == 2:

@@ -17,21 +17,6 @@ def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.n
 
     Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`. Where
     optional effects change that, Newton's method goes on from there by steps of least norm.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Coefficients.
-    level : float, default 0.5
-        Motor speed to stay near.
-    yaw : float, default 0
-        Orientation of the craft, which matters on a table that is not level [rad].
-
-    Returns
-    -------
-    array, shape (n,)
-        Motor commands in [0, 1]. Where a craft has too few propellers for thrusts that cancel, they
-        go towards zero.
     """
     configuration = np.asarray(dynamics.configuration)
     wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))

@@ -13,43 +13,12 @@ def motor_step(xp: Any, speed: Any, command: Any, duration: Any, time_constant: 
 
     φ(t + h) = u + (φ(t) - u) exp(-h/τ), the solution of φ' = (u - φ)/τ. A time constant of zero
     means a motor that follows at once.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace: numpy, jax.numpy, ….
-    speed, command : array, shape (n, ...)
-        Normalised motor speed φ, command u.
-    duration : array, shape (...) or float
-        Time to advance h [s].
-    time_constant : float or array, shape ()
-        Lag τ ≥ 0 [s].
-
-    Returns
-    -------
-    array, shape (n, ...)
-        Motor speeds after `duration`.
     """
     return command + (speed - command) * lag_decay(xp, duration, time_constant)
 
 
 def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
-    """Return exp(-h/τ), and zero for τ = 0, with a finite derivative in both cases.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    duration : array or float
-        Time h [s].
-    time_constant : float or array, shape ()
-        Lag τ ≥ 0 [s].
-
-    Returns
-    -------
-    array or float
-        What is left of a deviation after h.
-    """
+    """Return exp(-h/τ), and zero for τ = 0, with a finite derivative in both cases."""
     # The division must not see a zero even in the branch that is not taken: where() hides a NaN's
     # value, but not its derivative.
     lagging = time_constant > 0

@@ -67,26 +67,6 @@ def configuration_matrix(
 
     Forces add up to the acceleration of the centre of mass, their moments about it to the angular
     acceleration. The angle offset turns positions and directions alike.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    positions, directions : array, shape (n, 2)
-        Propeller positions [m] and unit vectors of thrust, body frame.
-    mass : float
-        Mass [kg].
-    inertia : float or array, shape ()
-        Moment of inertia about the centre of mass [kg m²].
-    angle_offset : float or array, shape ()
-        Rotation α of the propeller layout against the measured yaw [rad].
-    center_of_mass : array, shape (2,)
-        Offset r of the centre of mass, body frame [m].
-
-    Returns
-    -------
-    array, shape (3, n)
-        Configuration matrix [1/kg, 1/kg, 1/(kg m)].
     """
     cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
     dx = cos * directions[:, 0] - sin * directions[:, 1]
@@ -143,26 +123,7 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
 def motor_accelerations(
     xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any
 ) -> tuple[Any, Any]:
-    """Split the accelerations into those that each motor gives, and all others.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        Coefficients.
-    motion : sequence of array, shape (4, ...)
-        Yaw γ [rad], velocity vx, vy [m/s], spin ω [rad/s].
-    motor_speed : array, shape (n, ...)
-        Normalised motor speeds φ.
-
-    Returns
-    -------
-    by_motor : array, shape (3, n, ...)
-        ax, ay [m/s²] and ω' [rad/s²] by each motor; they are linear in its thrust.
-    rest : array, shape (3, ...)
-        The same without any thrust.
-    """
+    """Split the accelerations into those that each motor gives, and all others."""
     # The accelerations are linear in Π: one column at a time, and none.
     n = motor_speed.shape[0]
     columns = np.concatenate([np.eye(n), np.zeros((1, n))])
@@ -179,22 +140,6 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
     """Evaluate the right-hand side z' = f(z, u) of the extended model.
 
     See eq. extended_model_dynamics of the paper.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        Coefficients; the time constant must be positive.
-    state : array, shape (6 + n, ...)
-        z: x, y, γ, vx, vy, ω and the n motor speeds φ.
-    command : array, shape (n, ...)
-        Motor commands u.
-
-    Returns
-    -------
-    array, shape (6 + n, ...)
-        dz/dt.
     """
     motor_speed = state[6:]
     rates = acceleration(xp, dynamics, state[2:6], motor_speed)
@@ -206,22 +151,6 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
     """Write the accelerations as M(γ) F + g(ω), the form that control allocation needs.
 
     Without the optional effects: a controller meets them as a disturbance.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        Coefficients.
-    yaw, spin : float or array, shape ()
-        γ [rad], ω [rad/s].
-
-    Returns
-    -------
-    matrix : array, shape (3, n)
-        M(γ), from thrusts to ax, ay, ω'.
-    offset : array, shape (3,)
-        g(ω), acceleration without thrust.
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]

@@ -16,26 +16,7 @@ from airpuck.physics.rigid_body import Dynamics, acceleration
 
 
 def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:
-    """Advance the extended state under a constant command by one Runge-Kutta step.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        Coefficients.
-    state : array, shape (6 + n, ...)
-        z: x, y, γ, vx, vy, ω, φ₁ … φₙ.
-    command : array, shape (n, ...)
-        Motor commands u.
-    duration : array, shape (...) or float
-        Step size h [s].
-
-    Returns
-    -------
-    array, shape (6 + n, ...)
-        The state after `duration`.
-    """
+    """Advance the extended state under a constant command by one Runge-Kutta step."""
     h, tau = duration, dynamics.motor_time_constant
     # A motor without lag has the new speed from the start of the step on.
     begin = xp.where(tau > 0, state[6:], command)
@@ -85,24 +66,7 @@ def rollout(xp: Any, dynamics: Dynamics, state: Any, commands: Any, durations: A
 
 
 def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
-    """Loop over the leading axis: `jax.lax.scan` under JAX, a plain loop under NumPy.
-
-    Parameters
-    ----------
-    xp : module
-        numpy or jax.numpy.
-    body : callable
-        ``(carry, input) -> (carry, output)``; the output is one array.
-    carry : any
-        State of the loop.
-    inputs : tuple of array
-        What to loop over.
-
-    Returns
-    -------
-    carry, outputs : tuple
-        The last carry and the stacked outputs.
-    """
+    """Loop over the leading axis: `jax.lax.scan` under JAX, a plain loop under NumPy."""
     if xp is not np:
         import jax
 
@@ -115,24 +79,7 @@ def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, input
 
 
 def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
-    """Apply a function if a condition holds for any of a batch: `jax.lax.cond` under JAX.
-
-    Parameters
-    ----------
-    xp : module
-        numpy or jax.numpy.
-    condition : array of bool
-        The function must leave what belongs to False as it is.
-    function : callable
-        From an array to one of the same shape.
-    value : array
-        What to apply it to.
-
-    Returns
-    -------
-    array
-        ``function(value)`` or ``value``.
-    """
+    """Apply a function if a condition holds for any of a batch: `jax.lax.cond` under JAX."""
     if xp is not np:
         import jax
 

@@ -41,20 +41,7 @@ def thrust(coefficients: Any, speed: Any) -> Any:
 
 
 def thrust_slope(coefficients: Any, speed: Any) -> Any:
-    """Evaluate dF/dφ.
-
-    Parameters
-    ----------
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-    speed : array, shape (n, ...)
-        Normalised motor speeds φ.
-
-    Returns
-    -------
-    array, shape (n, ...)
-        Slopes [N].
-    """
+    """Evaluate dF/dφ."""
     total = 0.0
     for power in reversed(range(coefficients.shape[1])):
         total = total * speed + (power + 1) * _column(coefficients, power, speed)
@@ -74,18 +61,6 @@ def lowest_slope(
 
     The minimum of dF/dφ lies at an end of the interval or where d²F/dφ² vanishes inside. For a
     cubic this is the argument of Proposition 1 (prop:thrust).
-
-    Parameters
-    ----------
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-
-    Returns
-    -------
-    slope : array, shape (n,)
-        The lowest slopes [N].
-    speed : array, shape (n,)
-        Where they are.
     """
     degree = coefficients.shape[1]
     slopes, speeds = [], []
@@ -101,18 +76,7 @@ def lowest_slope(
 
 
 def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray, " n"]:
-    """Say whether each thrust curve rises everywhere on [0, 1] (eq. thrust_cond).
-
-    Parameters
-    ----------
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-
-    Returns
-    -------
-    array of bool, shape (n,)
-        True where dF/dφ ≥ 0 on the whole of [0, 1].
-    """
+    """Say whether each thrust curve rises everywhere on [0, 1] (eq. thrust_cond)."""
     return lowest_slope(coefficients)[0] >= 0
 
 
@@ -144,39 +108,13 @@ class InverseThrust:
         self._coefficients = coefficients
 
     def __call__(self, force: Float[np.ndarray, "n *batch"]) -> Float[np.ndarray, "n *batch"]:
-        """Invert the curves.
-
-        Parameters
-        ----------
-        force : array, shape (n, ...)
-            Thrusts [N]. What lies outside the image of [0, 1] is clipped to its ends.
-
-        Returns
-        -------
-        array, shape (n, ...)
-            Speeds φ in [0, 1], exact to 1e-10 wherever the curve's slope is not zero.
-        """
+        """Invert the curves."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return inverse_thrust(np, self._coefficients, force)
 
 
 def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:
-    """Invert thrust curves that are known to rise; see `InverseThrust`.
-
-    Parameters
-    ----------
-    xp : module
-        numpy or jax.numpy.
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-    force : array, shape (n, ...)
-        Thrusts [N].
-
-    Returns
-    -------
-    array, shape (n, ...)
-        Speeds φ in [0, 1].
-    """
+    """Invert thrust curves that are known to rise; see `InverseThrust`."""
     top = thrust(coefficients, xp.ones((coefficients.shape[0],) + (1,) * (force.ndim - 1)))
     target = xp.minimum(xp.maximum(force, 0.0), top)
 

@@ -15,25 +15,17 @@ _CLOCKS_DIFFER = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Stamps of two streams on one axis.
+    """Stamps of two streams on one axis."""
 
-    Attributes
-    ----------
-    pose_time, command_time : array, shape (N,) and (K,)
-        Seconds since `epoch`.
-    epoch : float
-        The earlier of the two first stamps [s since 1970].
-    warnings : tuple of str
-        What was found.
-    recorder_epoch : float
-        What the recorder's clock showed at `epoch`: the same, unless the two clocks differ by more
-        than latencies explain [s since 1970].
-    """
-
+    #: Seconds since `epoch`.
     pose_time: Float[np.ndarray, " N"]
     command_time: Float[np.ndarray, " K"]
+    #: The earlier of the two first stamps [s since 1970].
     epoch: float
+    #: What was found.
     warnings: tuple[str, ...]
+    #: What the recorder's clock showed at `epoch`: the same, unless the two clocks differ by more
+    #: than latencies explain [s since 1970].
     recorder_epoch: float
 
 
@@ -42,16 +34,6 @@ def seconds(stamp_ns: Int64[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 
     At today's epoch a double resolves 2⁻²² s = 0.24 µs. Motion capture drivers compute stamps in
     doubles and truncate them to nanoseconds; converting back restores the driver's number.
-
-    Parameters
-    ----------
-    stamp_ns : array of int64, shape (N,)
-        Nanoseconds since the epoch.
-
-    Returns
-    -------
-    array, shape (N,)
-        Seconds since the epoch.
     """
     whole, rest = np.divmod(stamp_ns, 1_000_000_000)
     return whole + rest * 1e-9
@@ -64,16 +46,6 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     smallest difference between its time of arrival and a sender's stamp is that clock's offset plus
     the shortest latency. Offsets more than 0.1 s apart are different clocks, and the commands are
     moved to the poses' clock.
-
-    Parameters
-    ----------
-    pose, command : Stream
-        The streams, as logged.
-
-    Returns
-    -------
-    Aligned
-        Times since the first stamp of either.
     """
     offsets = {
         name: seconds(stream.received_ns) - seconds(stream.stamp_ns)

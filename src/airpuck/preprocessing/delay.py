@@ -17,20 +17,13 @@ LONGEST = 0.5
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """Result of the correlation.
+    """Result of the correlation."""
 
-    Attributes
-    ----------
-    samples : int
-        Delay in samples of the motion capture.
-    correlation : float
-        Correlation of modelled and measured accelerations at that delay, mean over x, y and yaw.
-    passes : int
-        Times that the signals were correlated until no shift was left.
-    """
-
+    #: Delay in samples of the motion capture.
     samples: int
+    #: Correlation of modelled and measured accelerations at that delay, mean over x, y and yaw.
     correlation: float
+    #: Times that the signals were correlated until no shift was left.
     passes: int
 
 
@@ -47,26 +40,6 @@ def estimate_delay(
     Modelled and measured accelerations are correlated channel by channel; commands are shifted by
     the mean of the three best lags, and this is repeated, since the modelled acceleration depends
     on the yaw it is paired with, until no shift is left.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Sample times [s].
-    state : array, shape (N, 6)
-        Measured states.
-    acceleration : array, shape (N, 3)
-        Measured accelerations of x, y, γ.
-    command : array, shape (N, n)
-        Commands held at the sample times, not shifted.
-    dynamics : Dynamics
-        A nominal model; a rough one does.
-    usable : array of bool, shape (N,), optional
-        Samples to correlate; by default all.
-
-    Returns
-    -------
-    DelayEstimate
-        Negative samples mean that the motion precedes the commands.
     """
     usable = np.ones(len(time), dtype=bool) if usable is None else usable
     speed = motor_speeds(time, command, dynamics.motor_time_constant)

@@ -12,38 +12,14 @@ ACCELERATION_WINDOW = 15
 
 
 def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """Make a yaw that is wrapped to one turn continuous.
-
-    Parameters
-    ----------
-    yaw : array, shape (N,)
-        Yaw [rad]; less than half a turn from one sample to the next.
-
-    Returns
-    -------
-    array, shape (N,)
-        The same angles, equal to `yaw` at the first sample, without jumps.
-    """
+    """Make a yaw that is wrapped to one turn continuous."""
     turns = np.cumsum(np.rint(np.diff(yaw) / (2 * np.pi)))
     # Whole turns are added to the measured number, so that no digit of it is lost.
     return yaw - 2 * np.pi * np.concatenate([[0.0], turns])
 
 
 def smooth(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "N k"]:
-    """Smooth by local cubic polynomials (Savitzky-Golay).
-
-    Parameters
-    ----------
-    values : array, shape (N, k)
-        Samples; N is at least `window`.
-    window : int
-        Odd number of samples that each polynomial is fitted to.
-
-    Returns
-    -------
-    array, shape (N, k)
-        Smoothed values. Not causal: it looks ``window // 2`` samples ahead.
-    """
+    """Smooth by local cubic polynomials (Savitzky-Golay)."""
     # Projects the samples of a window onto polynomials: row k is their value at sample k. SciPy's
     # filter gives the same, but importing scipy.signal takes longer than all of preprocessing.
     half = window // 2
@@ -57,40 +33,14 @@ def smooth(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "
 def velocity(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate once: smooth over 11 samples, then second-order differences.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Times without gaps, not necessarily equidistant [s].
-    values : array, shape (N, k)
-        Samples.
-
-    Returns
-    -------
-    array, shape (N, k)
-        First derivatives.
-    """
+    """Differentiate once: smooth over 11 samples, then second-order differences."""
     return np.gradient(smooth(values, VELOCITY_WINDOW), time, axis=0, edge_order=2)
 
 
 def acceleration(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate twice: smooth over 15 samples, then the second divided difference.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Times without gaps, not necessarily equidistant [s].
-    values : array, shape (N, k)
-        Samples.
-
-    Returns
-    -------
-    array, shape (N, k)
-        Second derivatives; at the ends those of the cubic through the four outermost samples.
-    """
+    """Differentiate twice: smooth over 15 samples, then the second divided difference."""
     smoothed = smooth(values, ACCELERATION_WINDOW)
     before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     inner = (

@@ -127,31 +127,7 @@ def crop_to_commands(
     begins_above: float,
     source: str = "",
 ) -> tuple[int, int]:
-    """Find the poses between the first command that moves the craft and the last one.
-
-    Parameters
-    ----------
-    pose_time : array, shape (N,)
-        Times of the poses [s].
-    command_time : array, shape (K,)
-        Times of the commands [s].
-    command : array, shape (K, n)
-        Commands.
-    begins_above : float
-        The first command with a motor above this value begins the span.
-    source : str, optional
-        The recording, for the error message.
-
-    Returns
-    -------
-    first, last : int
-        Poses [first, last) belong to the span.
-
-    Raises
-    ------
-    InputError
-        If no motor is ever commanded, or no pose lies in the span.
-    """
+    """Find the poses between the first command that moves the craft and the last one."""
     moving = np.flatnonzero(command.max(axis=1) > begins_above)
     if len(moving) == 0:
         raise InputError(

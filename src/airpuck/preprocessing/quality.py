@@ -32,40 +32,18 @@ COMMAND_GAP_PERIODS = 10
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """Samples in strictly increasing time.
+    """Samples in strictly increasing time."""
 
-    Attributes
-    ----------
-    time : array, shape (N,)
-        Times [s].
-    values : array, shape (N, k)
-        Values.
-    warnings : tuple of str
-        What was dropped.
-    """
-
+    #: Times [s].
     time: Float[np.ndarray, " N"]
+    #: Values.
     values: Float[np.ndarray, "N k"]
+    #: What was dropped.
     warnings: tuple[str, ...]
 
 
 def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> None:
-    """Refuse poses that cannot be metres and radians.
-
-    Parameters
-    ----------
-    pose : Stream
-        x, y [m], yaw [rad].
-    time : array, shape (N,)
-        Times of the poses [s].
-    source : str
-        The recording, for the error message.
-
-    Raises
-    ------
-    InputError
-        If a pose is not finite, or the numbers look like degrees or millimetres.
-    """
+    """Refuse poses that cannot be metres and radians."""
     _check_finite(pose, time, "pose", source)
     position, yaw = pose.values[:, :2], pose.values[:, 2]
     if np.abs(position).max() > 50:
@@ -89,22 +67,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
 
 
 def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
-    """Refuse commands outside [0, 1].
-
-    Parameters
-    ----------
-    command : Stream
-        Motor commands.
-    time : array, shape (K,)
-        Their times [s].
-    source : str
-        The recording, for the error message.
-
-    Raises
-    ------
-    InputError
-        If a command is not finite or outside [0, 1].
-    """
+    """Refuse commands outside [0, 1]."""
     _check_finite(command, time, "command", source)
     outside = (command.values < 0) | (command.values > 1)
     if outside.any():
@@ -134,22 +97,7 @@ def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, sour
 def drop_disorder(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], kind: str
 ) -> Cleaned:
-    """Drop samples whose stamp repeats or precedes an earlier one.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Times as logged [s].
-    values : array, shape (N, k)
-        Values.
-    kind : str
-        Name of the stream, for the warnings.
-
-    Returns
-    -------
-    Cleaned
-        The samples in strictly increasing time; the first of equal stamps is kept.
-    """
+    """Drop samples whose stamp repeats or precedes an earlier one."""
     if len(time) == 0:
         return Cleaned(time, values, ())
     latest = np.maximum.accumulate(time)
@@ -169,22 +117,7 @@ def drop_disorder(
 def find_gaps(
     time: Float[np.ndarray, " N"], cause: str = "gap", periods: float = GAP_PERIODS
 ) -> tuple[Span, ...]:
-    """Find pauses in a stream.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Strictly increasing times [s].
-    cause : str, default "gap"
-        What to call them.
-    periods : float, default 1.5
-        Shortest pause, in median sample periods.
-
-    Returns
-    -------
-    tuple of Span
-        From the last sample before each pause to the first one after it.
-    """
+    """Find pauses in a stream."""
     pause = np.diff(time)
     if len(pause) == 0:
         return ()
@@ -193,18 +126,7 @@ def find_gaps(
 
 
 def stretches(time: Float[np.ndarray, " N"]) -> list[slice]:
-    """Cut a stream at its pauses.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Strictly increasing times [s].
-
-    Returns
-    -------
-    list of slice
-        The samples between one gap of `find_gaps` and the next.
-    """
+    """Cut a stream at its pauses."""
     edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]).tolist(), len(time)]
     return [slice(first, last) for first, last in pairwise(edges)]
 
@@ -212,20 +134,7 @@ def stretches(time: Float[np.ndarray, " N"]) -> list[slice]:
 def find_frozen(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> tuple[Span, ...]:
-    """Find stretches over which a measurement repeats exactly.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Times [s].
-    values : array, shape (N, k)
-        Measurements.
-
-    Returns
-    -------
-    tuple of Span
-        Stretches of at least `FROZEN_SAMPLES` equal samples.
-    """
+    """Find stretches over which a measurement repeats exactly."""
     same = np.all(values[1:] == values[:-1], axis=1)
     return tuple(
         Span(float(time[first]), float(time[last]), "frozen pose")
@@ -235,20 +144,7 @@ def find_frozen(
 
 
 def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) -> tuple[Span, ...]:
-    """Find poses that leap, once or there and back.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Strictly increasing times [s].
-    values : array, shape (N, 3)
-        x, y [m], continuous yaw [rad].
-
-    Returns
-    -------
-    tuple of Span
-        Around each leap, as far as smoothing carries it.
-    """
+    """Find poses that leap, once or there and back."""
     if len(time) < _JUMP_NEIGHBOURS:
         return ()
     pause = np.diff(time)

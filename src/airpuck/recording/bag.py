@@ -63,44 +63,14 @@ class _Log:
 
 
 def is_bag(path: Path) -> bool:
-    """Say whether a path is a storage file or a folder that holds some.
-
-    Parameters
-    ----------
-    path : Path
-        A file or folder.
-
-    Returns
-    -------
-    bool
-        Judged by names alone.
-    """
+    """Say whether a path is a storage file or a folder that holds some."""
     if path.is_dir():
         return any(entry.name.endswith(STORAGE) and entry.is_file() for entry in path.iterdir())
     return path.name.endswith(STORAGE)
 
 
 def read_bag(path: Path, topics: Topics) -> Recording:
-    """Read a rosbag2 folder, or a bare .mcap or .db3 file.
-
-    Parameters
-    ----------
-    path : Path
-        The folder or file.
-    topics : Topics
-        Where the streams are.
-
-    Returns
-    -------
-    Recording
-        Messages in the order of the recorder's clock. Of a damaged .mcap every whole chunk, with a
-        warning that says how far it reaches.
-
-    Raises
-    ------
-    InputError
-        If nothing can be read, a topic is missing, or one holds the wrong type.
-    """
+    """Read a rosbag2 folder, or a bare .mcap or .db3 file."""
     wanted = set(topics.by_stream.values())
     metadata = _metadata(path / METADATA) if path.is_dir() else {}
     files = _storage_files(path, metadata)

@@ -30,13 +30,7 @@ class _Topic:
 
 
 class BagFile:
-    """A bag being written.
-
-    Parameters
-    ----------
-    folder : Path
-        Is made; must not exist.
-    """
+    """A bag being written."""
 
     def __init__(self, folder: Path) -> None:
         from mcap.writer import Writer
@@ -59,22 +53,7 @@ class BagFile:
         best_effort: bool = False,
         transient_local: bool = False,
     ) -> int:
-        """Note that a topic will be recorded.
-
-        Parameters
-        ----------
-        name, msgtype : str
-            ROS names.
-        types : mapping
-            Definitions by type name; what the type needs is embedded.
-        best_effort, transient_local : bool, default False
-            Quality of service that its senders offered.
-
-        Returns
-        -------
-        int
-            For `add`.
-        """
+        """Note that a topic will be recorded."""
         from rosbags.typesys import Stores, get_typestore
 
         store = get_typestore(Stores.EMPTY)
@@ -89,17 +68,7 @@ class BagFile:
         return len(self._topics) - 1
 
     def add(self, topic: int, received_ns: int, sent_ns: int, data: bytes) -> None:
-        """Record a message.
-
-        Parameters
-        ----------
-        topic : int
-            From `add_topic`.
-        received_ns, sent_ns : int
-            When it arrived, and when it was sent or stamped [ns since the epoch].
-        data : bytes
-            In CDR, with encapsulation.
-        """
+        """Record a message."""
         noted = self._topics[topic]
         empty = all(other.count == 0 for other in self._topics)
         self._first_ns = received_ns if empty else min(self._first_ns, received_ns)

@@ -41,43 +41,18 @@ _DEEPEST = 16
 
 @dataclass(frozen=True)
 class Field:
-    """One leaf of a message.
+    """One leaf of a message."""
 
-    Attributes
-    ----------
-    path : str
-        Names from the message down, joined by dots: ``pose.position.x``.
-    kind : str
-        ROS name of a primitive type, ``string``, or ``sequence`` for all that has no fixed size.
-    count : int
-        Number of elements of a fixed array; 1 for a plain field.
-    """
-
+    #: Names from the message down, joined by dots: ``pose.position.x``.
     path: str
+    #: ROS name of a primitive type, ``string``, or ``sequence`` for all that has no fixed size.
     kind: str
+    #: Number of elements of a fixed array; 1 for a plain field.
     count: int = 1
 
 
 def flatten(types: Types, msgtype: str) -> tuple[Field, ...]:
-    """List the leaves of a message type in the order of the wire.
-
-    Parameters
-    ----------
-    types : mapping
-        Definitions by type name, as rosbags' parsers return them.
-    msgtype : str
-        The type, such as ``geometry_msgs/msg/PoseStamped``.
-
-    Returns
-    -------
-    tuple of Field
-        Every leaf.
-
-    Raises
-    ------
-    ValueError
-        If a definition is missing or contains itself.
-    """
+    """List the leaves of a message type in the order of the wire."""
     return tuple(_leaves(types, msgtype, "", 0))
 
 
@@ -106,20 +81,7 @@ def _leaves(types: Types, msgtype: str, prefix: str, depth: int) -> list[Field]:
 
 
 def definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
-    """Pick the definitions that a message type needs.
-
-    Parameters
-    ----------
-    types : mapping
-        Definitions by type name, as rosbags' parsers return them.
-    msgtype : str
-        The type.
-
-    Returns
-    -------
-    dict
-        Its own definition and those of the types within.
-    """
+    """Pick the definitions that a message type needs."""
     from rosbags.interfaces import Nodetype
 
     needed = {msgtype: types[msgtype]}
@@ -134,29 +96,7 @@ def definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
 def decode(
     messages: Sequence[bytes], types: Types, msgtype: str, paths: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Read some number fields of many messages of one type.
-
-    Parameters
-    ----------
-    messages : sequence of bytes
-        N messages in CDR, with encapsulation.
-    types : mapping
-        Definitions by type name, as rosbags' parsers return them.
-    msgtype : str
-        The type of all messages.
-    paths : sequence of str
-        The fields wanted; none of them an array.
-
-    Returns
-    -------
-    dict of str to array, shape (N,)
-        By path.
-
-    Raises
-    ------
-    ValueError
-        If a message does not fit the definition.
-    """
+    """Read some number fields of many messages of one type."""
     fields = flatten(types, msgtype)
     table = _as_table(messages, fields)
     if table is not None:
@@ -264,24 +204,7 @@ def _leaf(message: Any, path: str) -> Any:
 def encode(
     types: Types, msgtype: str, values: Mapping[str, np.ndarray], strings: Mapping[str, str]
 ) -> list[bytes]:
-    """Write many messages of one type.
-
-    Parameters
-    ----------
-    types : mapping
-        Definitions by type name, as rosbags' parsers return them.
-    msgtype : str
-        The type; its fields are numbers, fixed arrays and strings.
-    values : mapping of str to array, shape (N,)
-        Number fields by path; those not given are zero.
-    strings : mapping of str to str
-        String fields by path, the same in every message; those not given are empty.
-
-    Returns
-    -------
-    list of bytes
-        N messages in little-endian CDR, with encapsulation.
-    """
+    """Write many messages of one type."""
     fields = flatten(types, msgtype)
     texts = {
         field.path: strings.get(field.path, "").encode() + b"\0"

@@ -35,18 +35,7 @@ _LATEST_SECOND = 2**63 // _SECOND - 1
 
 
 def is_csv_folder(path: Path) -> bool:
-    """Say whether a folder holds the CSV files of a recording.
-
-    Parameters
-    ----------
-    path : Path
-        A folder.
-
-    Returns
-    -------
-    bool
-        True if a pose or a command file is in it, judged by names alone.
-    """
+    """Say whether a folder holds the CSV files of a recording."""
     return bool(_poses(path) or _commands(path))
 
 
@@ -60,25 +49,7 @@ def _commands(folder: Path) -> list[Path]:
 
 
 def read_csv_folder(folder: Path, topics: Topics) -> Recording:
-    """Read a folder with the authors' CSV files.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds one pose file and one command file, and possibly references and other streams.
-    topics : Topics
-        Give the file names; a single ``*pose*.csv`` or ``*control*.csv`` is found without.
-
-    Returns
-    -------
-    Recording
-        Rows in the order of the files, values as they are there, NaN included.
-
-    Raises
-    ------
-    InputError
-        If a file is missing or ambiguous, lacks a column, or holds text where a number should be.
-    """
+    """Read a folder with the authors' CSV files."""
     streams: dict[str, Stream] = {}
     hashes: dict[str, str] = {}
     warnings: list[str] = []

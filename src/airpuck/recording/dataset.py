@@ -38,34 +38,12 @@ def _registry() -> Mapping[str, str]:
 
 
 def dataset_files(*, all: bool = False) -> Mapping[str, str]:
-    """List the files of the dataset.
-
-    Parameters
-    ----------
-    all : bool, default False
-        Every file, not only those of the paper's study.
-
-    Returns
-    -------
-    mapping of str to str
-        SHA-256 by name relative to the dataset's folder.
-    """
+    """List the files of the dataset."""
     return {name: digest for name, digest in _registry().items() if all or name.startswith(_STUDY)}
 
 
 def dataset_folder() -> Path:
-    """Return a folder with the paper's study, downloading it if need be.
-
-    Returns
-    -------
-    Path
-        ``$AIRPUCK_DATA`` if that is set, otherwise the folder that `fetch` fills.
-
-    Raises
-    ------
-    InputError
-        If the variable names no folder, or the download fails.
-    """
+    """Return a folder with the paper's study, downloading it if need be."""
     return _folder_from_environment() or fetch()
 
 
@@ -187,21 +165,7 @@ def _reason(error: Exception) -> str:
 
 
 def verify(folder: str | os.PathLike[str], *, all: bool = False) -> Mapping[str, str]:
-    """Check a copy of the dataset against the hashes.
-
-    Parameters
-    ----------
-    folder : path-like
-        The copy.
-    all : bool, default False
-        Expect every file, not only those of the paper's study. Files beyond these are checked
-        where they are there.
-
-    Returns
-    -------
-    mapping of str to str
-        What is wrong, by file name; empty for a good copy.
-    """
+    """Check a copy of the dataset against the hashes."""
     problems = {}
     expected = dataset_files(all=all)
     for name, digest in dataset_files(all=True).items():

@@ -27,69 +27,44 @@ class Refused(ValueError):
 
 @dataclass(frozen=True)
 class Name:
-    """A name that a pickle mentions; it is never looked up.
+    """A name that a pickle mentions; it is never looked up."""
 
-    Attributes
-    ----------
-    text : str
-        Module and name, joined by a dot.
-    """
-
+    #: Module and name, joined by a dot.
     text: str
 
 
 @dataclass(frozen=True)
 class Storage:
-    """A tensor's memory, kept in another member of the torch file.
+    """A tensor's memory, kept in another member of the torch file."""
 
-    Attributes
-    ----------
-    kind : str
-        ``torch.DoubleStorage`` and the like.
-    key : str
-        Name of the member.
-    n : int
-        Number of elements it claims to have.
-    """
-
+    #: ``torch.DoubleStorage`` and the like.
     kind: str
+    #: Name of the member.
     key: str
+    #: Number of elements it claims to have.
     n: int
 
 
 @dataclass(frozen=True)
 class Tensor:
-    """How a tensor lies in its storage.
+    """How a tensor lies in its storage."""
 
-    Attributes
-    ----------
-    storage : Storage
-        The memory.
-    offset : int
-        Element at which it begins.
-    shape, stride : tuple of int
-        Elements and steps between them, for each dimension.
-    """
-
+    #: The memory.
     storage: Storage
+    #: Element at which it begins.
     offset: int
+    #: Elements and steps between them, for each dimension.
     shape: tuple[int, ...]
     stride: tuple[int, ...]
 
 
 @dataclass
 class Inert:
-    """Any other object: what it is called, and what it was filled with.
+    """Any other object: what it is called, and what it was filled with."""
 
-    Attributes
-    ----------
-    kind : str
-        The name in the pickle.
-    state : tuple
-        What the pickle fills it with.
-    """
-
+    #: The name in the pickle.
     kind: str
+    #: What the pickle fills it with.
     state: tuple[Any, ...] = ()
 
 
@@ -133,23 +108,7 @@ class _Machine:
 
 
 def read_inert(data: bytes) -> Any:
-    """Read a pickle of dictionaries of tensors as plain data.
-
-    Parameters
-    ----------
-    data : bytes
-        The pickle.
-
-    Returns
-    -------
-    object
-        Dictionaries, text and numbers; `Tensor` for tensors and `Inert` for NumPy arrays.
-
-    Raises
-    ------
-    Refused
-        If it contains anything else, or is no pickle.
-    """
+    """Read a pickle of dictionaries of tensors as plain data."""
     if len(data) > _LONGEST:
         raise Refused(f"it is longer than {_LONGEST} bytes")
     machine = _Machine()

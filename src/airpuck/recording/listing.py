@@ -9,37 +9,13 @@ _LONGEST = 80
 
 
 def one_line(text: str) -> str:
-    """Return a text from a file such that it stays on one line, and short.
-
-    Parameters
-    ----------
-    text : str
-        Anything.
-
-    Returns
-    -------
-    str
-        The same where that is short and printable.
-    """
+    """Return a text from a file such that it stays on one line, and short."""
     short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
     return short if short.isprintable() else repr(short)
 
 
 def listing(names: Iterable[str], most: int = 12) -> str:
-    """List names from a file.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Anything.
-    most : int, default 12
-        How many to show; the rest is counted.
-
-    Returns
-    -------
-    str
-        Separated by commas; "none" for none.
-    """
+    """List names from a file."""
     rest = iter(names)
     shown = [one_line(name) for name in islice(rest, most)]
     more = sum(1 for _ in rest)

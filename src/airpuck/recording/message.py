@@ -24,20 +24,7 @@ _FRAMES = {"command": "body", "imu": "body", "mouse": "body"}
 
 
 class MessageCodec:
-    """Between CDR bytes and message objects of one type, through rosbags.
-
-    Parameters
-    ----------
-    msgtype : str
-        The type, such as ``rcl_interfaces/msg/Log``.
-    types : mapping, optional
-        Definitions by type name; by default those of ROS 2 and the authors' own.
-
-    Raises
-    ------
-    ValueError
-        If the definition is missing.
-    """
+    """Between CDR bytes and message objects of one type, through rosbags."""
 
     def __init__(self, msgtype: str, types: Types | None = None) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -51,48 +38,15 @@ class MessageCodec:
         self.decode(self.encode(self.blank()))
 
     def blank(self) -> Any:
-        """Make a message of zeros, empty strings and empty sequences.
-
-        Returns
-        -------
-        object
-            With an attribute for each field; they may be set.
-        """
+        """Make a message of zeros, empty strings and empty sequences."""
         return self._blank(self.msgtype)
 
     def encode(self, message: Any) -> bytes:
-        """Write a message.
-
-        Parameters
-        ----------
-        message : object
-            From `blank`, with fields set.
-
-        Returns
-        -------
-        bytes
-            In little-endian CDR, with encapsulation.
-        """
+        """Write a message."""
         return bytes(self._store.serialize_cdr(message, self.msgtype))
 
     def decode(self, data: bytes) -> Any:
-        """Read a message.
-
-        Parameters
-        ----------
-        data : bytes
-            In CDR, with encapsulation.
-
-        Returns
-        -------
-        object
-            With an attribute for each field.
-
-        Raises
-        ------
-        ValueError
-            If the bytes are no message of this type.
-        """
+        """Read a message."""
         try:
             return self._store.deserialize_cdr(data, self.msgtype)
         # rosbags checks little, so that a foreign message can make it fail in any way.
@@ -100,20 +54,7 @@ class MessageCodec:
             raise ValueError(f"{len(data)} bytes are no {self.msgtype}") from error
 
     def message(self, msgtype: str, **fields: Any) -> Any:
-        """Make a message of a type within this one, for a sequence of them.
-
-        Parameters
-        ----------
-        msgtype : str
-            The type.
-        **fields : object
-            Fields that are not zero.
-
-        Returns
-        -------
-        object
-            The message.
-        """
+        """Make a message of a type within this one, for a sequence of them."""
         made = self._blank(msgtype)
         for name, value in fields.items():
             setattr(made, name, value)
@@ -138,29 +79,7 @@ class MessageCodec:
 
 
 class StreamCodec:
-    """Between CDR bytes and the numbers of a stream.
-
-    Parameters
-    ----------
-    stream : str
-        ``pose``, ``command``, ``reference``, ``estimate``, ``imu`` or ``mouse``.
-    motors : tuple of str, optional
-        Names of the propellers, for ``command``.
-
-    Attributes
-    ----------
-    msgtype : str
-        The message type that the authors' table uses.
-    types : mapping
-        Definitions by type name.
-    columns : tuple of str
-        Names of the numbers.
-
-    Raises
-    ------
-    ValueError
-        If a propeller's name cannot be a field of a ROS message.
-    """
+    """Between CDR bytes and the numbers of a stream."""
 
     def __init__(self, stream: str, motors: tuple[str, ...] = ()) -> None:
         self._stream = stream
@@ -182,20 +101,7 @@ class StreamCodec:
             self._message.header.frame_id = _FRAMES.get(stream, "world")
 
     def encode(self, stamp_ns: int, values: Sequence[float] | Float[np.ndarray, " k"]) -> bytes:
-        """Write a message.
-
-        Parameters
-        ----------
-        stamp_ns : int
-            Time in the header, where the type has one [ns since the epoch].
-        values : sequence of k floats
-            The numbers, in the order of the columns.
-
-        Returns
-        -------
-        bytes
-            In CDR, with encapsulation.
-        """
+        """Write a message."""
         numbers: list[Any] = [float(value) for value in values]
         if self._stream == "pose":
             x, y, yaw = numbers
@@ -207,25 +113,7 @@ class StreamCodec:
         return self._codec.encode(self._message)
 
     def decode(self, data: bytes) -> tuple[int | None, Float[np.ndarray, " k"]]:
-        """Read a message.
-
-        Parameters
-        ----------
-        data : bytes
-            In CDR, with encapsulation.
-
-        Returns
-        -------
-        stamp_ns : int or None
-            Time in the header; None where the type has none [ns since the epoch].
-        values : array, shape (k,)
-            The numbers, in the order of the columns; not judged.
-
-        Raises
-        ------
-        ValueError
-            If the bytes are no message of this type.
-        """
+        """Read a message."""
         numbers = self._read(self._codec.decode(data))
         stamp = None
         if self._stamped:

@@ -87,27 +87,7 @@ _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def definitions(msgtype: str, text: str = "", *, idl: bool = False) -> Types:
-    """Return the definition of a message type and of all types within.
-
-    Parameters
-    ----------
-    msgtype : str
-        The type.
-    text : str, default ""
-        The definition embedded in a bag; empty for none.
-    idl : bool, default False
-        Whether `text` is IDL rather than the ``.msg`` format.
-
-    Returns
-    -------
-    mapping
-        As rosbags' parsers return it; without `msgtype` if nobody knows it.
-
-    Raises
-    ------
-    ValueError
-        If the text cannot be parsed.
-    """
+    """Return the definition of a message type and of all types within."""
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
     try:
@@ -141,18 +121,7 @@ def _known() -> Types:
 
 
 def motors_of(fields: Sequence[Field]) -> tuple[str, ...]:
-    """Return the motor columns of a command message.
-
-    Parameters
-    ----------
-    fields : sequence of Field
-        Leaves of the message type.
-
-    Returns
-    -------
-    tuple of str
-        Names of the float64 fields after the header; empty if the message holds anything else.
-    """
+    """Return the motor columns of a command message."""
     header, rest = fields[:3], fields[3:]
     plain = all(field.kind == "float64" and field.count == 1 for field in rest)
     if tuple(field.path for field in header) != (*_STAMP, "header.frame_id") or not plain:
@@ -161,54 +130,19 @@ def motors_of(fields: Sequence[Field]) -> tuple[str, ...]:
 
 
 def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
-    """Return the fields of the time stamp.
-
-    Parameters
-    ----------
-    fields : sequence of Field
-        Leaves of the message type.
-
-    Returns
-    -------
-    tuple of str
-        Seconds and nanoseconds; empty for a message without a header.
-    """
+    """Return the fields of the time stamp."""
     return _STAMP if {field.path for field in fields}.issuperset(_STAMP) else ()
 
 
 def accepted(stream: str) -> str:
-    """Say which messages a stream can be read from.
-
-    Parameters
-    ----------
-    stream : str
-        The stream's name.
-
-    Returns
-    -------
-    str
-        For an error message.
-    """
+    """Say which messages a stream can be read from."""
     if stream == "command":
         return "a message of std_msgs/msg/Header header, then one float64 for each motor"
     return " or ".join(PATHS[stream])
 
 
 def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[np.ndarray, "N k"]:
-    """Turn the message's fields into the stream's columns.
-
-    Parameters
-    ----------
-    stream : str
-        The stream's name.
-    values : sequence of arrays, shape (N,)
-        The fields, in the order of `PATHS`.
-
-    Returns
-    -------
-    array of float64, shape (N, k)
-        As in `COLUMNS`; a pose's quaternion becomes the yaw in (-π, π].
-    """
+    """Turn the message's fields into the stream's columns."""
     if stream == "pose" and len(values) > len(COLUMNS["pose"]):
         x, y, *quaternion = values
         values = (x, y, yaw_of(*quaternion))
@@ -221,19 +155,7 @@ def yaw_of(
     z: Float[np.ndarray, " N"],
     w: Float[np.ndarray, " N"],
 ) -> Float[np.ndarray, " N"]:
-    """Return the rotation about the vertical axis of quaternions.
-
-    Parameters
-    ----------
-    x, y, z, w : array of float64, shape (N,)
-        The quaternions.
-
-    Returns
-    -------
-    array of float64, shape (N,)
-        Yaw of the yaw-pitch-roll sequence, in (-π, π] [rad]; NaN where there is no rotation, which
-        is how some trackers say that they see nothing.
-    """
+    """Return the rotation about the vertical axis of quaternions."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         square = x * x + y * y + z * z + w * w
         # Unit up to single precision: taken as it is, as the authors' conversion does.
@@ -242,25 +164,7 @@ def yaw_of(
 
 
 def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:
-    """Choose the message type that a command is written as.
-
-    Parameters
-    ----------
-    motors : tuple of str
-        Names of the columns.
-
-    Returns
-    -------
-    name : str
-        The authors' type for their six motors, otherwise one made for these columns.
-    types : mapping
-        Its definition and those of the types within.
-
-    Raises
-    ------
-    ValueError
-        If a name cannot be a field of a ROS message.
-    """
+    """Choose the message type that a command is written as."""
     from rosbags.typesys import get_types_from_msg
 
     types = dict(definitions(""))

@@ -14,23 +14,7 @@ from airpuck.boundary.errors import InputError
 
 @contextlib.contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name beside `path`, and move that folder there when the block ends well.
-
-    Parameters
-    ----------
-    path : path-like
-        The final name; nothing may be there yet.
-
-    Yields
-    ------
-    Path
-        A name with the same last part; the block makes this folder.
-
-    Raises
-    ------
-    InputError
-        If `path` exists already, or cannot be written.
-    """
+    """Give a temporary name beside `path`, and move that folder there when the block ends well."""
     target = Path(path).absolute()
     if target.exists() or target.is_symlink():
         raise InputError("exists already; give another name or remove it", file=path)

@@ -19,42 +19,21 @@ if TYPE_CHECKING:
 
 @dataclass
 class Salvage:
-    """What could be read.
+    """What could be read."""
 
-    Attributes
-    ----------
-    topics : dict of str to TopicLog
-        By topic, in the order of the recorder's clock; messages of the wanted ones only.
-    damage : list of str
-        What was wrong, in a few words each; empty for a whole file.
-    n_messages : int
-        Messages read, on all topics.
-    first_ns, last_ns : int or None
-        Earliest and latest recorder time of them [ns since the epoch].
-    """
-
+    #: By topic, in the order of the recorder's clock; messages of the wanted ones only.
     topics: dict[str, TopicLog] = field(default_factory=dict)
+    #: What was wrong, in a few words each; empty for a whole file.
     damage: list[str] = field(default_factory=list)
+    #: Messages read, on all topics.
     n_messages: int = 0
+    #: Earliest and latest recorder time of them [ns since the epoch].
     first_ns: int | None = None
     last_ns: int | None = None
 
 
 def salvage_mcap(path: Path, wanted: Collection[str]) -> Salvage:
-    """Read every whole chunk of an MCAP file.
-
-    Parameters
-    ----------
-    path : Path
-        A file, however damaged.
-    wanted : collection of str
-        Topics whose messages are kept.
-
-    Returns
-    -------
-    Salvage
-        All that was readable.
-    """
+    """Read every whole chunk of an MCAP file."""
     from mcap.records import Channel, Message, Schema
 
     result = Salvage()

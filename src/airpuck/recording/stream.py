@@ -100,13 +100,7 @@ class Recording:
         return f"Recording({self.source!r}, {{{streams}}})"
 
     def __getitem__(self, name: str) -> Stream:
-        """Return a stream by name.
-
-        Raises
-        ------
-        InputError
-            If the recording has no such stream, or it is empty.
-        """
+        """Return a stream by name."""
         stream = self.streams.get(name)
         if stream is None:
             raise InputError(

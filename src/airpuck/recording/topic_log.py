@@ -7,26 +7,17 @@ from dataclasses import dataclass, field
 
 @dataclass
 class TopicLog:
-    """The messages of one topic.
+    """The messages of one topic."""
 
-    Attributes
-    ----------
-    msgtype : str
-        Message type.
-    definition : str
-        The definition that the bag embeds; empty for none.
-    idl : bool
-        Whether the definition is IDL rather than the ``.msg`` format.
-    received_ns : list of int
-        The recorder's times [ns since the epoch].
-    messages : list of bytes
-        In CDR, with encapsulation.
-    """
-
+    #: Message type.
     msgtype: str
+    #: The definition that the bag embeds; empty for none.
     definition: str = ""
+    #: Whether the definition is IDL rather than the ``.msg`` format.
     idl: bool = False
+    #: The recorder's times [ns since the epoch].
     received_ns: list[int] = field(default_factory=list)
+    #: In CDR, with encapsulation.
     messages: list[bytes] = field(default_factory=list)
 
     def sort(self) -> None:
@@ -36,13 +27,7 @@ class TopicLog:
         self.messages = [self.messages[index] for index in order]
 
     def extend(self, other: TopicLog) -> None:
-        """Append the messages of a later file of the same recording.
-
-        Parameters
-        ----------
-        other : TopicLog
-            The same topic.
-        """
+        """Append the messages of a later file of the same recording."""
         self.definition, self.idl = (
             (self.definition, self.idl) if self.definition else (other.definition, other.idl)
         )

@@ -73,21 +73,5 @@ class _TopicsFile(Section):
 
 
 def read_topics(path: str | os.PathLike[str]) -> Topics:
-    """Read topic names from the ``[topics]`` section of a TOML file.
-
-    Parameters
-    ----------
-    path : path-like
-        For instance with the lines ``[topics]`` and ``pose = "/mocap/puck/pose"``.
-
-    Returns
-    -------
-    Topics
-        The names given, and the defaults for all others.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or a key is wrong.
-    """
+    """Read topic names from the ``[topics]`` section of a TOML file."""
     return read_toml(path, _TopicsFile).topics

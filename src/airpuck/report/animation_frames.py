@@ -36,76 +36,50 @@ _MARGIN = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A part of a flight, ready to be shown.
+    """A part of a flight, ready to be shown."""
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The craft.
-    name : str
-        What the recording is called.
-    start, stop : float
-        The part shown, on the time axis of `align_clocks` [s].
-    time : array, shape (N,)
-        Times of the poses, strictly increasing [s].
-    pose : array, shape (N, 3)
-        x, y [m], yaw (continuous) [rad].
-    pause : float
-        Poses farther apart in time than this belong to different stretches [s].
-    command_time : array, shape (K,)
-        Times of the commands, strictly increasing [s].
-    command : array, shape (K, n)
-        Motor commands in [0, 1], in the order of the vehicle's propellers.
-    command_pause : float
-        A command holds no longer than this; then nothing is known [s].
-    reference_time : array, shape (R,)
-        When each set point was given, strictly increasing; empty where none was recorded [s].
-    reference : array, shape (R, 3)
-        Set points: x, y [m], yaw [rad].
-    table : (float, float) or None
-        Length and width of the table around the origin [m]; None if the flight is not on it.
-    view : (float, float, float, float)
-        What to show: least and largest x, least and largest y [m].
-    """
-
+    #: The craft.
     vehicle: Vehicle
+    #: What the recording is called.
     name: str
+    #: The part shown, on the time axis of `align_clocks` [s].
     start: float
     stop: float
+    #: Times of the poses, strictly increasing [s].
     time: Float[np.ndarray, " N"]
+    #: x, y [m], yaw (continuous) [rad].
     pose: Float[np.ndarray, "N 3"]
+    #: Poses farther apart in time than this belong to different stretches [s].
     pause: float
+    #: Times of the commands, strictly increasing [s].
     command_time: Float[np.ndarray, " K"]
+    #: Motor commands in [0, 1], in the order of the vehicle's propellers.
     command: Float[np.ndarray, "K n"]
+    #: A command holds no longer than this; then nothing is known [s].
     command_pause: float
+    #: When each set point was given, strictly increasing; empty where none was recorded [s].
     reference_time: Float[np.ndarray, " R"]
+    #: Set points: x, y [m], yaw [rad].
     reference: Float[np.ndarray, "R 3"]
+    #: Length and width of the table around the origin [m]; None if the flight is not on it.
     table: tuple[float, float] | None
+    #: What to show: least and largest x, least and largest y [m].
     view: tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A flight at chosen moments.
+    """A flight at chosen moments."""
 
-    Attributes
-    ----------
-    time : array, shape (F,)
-        The moments [s].
-    pose : array, shape (F, 3)
-        Where the craft is, or where it was last seen: x, y [m], yaw (continuous) [rad].
-    known : array of bool, shape (F,)
-        Whether it was seen at that moment.
-    command : array, shape (F, n)
-        The command in force; NaN where none is.
-    reference : array, shape (F, 3)
-        The set point, its yaw within half a turn of the craft's; NaN before the first.
-    """
-
+    #: The moments [s].
     time: Float[np.ndarray, " F"]
+    #: Where the craft is, or where it was last seen: x, y [m], yaw (continuous) [rad].
     pose: Float[np.ndarray, "F 3"]
+    #: Whether it was seen at that moment.
     known: Bool[np.ndarray, " F"]
+    #: The command in force; NaN where none is.
     command: Float[np.ndarray, "F n"]
+    #: The set point, its yaw within half a turn of the craft's; NaN before the first.
     reference: Float[np.ndarray, "F 3"]
 
 
@@ -119,27 +93,6 @@ def read_scene(
 
     Poses that are not finite are left out, and so are poses that repeat exactly for longer than the
     longest pause: what is missing is then a gap.
-
-    Parameters
-    ----------
-    recording : Recording
-        At least poses and commands.
-    vehicle : Vehicle
-        The craft; its propellers have the names of the command's columns.
-    span : (float, float), default (0, 1)
-        Part to show, as fractions of its length.
-    table : (float, float), default (2.2, 1.1)
-        Length and width of the table [m].
-
-    Returns
-    -------
-    Scene
-        The part. A flight that leaves the table is shown without it.
-
-    Raises
-    ------
-    InputError
-        If there are no poses or no commands, they cannot be used, or the span is empty.
     """
     _check_span(span)
     pose, command = recording["pose"], recording["command"]
@@ -287,42 +240,14 @@ def _surroundings(
 def frame_times(
     start: float, stop: float, speed: float, frames_per_second: float
 ) -> Float[np.ndarray, " F"]:
-    """Return the moments that are shown.
-
-    Parameters
-    ----------
-    start, stop : float
-        First and last moment of the flight [s].
-    speed : float
-        Seconds of the flight for each second of the animation.
-    frames_per_second : float
-        Frames for each second of the animation.
-
-    Returns
-    -------
-    array, shape (F,)
-        Evenly spaced from `start` on, none after `stop` [s].
-    """
+    """Return the moments that are shown."""
     step = speed / frames_per_second
     # A hair's breadth more, so that rounding does not lose the last frame.
     return start + step * np.arange(int((stop - start) / step * (1 + 1e-9)) + 1)
 
 
 def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
-    """Say where everything is at given moments.
-
-    Parameters
-    ----------
-    scene : Scene
-        The flight.
-    time : array, shape (F,)
-        Moments [s].
-
-    Returns
-    -------
-    Frames
-        Poses are interpolated linearly, but not across a gap; commands and set points are held.
-    """
+    """Say where everything is at given moments."""
     after = np.searchsorted(scene.time, time, side="right").clip(1, len(scene.time) - 1)
     before = after - 1
     apart = scene.time[after] - scene.time[before]
@@ -337,20 +262,7 @@ def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
 
 
 def nearest_turn(angle: Float[np.ndarray, " F"], to: Float[np.ndarray, " F"]) -> np.ndarray:
-    """Return angles moved by whole turns until they are nearest to others.
-
-    Parameters
-    ----------
-    angle : array, shape (F,)
-        Angles, possibly NaN [rad].
-    to : array, shape (F,)
-        Where they should be near [rad].
-
-    Returns
-    -------
-    array, shape (F,)
-        The same directions, within half a turn of `to` [rad].
-    """
+    """Return angles moved by whole turns until they are nearest to others."""
     return angle + 2 * np.pi * np.round((to - angle) / (2 * np.pi))
 
 
@@ -370,20 +282,7 @@ def _held(
 
 
 def thinned(scene: Scene, rate: float = 120.0) -> Scene:
-    """Return a scene with no more poses than a screen can show.
-
-    Parameters
-    ----------
-    scene : Scene
-        The flight.
-    rate : float, default 120
-        Poses for each second that are enough [1/s].
-
-    Returns
-    -------
-    Scene
-        Every k-th pose, counted anew after every gap; the ends of every stretch stay.
-    """
+    """Return a scene with no more poses than a screen can show."""
     every = max(1, int(1 / (rate * _period(scene.time)) * (1 + 1e-6)))
     jump = np.diff(scene.time) > scene.pause
     first = np.flatnonzero(np.concatenate([[True], jump]))
@@ -395,24 +294,7 @@ def thinned(scene: Scene, rate: float = 120.0) -> Scene:
 def trail(
     scene: Scene, until: float, seconds: float
 ) -> tuple[Float[np.ndarray, "S 2 2"], Float[np.ndarray, " S"]]:
-    """Return the path that the craft has just come along.
-
-    Parameters
-    ----------
-    scene : Scene
-        The flight.
-    until : float
-        Now [s].
-    seconds : float
-        How far back the trail reaches [s].
-
-    Returns
-    -------
-    lines : array, shape (S, 2, 2)
-        Both ends of short lines, oldest first [m]; none where there are no poses.
-    age : array, shape (S,)
-        Time since the newer end of each, as a share of `seconds`.
-    """
+    """Return the path that the craft has just come along."""
     since = until - seconds
     inside = (scene.time > since) & (scene.time < until)
     # The trail begins and ends between poses.

@@ -57,19 +57,7 @@ _COVER = 0.72
 def write_animation_gif(
     scene: Scene, path: Path, *, speed: float, frames_per_second: float
 ) -> None:
-    """Write a GIF.
-
-    Parameters
-    ----------
-    scene : Scene
-        The flight.
-    path : Path
-        The file to write.
-    speed : float
-        Seconds of the flight for each second of the animation.
-    frames_per_second : float
-        Frames for each second of the animation.
-    """
+    """Write a GIF."""
     frames = frames_at(scene, frame_times(scene.start, scene.stop, speed, frames_per_second))
     stage = _Stage(scene, speed)
     some = np.linspace(0, len(frames.time) - 1, 6).astype(int)

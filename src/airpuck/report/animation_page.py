@@ -39,17 +39,7 @@ _STATES = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 
 
 def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
-    """Write an HTML page with the flight within it.
-
-    Parameters
-    ----------
-    scene : Scene
-        The flight; as many of its poses as a screen can show are stored.
-    path : Path
-        The file to write.
-    speed : float
-        Seconds of the flight for each second that the page begins with.
-    """
+    """Write an HTML page with the flight within it."""
     import jinja2
     import markupsafe
 
@@ -91,19 +81,7 @@ _COLORS: dict[str, Any] = {
 
 
 def flight_data(scene: Scene) -> dict[str, Any]:
-    """Return what the page's script draws, as values that JSON knows.
-
-    Parameters
-    ----------
-    scene : Scene
-        The flight.
-
-    Returns
-    -------
-    dict
-        Streams as differences of whole numbers, each the first value and then the changes, in
-        multiples of ``units``; 120 poses for each second at most, all commands and set points.
-    """
+    """Return what the page's script draws, as values that JSON knows."""
     shown = thinned(scene)
     return {
         "start": round(scene.start, 6),

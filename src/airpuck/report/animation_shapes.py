@@ -18,18 +18,7 @@ SHAFT, HEAD_WIDTH, HEAD_LENGTH = 0.07, 0.21, 0.42
 
 
 def arrow_scale(vehicle: Vehicle) -> float:
-    """Return how long the arrow of a thrust is.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    float
-        Length on the table for each newton [m/N].
-    """
+    """Return how long the arrow of a thrust is."""
     full = _largest_thrust(vehicle)
     return _LONGEST_ARROW * vehicle.radius_m / full if full > 0 else 0.0
 
@@ -43,22 +32,7 @@ def _largest_thrust(vehicle: Vehicle) -> float:
 def thrust_arrows(
     vehicle: Vehicle, pose: Float[np.ndarray, "F 3"], command: Float[np.ndarray, "F n"]
 ) -> Float[np.ndarray, "F n 2 2"]:
-    """Say where the arrows of the commanded thrusts start and end.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft; thrust by its nominal curves.
-    pose : array, shape (F, 3)
-        x, y [m], yaw [rad].
-    command : array, shape (F, n)
-        Motor commands; NaN where there is none.
-
-    Returns
-    -------
-    array, shape (F, n, 2, 2)
-        Start at the propeller and tip, x and y of each [m]; NaN tips without a command.
-    """
+    """Say where the arrows of the commanded thrusts start and end."""
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     turn = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
     start = pose[:, None, :2] + np.einsum("fij,nj->fni", turn, vehicle.positions)
@@ -68,20 +42,7 @@ def thrust_arrows(
 
 
 def arrow_shapes(arrows: Float[np.ndarray, "n 2 2"], radius: float) -> Float[np.ndarray, "n 7 2"]:
-    """Return the outlines of arrows.
-
-    Parameters
-    ----------
-    arrows : array, shape (n, 2, 2)
-        Start and tip of each [m].
-    radius : float
-        Radius of the craft; shafts and heads are in proportion to it [m].
-
-    Returns
-    -------
-    array, shape (n, 7, 2)
-        Corners; the head of an arrow shorter than a head is smaller [m].
-    """
+    """Return the outlines of arrows."""
     along = arrows[:, 1] - arrows[:, 0]
     length = np.hypot(along[:, 0], along[:, 1])
     unit = along / np.where(length > 0, length, 1.0)[:, None]
@@ -106,34 +67,12 @@ def arrow_shapes(arrows: Float[np.ndarray, "n 2 2"], radius: float) -> Float[np.
 
 
 def heading_mark(vehicle: Vehicle) -> Float[np.ndarray, "3 2"]:
-    """Return the mark that says where the front is.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    array, shape (3, 2)
-        Corners of a beak at the rim, in the body frame [m].
-    """
+    """Return the mark that says where the front is."""
     return vehicle.radius_m * np.array([[1.3, 0.0], [1.0, 0.24], [1.0, -0.24]])
 
 
 def propeller_size(vehicle: Vehicle) -> float:
-    """Return the radius that propellers are drawn with: they must not overlap.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    float
-        Radius [m].
-    """
+    """Return the radius that propellers are drawn with: they must not overlap."""
     x, y = vehicle.positions.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     np.fill_diagonal(apart, np.inf)
@@ -143,36 +82,14 @@ def propeller_size(vehicle: Vehicle) -> float:
 
 
 def round_thrust(vehicle: Vehicle) -> float:
-    """Return a round thrust that an arrow in the key can stand for.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    float
-        1, 2 or 5 times a power of ten, not above half the largest nominal thrust [N].
-    """
+    """Return a round thrust that an arrow in the key can stand for."""
     full = _largest_thrust(vehicle) / 2
     power = 10.0 ** np.floor(np.log10(full)) if full > 0 else 1.0
     return float(max(k * power for k in (1, 2, 5) if k == 1 or k * power <= full))
 
 
 def short_names(names: tuple[str, ...]) -> list[str]:
-    """Return names without the words that all begin with.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Names of propellers, such as ``motor_a_1``.
-
-    Returns
-    -------
-    list of str
-        What tells them apart, such as ``a 1``.
-    """
+    """Return names without the words that all begin with."""
     words = [name.split("_") for name in names]
     # The last word of a name is always its own.
     most = min(map(len, words)) - 1 if len(names) > 1 else 0

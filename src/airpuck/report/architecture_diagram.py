@@ -33,16 +33,6 @@ def learning_architecture_figure(encoder_length: int = 20, prediction_length: in
     model predicts T steps under the recorded commands; the differences from the recorded poses,
     over all windows, and the regulariser make the loss that the optimiser lowers by changing the
     parameters θ (green), which encoder, model and regulariser share.
-
-    Parameters
-    ----------
-    encoder_length, prediction_length : int
-        E and T, in samples.
-
-    Returns
-    -------
-    Figure
-        One drawing without axes.
     """
     figure = new_figure(8.6, 5.0)
     axes = figure.add_subplot()

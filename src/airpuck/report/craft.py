@@ -37,16 +37,6 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     Shows the disc from above, each propeller with its name, where its thrust pushes the craft and
     which way that turns it, pairs in one colour, and the body frame. Where the layout is regular,
     the common radius and half-angle are given.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft; any number of propellers.
-
-    Returns
-    -------
-    Figure
-        One axes, in millimetres of the body frame.
     """
     figure = new_figure(5.4, 5.2)
     axes = figure.add_subplot()
@@ -188,22 +178,6 @@ def frames_figure(
     Shows the table with the world frame, the craft at a position p with its yaw γ, and, enlarged,
     how the propeller layout is turned by α against the body frame and where the centre of mass
     lies, at r from the geometric centre.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-    yaw : float, default 0.6
-        γ in the drawing [rad].
-    angle_offset : float, default 0.22
-        α in the drawing [rad].
-    table : Table, optional
-        What it stands on; by default the paper's.
-
-    Returns
-    -------
-    Figure
-        Two drawings without axes.
     """
     figure = new_figure(8.6, 3.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.75, 1))

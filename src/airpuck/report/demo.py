@@ -29,25 +29,6 @@ def demo(
 
     The truth of the twin is the published M3; sensors and radio are as in the real recordings,
     which are saved and read back as ROS 2 bags.
-
-    Parameters
-    ----------
-    out : path-like
-        Folder to write to; its ``bags`` are made anew.
-    duration : float, default 90
-        Length of each experiment [s].
-    progress : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    Path
-        The report.
-
-    Raises
-    ------
-    InputError
-        If ``bags`` in that folder holds something that no demonstration wrote.
     """
     from airpuck.evaluation.evaluate import compare
     from airpuck.identification.fit import identify

@@ -27,38 +27,14 @@ from airpuck.report.style import (
 def write_design_figure(
     found: Design, obtained: Obtained | None, path: str | os.PathLike[str]
 ) -> None:
-    """Write `design_figure` as PNG.
-
-    Parameters
-    ----------
-    found : Design
-        The proposal.
-    obtained : Obtained or None
-        Its check.
-    path : path-like
-        The file.
-    """
+    """Write `design_figure` as PNG."""
     with replacing(path) as temporary:
         temporary.write_bytes(png(design_figure(found, obtained)))
 
 
 @styled
 def design_figure(found: Design, obtained: Obtained | None = None) -> Figure:
-    """Draw the relative standard errors of every quantity: now, usual, proposed, obtained.
-
-    Parameters
-    ----------
-    found : Design
-        The proposal.
-    obtained : Obtained or None
-        Flights of it on the twin. Their errors are those of a flight by itself, and so are then the
-        predicted ones.
-
-    Returns
-    -------
-    Figure
-        One axes with a logarithmic scale.
-    """
+    """Draw the relative standard errors of every quantity: now, usual, proposed, obtained."""
     figure = new_figure(PAGE_WIDTH, 1.0 + 0.24 * len(found.wanted))
     axes = figure.add_subplot()
     rows = -np.arange(len(found.wanted), dtype=float)

@@ -19,16 +19,6 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
 
     Shows how typical errors differ from the root mean square, which the few largest errors rule:
     dots mark the RMSE on each curve, far to the right of the median at 50 %.
-
-    Parameters
-    ----------
-    evaluations : sequence of Evaluation
-        Of several models, on the same windows.
-
-    Returns
-    -------
-    Figure
-        Three axes side by side: x, y, yaw.
     """
     figure = new_figure(PAGE_WIDTH, 3.3)
     for channel, (axes, (name, unit, factor)) in enumerate(

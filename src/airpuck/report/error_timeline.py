@@ -31,20 +31,7 @@ WORST = 0.08
 
 
 def worst_windows(errors: Float[np.ndarray, " W"], share: float = WORST) -> Bool[np.ndarray, " W"]:
-    """Mark the windows with the largest errors.
-
-    Parameters
-    ----------
-    errors : array, shape (W,)
-        One error for each window.
-    share : float, default 0.08
-        Share of the windows to mark.
-
-    Returns
-    -------
-    array of bool, shape (W,)
-        True for ``round(share * W)`` windows, at least one.
-    """
+    """Mark the windows with the largest errors."""
     count = max(round(share * len(errors)), 1)
     marked = np.zeros(len(errors), dtype=bool)
     marked[np.argsort(-np.abs(errors), kind="stable")[:count]] = True
@@ -52,40 +39,14 @@ def worst_windows(errors: Float[np.ndarray, " W"], share: float = WORST) -> Bool
 
 
 def share_of_squares(errors: Float[np.ndarray, " W"], share: float = WORST) -> float:
-    """Compute which share of the summed squared error the worst windows hold.
-
-    Parameters
-    ----------
-    errors : array, shape (W,)
-        One error for each window.
-    share : float, default 0.08
-        Share of the windows that counts as worst.
-
-    Returns
-    -------
-    float
-        Between `share` and 1.
-    """
+    """Compute which share of the summed squared error the worst windows hold."""
     squares = errors**2
     total = float(squares.sum())
     return float(squares[worst_windows(errors, share)].sum()) / total if total > 0 else share
 
 
 def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray, " W"]:
-    """Mark the windows whose prediction touches a span.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of one model.
-    spans : sequence of Span
-        On the time axis of the trajectory.
-
-    Returns
-    -------
-    array of bool, shape (W,)
-        True where the time from the present to the reported step overlaps any span.
-    """
+    """Mark the windows whose prediction touches a span."""
     stop = evaluation.start + evaluation.horizon_step * evaluation.sample_period
     touched = np.zeros(len(evaluation.start), dtype=bool)
     for span in spans:
@@ -100,18 +61,6 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
     Shows that errors are not spread evenly: most windows lie near the median, a few far above it.
     The worst eight percent are coloured, and the share of the summed squared error that they hold
     is given; known faults of the recording are shaded.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of one model.
-    faults : sequence of Span, optional
-        Known faults, on the time axis of the trajectory.
-
-    Returns
-    -------
-    Figure
-        Three axes below each other: x, y, yaw.
     """
     figure = new_figure(PAGE_WIDTH, 5.4)
     panels = figure.subplots(3, 1, sharex=True)

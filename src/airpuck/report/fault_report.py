@@ -17,22 +17,7 @@ from airpuck.report.page import Picture, Section, Table, write_page
 
 
 def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> Section:
-    """Show when a recording cannot be trusted.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The recording, with what preprocessing excluded.
-    faults : sequence of Span
-        What `find_faults` found in it.
-    model : Model
-        What it was found with.
-
-    Returns
-    -------
-    Section
-        A time line with the prediction errors, and a table.
-    """
+    """Show when a recording cannot be trusted."""
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
@@ -57,18 +42,7 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
 
 
 def confidence(span: Span) -> str:
-    """Write how sure a span is.
-
-    Parameters
-    ----------
-    span : Span
-        Measured, or inferred.
-
-    Returns
-    -------
-    str
-        ``measured``, or a probability, never rounded up to certainty.
-    """
+    """Write how sure a span is."""
     return "measured" if span.confidence == 1 else f"{min(span.confidence, 0.99):.2f}"
 
 
@@ -78,29 +52,7 @@ def fault_report(
     model: Model,
     out: str | os.PathLike[str],
 ) -> Path:
-    """Write a page on the faults of a recording.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The recording, with what preprocessing excluded.
-    faults : sequence of Span
-        What `find_faults` found in it.
-    model : Model
-        What it was found with.
-    out : path-like
-        Folder to write to.
-
-    Returns
-    -------
-    Path
-        ``out/index.html``, one self-contained page; its figure is in ``out/figures`` as well.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
+    """Write a page on the faults of a recording."""
     usable = trajectory.leave_out(faults).usable.mean()
     lead = (
         f"{trajectory.source}: {trajectory.duration:.1f} s, {len(trajectory)} samples, "

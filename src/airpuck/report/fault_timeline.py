@@ -33,18 +33,7 @@ _FAINTEST = 0.25
 
 
 def fault_color(cause: str) -> str:
-    """Return the colour of a cause.
-
-    Parameters
-    ----------
-    cause : str
-        Of a span.
-
-    Returns
-    -------
-    str
-        One for each kind of fault; motors that stand share theirs, and so does what was measured.
-    """
+    """Return the colour of a cause."""
     return _COLORS.get(cause, BLUE if cause.endswith("stalled") else GREY)
 
 
@@ -52,22 +41,7 @@ def fault_color(cause: str) -> str:
 def fault_timeline_figure(
     spans: Sequence[Span], evaluation: Evaluation, extent: tuple[float, float]
 ) -> Figure:
-    """Draw faults along a recording, one row for each cause, above the error of each window.
-
-    Parameters
-    ----------
-    spans : sequence of Span
-        What was found; not sure: paler, with the confidence beside it.
-    evaluation : Evaluation
-        Of a model on the same recording, faults included.
-    extent : (float, float)
-        First and last time of the recording [s].
-
-    Returns
-    -------
-    Figure
-        Causes, error of the position, error of the yaw, over one axis of time.
-    """
+    """Draw faults along a recording, one row for each cause, above the error of each window."""
     causes = list(dict.fromkeys(span.cause for span in sorted(spans, key=lambda s: s.start)))
     rows = max(len(causes), 1)
     figure = new_figure(PAGE_WIDTH, 3.6 + 0.24 * rows)

@@ -37,35 +37,7 @@ def fit_report(
     title: str | None = None,
     more: Sequence[Section] = (),
 ) -> Path:
-    """Write a report on one or several fits.
-
-    Parameters
-    ----------
-    fits : Fit or sequence of Fit
-        Models of one craft, learned from `training`.
-    evaluations : sequence of Evaluation
-        How well they predict another recording, in the same order; empty if there is none.
-    training : Trajectory
-        What they were learned from.
-    out : path-like
-        Folder to write to.
-    truth : Model, optional
-        What the recordings were simulated with, to compare the model of the same name with.
-    title : str, optional
-        Heading of the page.
-    more : sequence of Section, optional
-        What else to say, before the sources.
-
-    Returns
-    -------
-    Path
-        ``out/index.html``, one self-contained page; its figures are in ``out/figures`` as well.
-
-    Raises
-    ------
-    InputError
-        If there is no fit, or the folder cannot be written to.
-    """
+    """Write a report on one or several fits."""
     fits = (fits,) if isinstance(fits, Fit) else tuple(fits)
     if not fits:
         raise InputError("there is no fit to report on")
@@ -130,18 +102,7 @@ def _fault_sections(fit: Fit, training: Trajectory) -> list[Section]:
 
 
 def sources_section(*trajectories: Trajectory) -> Section:
-    """List what the numbers come from.
-
-    Parameters
-    ----------
-    *trajectories : Trajectory
-        The recordings.
-
-    Returns
-    -------
-    Section
-        Files with their hashes, spans left out, version of airpuck.
-    """
+    """List what the numbers come from."""
     from airpuck import __version__
 
     rows = []

@@ -22,23 +22,15 @@ from airpuck.report.trial import Trial, judge
 
 @dataclass(frozen=True, eq=False)
 class Landscape:
-    """The loss along one parameter, for one length of prediction.
+    """The loss along one parameter, for one length of prediction."""
 
-    Attributes
-    ----------
-    horizon : float
-        Length of a prediction [s].
-    windows : int
-        Predictions in the loss.
-    factor : array, shape (K,)
-        The parameter, relative to its value in the batched optimum.
-    loss : array, shape (K,)
-        The loss there.
-    """
-
+    #: Length of a prediction [s].
     horizon: float
+    #: Predictions in the loss.
     windows: int
+    #: The parameter, relative to its value in the batched optimum.
     factor: Float[np.ndarray, " K"]
+    #: The loss there.
     loss: Float[np.ndarray, " K"]
 
     @property
@@ -48,13 +40,7 @@ class Landscape:
         return self.factor[1:-1][(inside < self.loss[:-2]) & (inside < self.loss[2:])]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``horizon_s, windows, local_minima, factor, loss``.
-        """
+        """Return the figures."""
         return {
             "horizon_s": self.horizon,
             "windows": self.windows,
@@ -66,31 +52,18 @@ class Landscape:
 
 @dataclass(frozen=True, eq=False)
 class FullTrajectory:
-    """What becomes of the loss when predictions span the whole recording (eq. loss_full).
+    """What becomes of the loss when predictions span the whole recording (eq. loss_full)."""
 
-    Attributes
-    ----------
-    landscapes : tuple of Landscape
-        The loss along the inertia of M3, from the shortest to the longest prediction.
-    batched : Trial
-        Learned with short predictions.
-    nominal, refined : Trial
-        Learned with the full-trajectory loss, from the nominal values and from `batched`.
-    """
-
+    #: The loss along the inertia of M3, from the shortest to the longest prediction.
     landscapes: tuple[Landscape, ...]
+    #: Learned with short predictions.
     batched: Trial
+    #: Learned with the full-trajectory loss, from the nominal values and from `batched`.
     nominal: Trial
     refined: Trial
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``landscapes, batched, full_from_nominal, full_from_batched``.
-        """
+        """Return the figures."""
         return {
             "landscapes": [landscape.to_json() for landscape in self.landscapes],
             "batched": self.batched.to_json(),
@@ -108,28 +81,7 @@ def sample_landscapes(
     points: int = 121,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[Landscape, ...]:
-    """Sample the loss along the inertia, all other parameters as they are.
-
-    Parameters
-    ----------
-    training : Trajectory
-        What to predict.
-    model : Model
-        A first-principles model, in the middle of the range.
-    horizons : sequence of int or None, optional
-        Lengths of prediction, in steps; None: the whole recording.
-    span : float, default 0.12
-        Relative range of the inertia, to either side.
-    points : int, default 121
-        Samples in that range.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    tuple of Landscape
-        One for each length of prediction.
-    """
+    """Sample the loss along the inertia, all other parameters as they are."""
     encoder = PaperEncoder(indexing=model.indexing)
     factor = np.linspace(1 - span, 1 + span, points)
     landscapes = []
@@ -157,20 +109,6 @@ def predict_whole_trajectory(
     The paper: predicting over the whole dataset "can be rather non-smooth and sensitive to local
     minima", hence its batches. Here the loss is sampled along the inertia, and minimised from two
     starting points.
-
-    Parameters
-    ----------
-    training, validation : Trajectory
-        To learn from, and to judge on.
-    batched : Fit
-        M3, learned with short predictions.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    FullTrajectory
-        Landscapes and fits.
     """
     model = batched.model
     trials = []

@@ -26,20 +26,6 @@ def write_gif(
     """Write pictures as an animation that repeats for ever.
 
     All pictures share one palette, and each holds only what has changed since the one before.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    pictures : iterable of array of uint8, shape (height, width, 3)
-        Red, green, blue; taken one at a time.
-    samples : sequence of array of uint8, shape (height, width, 3)
-        Some of the pictures, to choose the palette by.
-    colors : sequence of (int, int, int)
-        Colours that must be exact, 128 at most: red, green, blue in 0 … 255.
-    frames_per_second : float
-        Pictures for each second. A GIF counts in hundredths; pictures are shown so much longer or
-        shorter that the whole takes the right time.
     """
     palette = _Palette(samples, colors)
     with path.open("wb") as file:

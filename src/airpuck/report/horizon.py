@@ -27,20 +27,6 @@ def horizon_figure(
     Shows, for x, y and yaw, how fast the predictions of each model drift from the measurement:
     fitted models as broad lines, the reference as thin dashed ones in the same colours. A
     vertical line marks when tables report the error.
-
-    Parameters
-    ----------
-    fitted : sequence of Evaluation
-        Of the models identified here.
-    reference : sequence of Evaluation, optional
-        Of what they are compared with.
-    reference_label : str, optional
-        What that is.
-
-    Returns
-    -------
-    Figure
-        Three axes side by side.
     """
     figure = new_figure(PAGE_WIDTH, 3.5)
     every, broad = [*fitted, *reference], 3.0 if reference else 1.8

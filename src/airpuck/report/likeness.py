@@ -27,18 +27,7 @@ _COLORS = (GREY, BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 
 
 def motion(trajectory: Trajectory) -> dict[str, Float[np.ndarray, " M"]]:
-    """Compute what is compared: magnitudes over all usable samples.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A flight.
-
-    Returns
-    -------
-    dict of str to array, shape (M,)
-        Speed [m/s], spin [rad/s], acceleration [m/s²], angular acceleration [rad/s²].
-    """
+    """Compute what is compared: magnitudes over all usable samples."""
     state, acceleration = trajectory.state[trajectory.usable], trajectory.acceleration
     acceleration = acceleration[trajectory.usable]
     return {
@@ -51,18 +40,7 @@ def motion(trajectory: Trajectory) -> dict[str, Float[np.ndarray, " M"]]:
 
 @styled
 def likeness_figure(flights: Mapping[str, Trajectory]) -> Figure:
-    """Draw the share of time above each speed and acceleration, for several flights.
-
-    Parameters
-    ----------
-    flights : mapping of str to Trajectory
-        By the name to show.
-
-    Returns
-    -------
-    Figure
-        Four panels: speed, spin, acceleration, angular acceleration.
-    """
+    """Draw the share of time above each speed and acceleration, for several flights."""
     figure = new_figure(PAGE_WIDTH, 5.0)
     panels = figure.subplots(2, 2, sharey=True)
     handles = []

@@ -24,20 +24,6 @@ def loss_history_figure(
 
     Shows how many steps each fit took, and where it ended beside the reference parameters on the
     same windows (dashed). Thin lines are losses on windows that an optimiser held out.
-
-    Parameters
-    ----------
-    fits : sequence of Fit
-        The fits.
-    reference : mapping of str to float, optional
-        Loss of reference parameters, by model.
-    reference_label : str, optional
-        What the reference is.
-
-    Returns
-    -------
-    Figure
-        One axes; the loss on a logarithmic scale.
     """
     figure = new_figure(6.4, 3.6)
     axes = figure.add_subplot()

@@ -18,22 +18,7 @@ _BARS, _BINS = 2.0, 24
 def packet_delay_figure(
     sent: Float[np.ndarray, " K"], delays: PacketDelays, model: Model
 ) -> Figure:
-    """Draw the delay of every packet that is known, over time and as a distribution.
-
-    Parameters
-    ----------
-    sent : array, shape (K,)
-        Times of all packets of the recording [s].
-    delays : PacketDelays
-        Of some of them; not none.
-    model : Model
-        Mean delay, and its jitter where it has one.
-
-    Returns
-    -------
-    Figure
-        Two axes that share the delay [ms].
-    """
+    """Draw the delay of every packet that is known, over time and as a distribution."""
     figure = new_figure(PAGE_WIDTH, 2.9)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
     mean = 1e3 * model.transport_delay

@@ -18,83 +18,54 @@ from airpuck.report.style import png
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure and what to see in it.
-
-    Attributes
-    ----------
-    name : str
-        Name of its PNG file, without the suffix.
-    figure : Figure
-        The figure.
-    caption : str
-        Plain text.
-    """
+    """A figure and what to see in it."""
 
     kind: ClassVar[str] = "picture"
+    #: Name of its PNG file, without the suffix.
     name: str
+    #: The figure.
     figure: Figure
+    #: Plain text.
     caption: str
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes
-    ----------
-    caption : str
-        Plain text.
-    headings : sequence of str
-        One for each column.
-    rows : sequence of sequence of str
-        Texts of the cells; the first of a row names it.
-    groups : sequence of (str, int), optional
-        A line above the headings: texts, and how many columns each spans.
-    marked : frozenset of (int, int), optional
-        Row and column of cells to stress.
-    """
+    """A table."""
 
     kind: ClassVar[str] = "table"
+    #: Plain text.
     caption: str
+    #: One for each column.
     headings: Sequence[str]
+    #: Texts of the cells; the first of a row names it.
     rows: Sequence[Sequence[str]]
+    #: A line above the headings: texts, and how many columns each spans.
     groups: Sequence[tuple[str, int]] = ()
+    #: Row and column of cells to stress.
     marked: frozenset[tuple[int, int]] = frozenset()
 
 
 @dataclass(frozen=True)
 class Text:
-    """Paragraphs, or a list.
-
-    Attributes
-    ----------
-    paragraphs : sequence of str
-        Plain text.
-    bullets : bool
-        Whether they are the items of a list.
-    """
+    """Paragraphs, or a list."""
 
     kind: ClassVar[str] = "text"
+    #: Plain text.
     paragraphs: Sequence[str]
+    #: Whether they are the items of a list.
     bullets: bool = False
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page.
+    """A section of a page."""
 
-    Attributes
-    ----------
-    anchor : str
-        Its name in links.
-    title : str
-        Its heading.
-    blocks : sequence of Picture, Table or Text
-        Its content.
-    """
-
+    #: Its name in links.
     anchor: str
+    #: Its heading.
     title: str
+    #: Its content.
     blocks: Sequence[Picture | Table | Text] = field(default_factory=tuple)
 
 
@@ -105,27 +76,6 @@ def write_page(
 
     The page holds its figures within itself, so that it can be sent alone. Each file is written to
     a temporary name and renamed; the page comes last.
-
-    Parameters
-    ----------
-    out : path-like
-        Folder to write to.
-    title : str
-        Heading of the page.
-    lead : str
-        What the page is about.
-    sections : sequence of Section
-        Its content.
-
-    Returns
-    -------
-    Path
-        ``out/index.html``; the figures are in ``out/figures``.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
     """
     import jinja2
 

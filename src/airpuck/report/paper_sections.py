@@ -48,20 +48,7 @@ _CONVENTIONS = (
 
 
 def summary_section(study: Study, wall_s: float) -> Section:
-    """Say in a few lines what was found.
-
-    Parameters
-    ----------
-    study : Study
-        With published and fitted evaluations, in the same order.
-    wall_s : float
-        Time that evaluations and fits took [s].
-
-    Returns
-    -------
-    Section
-        A list.
-    """
+    """Say in a few lines what was found."""
     published = {e.model: e for e in study.reference_evaluations}
     agree = sum(
         ours == printed
@@ -100,18 +87,7 @@ def summary_section(study: Study, wall_s: float) -> Section:
 
 
 def learning_section(study: Study) -> Section:
-    """Show Table 1 and how a model is learned.
-
-    Parameters
-    ----------
-    study : Study
-        The fits.
-
-    Returns
-    -------
-    Section
-        A table and a figure.
-    """
+    """Show Table 1 and how a model is learned."""
     headings, rows = ladder_rows([model.name for model in study.models], study.models)
     marked = frozenset(
         (i, j + 2) for i, row in enumerate(rows) for j, cell in enumerate(row.cells) if cell.free
@@ -140,18 +116,7 @@ def learning_section(study: Study) -> Section:
 
 
 def table_2(study: Study) -> Table:
-    """Tabulate the paper's Table 2: published parameters against ours.
-
-    Parameters
-    ----------
-    study : Study
-        With published and fitted evaluations.
-
-    Returns
-    -------
-    Table
-        Printed numbers, published parameters evaluated here, fitted here, and the difference.
-    """
+    """Tabulate the paper's Table 2: published parameters against ours."""
     published = {e.model: e for e in study.reference_evaluations}
     rows = []
     for evaluation in study.fitted:
@@ -184,18 +149,7 @@ def table_2(study: Study) -> Table:
 
 
 def table_2_json(study: Study) -> dict[str, dict[str, dict[str, float]]]:
-    """Return Table 2 as plain numbers.
-
-    Parameters
-    ----------
-    study : Study
-        With published and fitted evaluations.
-
-    Returns
-    -------
-    dict
-        ``published`` and ``fitted``; by model, ``x_mm, y_mm, yaw_rad``.
-    """
+    """Return Table 2 as plain numbers."""
 
     def column(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
         return {
@@ -214,13 +168,7 @@ def table_2_json(study: Study) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def conventions_section() -> Section:
-    """Say what every number rests on, and where the paper's text and numbers disagree.
-
-    Returns
-    -------
-    Section
-        A list.
-    """
+    """Say what every number rests on, and where the paper's text and numbers disagree."""
     return Section("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),))
 
 

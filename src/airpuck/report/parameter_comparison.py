@@ -26,20 +26,6 @@ def parameter_figure(
     Shows, for each propeller at full speed, the linear and the angular acceleration that it causes,
     then inertia and time constant where they are learned. Accelerations are products of Π and
     thrust, so that models that learn Π can be compared too.
-
-    Parameters
-    ----------
-    fitted : sequence of Model
-        The models identified here, all of one craft.
-    reference : mapping of str to Model
-        What each is compared with, by name; models without a reference are left out.
-    reference_label : str, optional
-        What the reference is.
-
-    Returns
-    -------
-    Figure
-        Three axes side by side.
     """
     models = [model for model in fitted if model.name in reference]
     names = models[0].vehicle.propeller_names

@@ -26,57 +26,29 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Cell:
-    """One value in a table of parameters.
+    """One value in a table of parameters."""
 
-    Attributes
-    ----------
-    text : str
-        The formatted value, with its standard error where there is one; a dash
-        where the model does not use the parameter.
-    free : bool
-        Whether it was learned.
-    """
-
+    #: The formatted value, with its standard error where there is one; a dash where the model does
+    #: not use the parameter.
     text: str
+    #: Whether it was learned.
     free: bool
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table of parameters.
+    """One line of a table of parameters."""
 
-    Attributes
-    ----------
-    label : str
-        What it is.
-    unit : str
-        In which unit.
-    cells : tuple of Cell
-        One for each model.
-    """
-
+    #: What it is.
     label: str
+    #: In which unit.
     unit: str
+    #: One for each model.
     cells: tuple[Cell, ...]
 
 
 def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str], list[Row]]:
-    """Tabulate which parameters each rung has free (table:models).
-
-    Parameters
-    ----------
-    names : sequence of str
-        Rungs (`airpuck.model.rungs.preset`).
-    models : sequence of Model
-        One for each rung, for the values of what is fixed.
-
-    Returns
-    -------
-    headings : list of str
-        Symbol and unit of each column.
-    rows : list of Row
-        One for each rung: ``free``, the fixed value, or a dash where it is not used.
-    """
+    """Tabulate which parameters each rung has free (table:models)."""
     headings = ["thrust a, b, c [N]", "I [kg m²]", "τ [s]", "α [rad]", "r [m]", "Π"]
     rows = []
     for name, model in zip(names, models, strict=True):
@@ -96,18 +68,7 @@ def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str
 
 
 def main_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate what a person asks for first.
-
-    Parameters
-    ----------
-    models : sequence of Model
-        The models, all of one craft, one column each.
-
-    Returns
-    -------
-    list of Row
-        Those of `airpuck.evaluation.main_quantities`.
-    """
+    """Tabulate what a person asks for first."""
     listed = {q.label: q for model in models for q in main_quantities(model)}
     rows = []
     for label, quantity in listed.items():
@@ -119,18 +80,7 @@ def main_rows(models: Sequence[Model]) -> list[Row]:
 
 
 def coefficient_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate every thrust coefficient as learned, without any change of scale.
-
-    Parameters
-    ----------
-    models : sequence of Model
-        The models, all of one craft, one column each.
-
-    Returns
-    -------
-    list of Row
-        Degree times propellers.
-    """
+    """Tabulate every thrust coefficient as learned, without any change of scale."""
     degree = max(np.shape(model.parameters.thrust)[1] for model in models)
     return [
         _row(
@@ -149,18 +99,7 @@ def coefficient_rows(models: Sequence[Model]) -> list[Row]:
 
 
 def effect_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate what each propeller does at full speed, which no choice of scale changes.
-
-    Parameters
-    ----------
-    models : sequence of Model
-        The models, all of one craft, one column each.
-
-    Returns
-    -------
-    list of Row
-        For each propeller: the thrust factor of `thrust_scale`, linear and angular acceleration.
-    """
+    """Tabulate what each propeller does at full speed, which no choice of scale changes."""
     kinds: tuple[tuple[str, str, Callable[..., Any], str], ...] = (
         ("m‖Π_xy‖", "–", lambda m, i: thrust_scale(m)[i], ".3f"),
         ("‖Π_xy‖ F(1)", "m/s²", lambda m, i: largest_accelerations(m)[0][i], ".3f"),

@@ -30,18 +30,7 @@ _TOTAL, _PARAMETERS = 0.35, 0.55
 
 
 def typical_window(bands: PredictionBands) -> int:
-    """Choose the window whose error is the median one.
-
-    Parameters
-    ----------
-    bands : PredictionBands
-        Predictions.
-
-    Returns
-    -------
-    int
-        Of the errors at the horizon, each by its root mean square over the windows.
-    """
+    """Choose the window whose error is the median one."""
     errors = (bands.predicted - bands.measured)[-1]
     scale = np.sqrt(np.mean(errors**2, axis=1, keepdims=True))
     size = np.sum((errors / np.where(scale > 0, scale, 1.0)) ** 2, axis=0)
@@ -56,18 +45,6 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
     middle what is left of it when the prediction is taken off, which the bands should hold, and on
     the right the same of one simulation over all of these seconds. Of all simulations the one with
     the median error is drawn.
-
-    Parameters
-    ----------
-    ahead : PredictionBands
-        Over a short horizon.
-    simulated : PredictionBands
-        Over a long one, on the same recording.
-
-    Returns
-    -------
-    Figure
-        Rows x, y, yaw.
     """
     figure = new_figure(PAGE_WIDTH, 6.4)
     grid = figure.subplots(3, 3, sharex=True)

@@ -28,18 +28,7 @@ _POSE = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 
 @styled
 def command_figure(replay: Replay) -> Figure:
-    """Draw the recorded and the computed command of every motor over time.
-
-    Parameters
-    ----------
-    replay : Replay
-        The comparison.
-
-    Returns
-    -------
-    Figure
-        One panel for each motor, two in a row.
-    """
+    """Draw the recorded and the computed command of every motor over time."""
     n = len(replay.motors)
     rows = (n + 1) // 2
     figure = new_figure(PAGE_WIDTH, 0.5 + 1.35 * rows)
@@ -75,18 +64,7 @@ def command_figure(replay: Replay) -> Figure:
 
 @styled
 def flight_figure(replay: Replay) -> Figure:
-    """Draw what the craft did beside what it was asked to do.
-
-    Parameters
-    ----------
-    replay : Replay
-        The comparison.
-
-    Returns
-    -------
-    Figure
-        Three panels: x, y, yaw over time.
-    """
+    """Draw what the craft did beside what it was asked to do."""
     figure = new_figure(PAGE_WIDTH, 4.4)
     panels = figure.subplots(3, 1, sharex=True)
     pose = replay.pose.copy()
@@ -114,20 +92,7 @@ def flight_figure(replay: Replay) -> Figure:
 
 @styled
 def rotation_error_figure(fastest: float, period: float) -> Figure:
-    """Draw what the discretisation neglects: the craft turns while a force is held.
-
-    Parameters
-    ----------
-    fastest : float
-        Largest spin to mark, for example that of a flight [rad/s].
-    period : float
-        Sample time of the controller [s].
-
-    Returns
-    -------
-    Figure
-        Relative error of the velocity gained in a period, over spin and sample time.
-    """
+    """Draw what the discretisation neglects: the craft turns while a force is held."""
     figure = new_figure(0.75 * PAGE_WIDTH, 3.0)
     axes = figure.subplots()
     spin = np.geomspace(0.1, 50, 200)

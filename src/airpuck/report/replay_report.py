@@ -27,29 +27,7 @@ OUTCOMES = {
 
 
 def replay_report(replay: Replay, model: Model, period: float, out: str | os.PathLike[str]) -> Path:
-    """Write a report on a replayed flight.
-
-    Parameters
-    ----------
-    replay : Replay
-        The comparison.
-    model : Model
-        What the controller believed the craft to be.
-    period : float
-        Sample time of the controller [s].
-    out : path-like
-        Folder to write to.
-
-    Returns
-    -------
-    Path
-        ``out/index.html``, one self-contained page; its figures are in ``out/figures`` as well.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
+    """Write a report on a replayed flight."""
     figures = replay.to_json()
     used = replay.time[replay.compared]
     agreement = Table(

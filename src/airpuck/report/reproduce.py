@@ -56,35 +56,19 @@ FAULTS = (
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The paper's study, done again.
+    """The paper's study, done again."""
 
-    Attributes
-    ----------
-    study : Study
-        Fits, evaluations and published models.
-    side_claims : SideClaims or None
-        Tests of the side claims, where they were asked for.
-    page : Path
-        The report.
-    wall_s : float
-        Time that everything took [s].
-    """
-
+    #: Fits, evaluations and published models.
     study: Study
+    #: Tests of the side claims, where they were asked for.
     side_claims: SideClaims | None
+    #: The report.
     page: Path
+    #: Time that everything took [s].
     wall_s: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``published`` and ``fitted``: by model, what `Evaluation.to_json` gives; ``fits``: by
-            model, what `Fit.to_json` gives; ``table_2``; ``side_claims``, where they were asked
-            for; ``wall_s``.
-        """
+        """Return the figures for ``--json``."""
         return _figures(self.study, self.side_claims) | {"wall_s": self.wall_s}
 
 

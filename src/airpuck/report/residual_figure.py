@@ -30,18 +30,6 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     Shows in the upper row whether past innovations say something about the next, in the lower row
     whether commands do: at positive lags those that act already, at negative ones those to come,
     which can only be seen where there is feedback, or where the model lets commands act too late.
-
-    Parameters
-    ----------
-    tests : ResidualTests
-        Of one model on one recording.
-    vehicle : Vehicle
-        Which propellers are pairs.
-
-    Returns
-    -------
-    Figure
-        Two rows of axes: forward, left, yaw.
     """
     figure = new_figure(PAGE_WIDTH, 5.2)
     rows = figure.subplots(2, len(tests.whiteness), squeeze=False)

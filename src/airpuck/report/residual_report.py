@@ -25,33 +25,7 @@ def residual_report(
     out: str | os.PathLike[str],
     bands: Sequence[PredictionBands] = (),
 ) -> Path:
-    """Write a page on the residual tests.
-
-    Parameters
-    ----------
-    model : Model
-        What was tested.
-    trajectory : Trajectory
-        The recording.
-    tests : ResidualTests
-        Whiteness and cross-correlation.
-    fit : Goodness
-        Fit percentages and information criteria.
-    out : path-like
-        Folder to write to.
-    bands : sequence of PredictionBands, optional
-        Predictions over a short horizon and a long one.
-
-    Returns
-    -------
-    Path
-        ``out/index.html``, one self-contained page; its figures are in ``out/figures`` as well.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
+    """Write a page on the residual tests."""
     verdict = "nothing was rejected" if tests.passed else "the model does not explain all there is"
     sections = [
         Section(

@@ -35,16 +35,6 @@ def degrees_figure(trials: Sequence[Trial]) -> Figure:
 
     Shows that the training loss falls with every degree, as it must, while the errors on the
     validation experiment stop falling.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        One for each degree, in rising order.
-
-    Returns
-    -------
-    Figure
-        Four axes side by side: loss, x, y, yaw.
     """
     figure = new_figure(PAGE_WIDTH, 2.9)
     panels = figure.subplots(1, 4)
@@ -72,16 +62,6 @@ def slopes_figure(trials: Sequence[Trial]) -> Figure:
 
     Shows, for each fit, where the slope of a motor's thrust is below zero (shaded): there more
     speed would give less thrust, and the curve has no inverse.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Fits without the monotonicity condition.
-
-    Returns
-    -------
-    Figure
-        One axes for each fit.
     """
     columns = min(len(trials), 3)
     rows = -(-len(trials) // columns)
@@ -123,16 +103,6 @@ def landscape_figure(result: FullTrajectory) -> Figure:
 
     Shows how a smooth bowl becomes a rugged surface with many local minima (dots) when predictions
     span more of the recording.
-
-    Parameters
-    ----------
-    result : FullTrajectory
-        Landscapes.
-
-    Returns
-    -------
-    Figure
-        One axes for each length of prediction.
     """
     landscapes = result.landscapes
     columns = min(len(landscapes), 2)
@@ -167,16 +137,6 @@ def largest_thrust_figure(result: LargestThrusts) -> Figure:
 
     Shows that M4's thrusts differ from M3's by a scale that means nothing: at the scale where a
     propeller's force accelerates the craft's mass, they agree.
-
-    Parameters
-    ----------
-    result : LargestThrusts
-        Thrusts at full speed.
-
-    Returns
-    -------
-    Figure
-        One axes for each origin of the models (published, fitted).
     """
     figure = new_figure(PAGE_WIDTH, 3.1)
     kinds = list(result.first_principles)

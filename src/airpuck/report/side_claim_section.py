@@ -21,18 +21,7 @@ _PROTOCOL = "Errors: protocol “paper” on the validation recording; losses: o
 
 
 def side_claims_section(claims: SideClaims) -> Section:
-    """Show what became of each claim.
-
-    Parameters
-    ----------
-    claims : SideClaims
-        Results of the tests.
-
-    Returns
-    -------
-    Section
-        A table and a figure for each claim.
-    """
+    """Show what became of each claim."""
     return Section(
         "side-claims",
         "Side claims of the paper, tested again",

@@ -28,31 +28,18 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class LargestThrusts:
-    """The thrust at φ = 1 of M3 and M4, as learned and at the physical scale.
+    """The thrust at φ = 1 of M3 and M4, as learned and at the physical scale."""
 
-    Attributes
-    ----------
-    propellers : tuple of str
-        Names of the propellers.
-    first_principles, direct, direct_scaled : mapping of str to array, shape (n,)
-        F(1) of M3, of M4 as learned, and of M4 at the physical scale [N]; keys ``published`` and
-        ``fitted``.
-    """
-
+    #: Names of the propellers.
     propellers: tuple[str, ...]
+    #: F(1) of M3, of M4 as learned, and of M4 at the physical scale [N]; keys ``published`` and
+    #: ``fitted``.
     first_principles: Mapping[str, Float[np.ndarray, " n"]]
     direct: Mapping[str, Float[np.ndarray, " n"]]
     direct_scaled: Mapping[str, Float[np.ndarray, " n"]]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``propellers``, and for ``published`` and ``fitted`` the thrusts ``M3_N``,
-            ``M4_as_learned_N`` and ``M4_scaled_N``.
-        """
+        """Return the figures."""
         return {
             "propellers": list(self.propellers),
             **{
@@ -68,33 +55,19 @@ class LargestThrusts:
 
 @dataclass(frozen=True, eq=False)
 class SideClaims:
-    """All side claims.
+    """All side claims."""
 
-    Attributes
-    ----------
-    degrees : tuple of Trial
-        M3 with thrust polynomials of rising degree.
-    unconstrained : tuple of Trial
-        Fits whose thrust curves are free to fall.
-    full_trajectory : FullTrajectory
-        Batched against full-trajectory loss.
-    largest_thrusts : LargestThrusts
-        M4's largest thrust against M3's.
-    """
-
+    #: M3 with thrust polynomials of rising degree.
     degrees: tuple[Trial, ...]
+    #: Fits whose thrust curves are free to fall.
     unconstrained: tuple[Trial, ...]
+    #: Batched against full-trajectory loss.
     full_trajectory: FullTrajectory
+    #: M4's largest thrust against M3's.
     largest_thrusts: LargestThrusts
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``degrees, unconstrained, full_trajectory, largest_thrusts``.
-        """
+        """Return the figures."""
         return {
             "degrees": [trial.to_json() for trial in self.degrees],
             "unconstrained": [trial.to_json() for trial in self.unconstrained],
@@ -114,20 +87,6 @@ def try_degrees(
 
     The paper: "We tested different polynomials up to degree five but found a 3rd-order polynomial
     works best for our system."
-
-    Parameters
-    ----------
-    training, validation : Trajectory
-        To learn from, and to judge on.
-    degrees : sequence of int, optional
-        Degrees of the polynomials.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    tuple of Trial
-        One for each degree.
     """
     trials = []
     for degree in degrees:
@@ -160,20 +119,6 @@ def drop_monotonicity(
 
     The paper: "the obtained thrust profiles exhibit a non-monotonic behavior without the
     regularization term".
-
-    Parameters
-    ----------
-    training, validation : Trajectory
-        To learn from, and to judge on.
-    cases : sequence of (str, int), optional
-        Rungs, and the degree of their thrust polynomials.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    tuple of Trial
-        One for each case.
     """
     trials = []
     for name, degree in cases:
@@ -192,16 +137,6 @@ def compare_largest_thrusts(
     The paper: "the max thrust predicted by M4 is considerably larger than that of M3, suggesting
     that the configuration matrix Π is compensating". Nothing observable fixes the scale of M4's
     thrusts; `airpuck.evaluation.gauge` says how it is fixed here.
-
-    Parameters
-    ----------
-    first_principles, direct : mapping of str to Model
-        M3 and M4, by where they come from (``published``, ``fitted``).
-
-    Returns
-    -------
-    LargestThrusts
-        Thrusts at φ = 1.
     """
     return LargestThrusts(
         propellers=next(iter(direct.values())).vehicle.propeller_names,
@@ -216,18 +151,7 @@ def compare_largest_thrusts(
 
 
 def falling_share(coefficients: Float[np.ndarray, "n degree"]) -> Float[np.ndarray, " n"]:
-    """Compute on which share of [0, 1] each thrust curve falls.
-
-    Parameters
-    ----------
-    coefficients : array, shape (n, degree)
-        Thrust coefficients [N].
-
-    Returns
-    -------
-    array, shape (n,)
-        Shares in [0, 1], to a thousandth.
-    """
+    """Compute on which share of [0, 1] each thrust curve falls."""
     speed = np.tile(np.linspace(0, 1, 1001), (len(coefficients), 1))
     return np.mean(thrust_slope(coefficients, speed) < 0, axis=1)
 
@@ -235,22 +159,7 @@ def falling_share(coefficients: Float[np.ndarray, "n degree"]) -> Float[np.ndarr
 def retest_side_claims(
     study: Study, validation: Trajectory, *, say: Say = lambda _: None
 ) -> SideClaims:
-    """Test all side claims again.
-
-    Parameters
-    ----------
-    study : Study
-        With fits of M3 and M4 and the published models.
-    validation : Trajectory
-        To judge on.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    SideClaims
-        The results.
-    """
+    """Test all side claims again."""
     fits = {fit.model.name: fit for fit in study.fits}
     training = study.training
     return SideClaims(

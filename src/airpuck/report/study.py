@@ -20,32 +20,21 @@ from airpuck.model.model_file import Model
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Models of one craft, learned from one trajectory and judged on another.
+    """Models of one craft, learned from one trajectory and judged on another."""
 
-    Attributes
-    ----------
-    training : Trajectory
-        What the models were learned from.
-    fits : tuple of Fit
-        How they were learned.
-    fitted : tuple of Evaluation
-        How well they predict, in the same order; can be empty.
-    reference : mapping of str to Model
-        What they are compared with, by name of the rung.
-    reference_evaluations : tuple of Evaluation
-        How well the reference predicts.
-    reference_label : str
-        What the reference is, in a word.
-    faults : tuple of Span
-        Known faults of the recording that the models are judged on.
-    """
-
+    #: What the models were learned from.
     training: Trajectory
+    #: How they were learned.
     fits: tuple[Fit, ...]
+    #: How well they predict, in the same order; can be empty.
     fitted: tuple[Evaluation, ...] = ()
+    #: What they are compared with, by name of the rung.
     reference: Mapping[str, Model] = field(default_factory=dict)
+    #: How well the reference predicts.
     reference_evaluations: tuple[Evaluation, ...] = ()
+    #: What the reference is, in a word.
     reference_label: str = "published"
+    #: Known faults of the recording that the models are judged on.
     faults: tuple[Span, ...] = ()
 
     @property
@@ -86,18 +75,7 @@ class Study:
 
 
 def protocol_words(evaluation: Evaluation) -> str:
-    """Say in a sentence how errors were measured.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Any evaluation.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Say in a sentence how errors were measured."""
     protocol = evaluation.protocol
     after = evaluation.horizon_step * evaluation.sample_period
     return (

@@ -31,18 +31,7 @@ INTERVALS = (
 
 
 def craft_section(vehicle: Vehicle) -> Section:
-    """Show the craft and its frames.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    Section
-        Two figures.
-    """
+    """Show the craft and its frames."""
     return Section(
         "craft",
         "The craft",
@@ -67,20 +56,7 @@ def craft_section(vehicle: Vehicle) -> Section:
 
 
 def prediction_section(study: Study, table: Table | None = None) -> Section:
-    """Show how far predictions are off.
-
-    Parameters
-    ----------
-    study : Study
-        With evaluations.
-    table : Table, optional
-        Root mean square errors, where a table other than the plain one is wanted.
-
-    Returns
-    -------
-    Section
-        Tables of root mean square and median errors, errors over the horizon, distribution.
-    """
+    """Show how far predictions are off."""
     protocol = protocol_words(study.fitted[0])
     blocks: list[Picture | Table | Text] = [table or _error_table(study)]
     blocks.append(_median_table(study))
@@ -114,18 +90,7 @@ def prediction_section(study: Study, table: Table | None = None) -> Section:
 
 
 def timeline_section(study: Study) -> Section:
-    """Show where in time the errors of the best fitted model are.
-
-    Parameters
-    ----------
-    study : Study
-        With evaluations.
-
-    Returns
-    -------
-    Section
-        One figure.
-    """
+    """Show where in time the errors of the best fitted model are."""
     best = study.best
     shares = " / ".join(f"{100 * share_of_squares(errors):.0f}" for errors in best.at_horizon)
     known = ""
@@ -155,20 +120,7 @@ def timeline_section(study: Study) -> Section:
 
 
 def thrust_section(study: Study, names: Sequence[str] | None = None) -> Section:
-    """Show the thrust curves.
-
-    Parameters
-    ----------
-    study : Study
-        The fits.
-    names : sequence of str, optional
-        Rungs to draw; by default M3 and M4 where they are among the fits, otherwise all.
-
-    Returns
-    -------
-    Section
-        One figure.
-    """
+    """Show the thrust curves."""
     wanted = names or [m.name for m in study.models if m.name in ("M3", "M4")]
     models = [m for m in study.models if m.name in wanted] or study.models
     reference = [study.reference[m.name] for m in models if m.name in study.reference]
@@ -203,18 +155,7 @@ def thrust_section(study: Study, names: Sequence[str] | None = None) -> Section:
 
 
 def optimiser_section(study: Study) -> Section:
-    """Show how the fits were found.
-
-    Parameters
-    ----------
-    study : Study
-        The fits.
-
-    Returns
-    -------
-    Section
-        A table and a figure.
-    """
+    """Show how the fits were found."""
     losses = study.reference_losses
     rows = []
     for fit in study.fits:
@@ -266,18 +207,7 @@ def optimiser_section(study: Study) -> Section:
 
 
 def parameter_section(study: Study) -> Section:
-    """Show the parameters.
-
-    Parameters
-    ----------
-    study : Study
-        The fits and, where there is one, the reference.
-
-    Returns
-    -------
-    Section
-        Tables and, with a reference, a figure.
-    """
+    """Show the parameters."""
     models, labels = [], []
     for model in study.models:
         if model.name in study.reference:
@@ -388,18 +318,7 @@ def _median_table(study: Study) -> Table:
 
 
 def errors_as_text(values: np.ndarray) -> list[str]:
-    """Format errors of x, y [m] and yaw [rad] as millimetres and radians.
-
-    Parameters
-    ----------
-    values : array, shape (3,)
-        The errors.
-
-    Returns
-    -------
-    list of str
-        With as many digits as the published numbers are known to.
-    """
+    """Format errors of x, y [m] and yaw [rad] as millimetres and radians."""
     return [
         format(factor * value, form)
         for value, factor, form in zip(values, _FACTORS, _FORMATS, strict=True)

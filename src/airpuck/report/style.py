@@ -66,18 +66,7 @@ Arguments = ParamSpec("Arguments")
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Decorate a function that draws a figure, so that it draws in the house's style.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns a Figure.
-
-    Returns
-    -------
-    callable
-        The same function; matplotlib's own settings are as before when it returns.
-    """
+    """Decorate a function that draws a figure, so that it draws in the house's style."""
 
     @functools.wraps(draw)
     def in_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
@@ -88,36 +77,14 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that is drawn by Agg, whatever the machine has for a screen.
-
-    Parameters
-    ----------
-    width, height : float
-        Size [in].
-
-    Returns
-    -------
-    Figure
-        With constrained layout.
-    """
+    """Return an empty figure that is drawn by Agg, whatever the machine has for a screen."""
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.05))
     FigureCanvasAgg(figure)
     return figure
 
 
 def png(figure: Figure) -> bytes:
-    """Draw a figure.
-
-    Parameters
-    ----------
-    figure : Figure
-        What to draw.
-
-    Returns
-    -------
-    bytes
-        A PNG file. The same figure gives the same bytes.
-    """
+    """Draw a figure."""
     buffer = io.BytesIO()
     with mpl.rc_context(_STYLE):  # ticks are made when they are first drawn
         figure.savefig(buffer, format="png", dpi=RESOLUTION, metadata={"Software": None})
@@ -125,36 +92,14 @@ def png(figure: Figure) -> bytes:
 
 
 def rung_color(name: str) -> str:
-    """Return the colour of a model.
-
-    Parameters
-    ----------
-    name : str
-        Name of a rung.
-
-    Returns
-    -------
-    str
-        The same colour for the same name in every figure.
-    """
+    """Return the colour of a model."""
     if name in RUNG_COLORS:
         return RUNG_COLORS[name]
     return _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
 
 
 def propeller_colors(vehicle: Vehicle) -> list[str]:
-    """Return one colour for each propeller; the two of a pair share theirs.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    list of str
-        In the order of the propellers. Propellers without a partner count as pairs of one.
-    """
+    """Return one colour for each propeller; the two of a pair share theirs."""
     colors = [""] * vehicle.n_propellers
     for number, group in enumerate(propeller_groups(vehicle)):
         for index in group:
@@ -163,18 +108,7 @@ def propeller_colors(vehicle: Vehicle) -> list[str]:
 
 
 def propeller_groups(vehicle: Vehicle) -> list[tuple[int, ...]]:
-    """Return the pairs, and every propeller without a partner as a group of its own.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The craft.
-
-    Returns
-    -------
-    list of tuple of int
-        Indices of propellers, ordered by the first of each group.
-    """
+    """Return the pairs, and every propeller without a partner as a group of its own."""
     groups: list[tuple[int, ...]] = [tuple(sorted(pair)) for pair in vehicle.pair_indices]
     paired = {index for pair in groups for index in pair}
     groups += [(index,) for index in range(vehicle.n_propellers) if index not in paired]
@@ -182,29 +116,13 @@ def propeller_groups(vehicle: Vehicle) -> list[tuple[int, ...]]:
 
 
 def no_axes(axes: Axes) -> None:
-    """Prepare an axes for a drawing to scale: equal units, no ticks, no frame.
-
-    Parameters
-    ----------
-    axes : Axes
-        To be changed in place.
-    """
+    """Prepare an axes for a drawing to scale: equal units, no ticks, no frame."""
     axes.set_aspect("equal")
     axes.set_axis_off()
 
 
 def top_legend(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
-    """Put one legend above all axes, where it hides nothing.
-
-    Parameters
-    ----------
-    figure : Figure
-        To be changed in place.
-    handles : sequence of artist
-        What to explain, in order; each has its label.
-    columns : int, optional
-        By default all in one row.
-    """
+    """Put one legend above all axes, where it hides nothing."""
     figure.legend(
         handles=list(handles),
         loc="outside upper center",

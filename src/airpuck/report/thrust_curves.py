@@ -50,22 +50,6 @@ def thrust_figure(
     that was commanded at all; a curve outside it is extrapolated. Bands are 95 % intervals at each
     speed, where a model knows its uncertainty. Curves of a model with a directly
     learned configuration matrix are brought to newtons (`airpuck.evaluation.gauge`).
-
-    Parameters
-    ----------
-    models : sequence of Model
-        Models identified here, all of one craft.
-    trajectory : Trajectory, optional
-        What they were learned from.
-    reference : sequence of Model, optional
-        What they are compared with.
-    reference_label : str, optional
-        What that is.
-
-    Returns
-    -------
-    Figure
-        One axes for each motor; the motors of a pair stand below each other.
     """
     vehicle = models[0].vehicle
     order, rows, columns = _arrangement(vehicle)

@@ -31,16 +31,6 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
 
     Real flights begin at different times: each is drawn from half a second before its first
     set point that differs from the start (`Track.origin`).
-
-    Parameters
-    ----------
-    flights : sequence of Tracked
-        One for each model.
-
-    Returns
-    -------
-    Figure
-        Three panels: x, y, yaw.
     """
     figure = new_figure(PAGE_WIDTH, 5.0)
     panels = figure.subplots(3, 1, sharex=True)
@@ -67,18 +57,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
 
 @styled
 def input_figure(flight: Tracked) -> Figure:
-    """Draw the commands of one flight.
-
-    Parameters
-    ----------
-    flight : Tracked
-        On the twin, and where there is one the real flight.
-
-    Returns
-    -------
-    Figure
-        One panel for each motor, two in a row.
-    """
+    """Draw the commands of one flight."""
     motors = flight.twin.motors
     rows = (len(motors) + 1) // 2
     figure = new_figure(PAGE_WIDTH, 0.5 + 1.25 * rows)

@@ -13,27 +13,7 @@ from airpuck.twin.tracking_study import Tracked
 
 
 def tracking_report(flights: Sequence[Tracked], truth: str, out: str | os.PathLike[str]) -> Path:
-    """Write a report on a tracking study.
-
-    Parameters
-    ----------
-    flights : sequence of Tracked
-        One for each model.
-    truth : str
-        Name of the model that the twin flew by.
-    out : path-like
-        Folder to write to.
-
-    Returns
-    -------
-    Path
-        ``out/index.html``, one self-contained page; its figures are in ``out/figures`` as well.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
+    """Write a report on a tracking study."""
     sections = tracking_sections(flights)
     names = " and ".join(flight.model for flight in flights)
     lead = f"The set points of the paper, flown with {names} on a twin of {truth}."
@@ -41,18 +21,7 @@ def tracking_report(flights: Sequence[Tracked], truth: str, out: str | os.PathLi
 
 
 def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
-    """Return what a page says of a tracking study.
-
-    Parameters
-    ----------
-    flights : sequence of Tracked
-        One for each model.
-
-    Returns
-    -------
-    list of Section
-        Poses and set points, what became of each set point, commands.
-    """
+    """Return what a page says of a tracking study."""
     rows = []
     for flight in flights:
         rows += [[f"{flight.model}, twin", *_row(result)] for result in flight.results]

@@ -17,31 +17,17 @@ from airpuck.physics.thrust import lowest_slope
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One fit of a side claim, judged on the validation experiment.
+    """One fit of a side claim, judged on the validation experiment."""
 
-    Attributes
-    ----------
-    label : str
-        What was varied.
-    fit : Fit
-        The fit.
-    rmse : array, shape (3,)
-        Root mean square error of x, y [m] and yaw [rad] after 0.2 s, protocol "paper".
-    """
-
+    #: What was varied.
     label: str
+    #: The fit.
     fit: Fit
+    #: Root mean square error of x, y [m] and yaw [rad] after 0.2 s, protocol "paper".
     rmse: Float[np.ndarray, " 3"]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``label, model, loss, iterations, converged, rmse``, and per propeller the
-            ``lowest_slope_N`` of its thrust curve on [0, 1] and where it is.
-        """
+        """Return the figures."""
         slope, speed = lowest_slope(physical_thrust(self.fit.model))
         return {
             "label": self.label,
@@ -56,20 +42,5 @@ class Trial:
 
 
 def judge(label: str, fit: Fit, validation: Trajectory) -> Trial:
-    """Evaluate a fit on the validation experiment, by the paper's protocol.
-
-    Parameters
-    ----------
-    label : str
-        What was varied.
-    fit : Fit
-        The fit.
-    validation : Trajectory
-        Data that it was not learned from.
-
-    Returns
-    -------
-    Trial
-        The fit with its errors.
-    """
+    """Evaluate a fit on the validation experiment, by the paper's protocol."""
     return Trial(label, fit, evaluate(fit.model, validation).rmse)

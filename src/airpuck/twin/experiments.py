@@ -23,20 +23,13 @@ from airpuck.twin.twin import Twin
 
 @dataclass(frozen=True, eq=False)
 class Excited:
-    """An excitation experiment on the twin.
+    """An excitation experiment on the twin."""
 
-    Attributes
-    ----------
-    recording : Recording
-        As a recorder on the network would have logged it.
-    paused : float
-        For how long the signals paused, since the craft was near a rail [s].
-    contacts : tuple of float
-        When it met a rail nevertheless, from the start of the flight [s].
-    """
-
+    #: As a recorder on the network would have logged it.
     recording: Recording
+    #: For how long the signals paused, since the craft was near a rail [s].
     paused: float
+    #: When it met a rail nevertheless, from the start of the flight [s].
     contacts: tuple[float, ...]
 
 

@@ -39,61 +39,32 @@ SEGMENT = 256
 
 @dataclass(frozen=True, eq=False)
 class FleetFlight:
-    """What a fleet did.
+    """What a fleet did."""
 
-    Attributes
-    ----------
-    time : array, shape (N,)
-        Times of the frames that were kept [s].
-    state : array, shape (N, 6 + n, B)
-        True states at these times: x, y, γ, vx, vy, ω and the motor speeds.
-    models : tuple of Model
-        Truth of each craft.
-    seeds : tuple of int
-        Of the radio and the sensors of each craft.
-    command_time : array, shape (K,)
-        When commands were sent [s].
-    command : array, shape (K, n, B)
-        What was sent.
-    settings : TwinSettings
-        Table, sensors, radio, effects.
-    steps : int
-        Steps of the integration, of all craft together.
-    every : int
-        Of so many frames one was kept.
-    """
-
+    #: Times of the frames that were kept [s].
     time: Float[np.ndarray, " N"]
+    #: True states at these times: x, y, γ, vx, vy, ω and the motor speeds.
     state: Float[np.ndarray, "N s B"]
+    #: Truth of each craft.
     models: tuple[Model, ...]
+    #: Of the radio and the sensors of each craft.
     seeds: tuple[int, ...]
+    #: When commands were sent [s].
     command_time: Float[np.ndarray, " K"]
+    #: What was sent.
     command: Float[np.ndarray, "K n B"]
+    #: Table, sensors, radio, effects.
     settings: TwinSettings
+    #: Steps of the integration, of all craft together.
     steps: int
+    #: Of so many frames one was kept.
     every: int = 1
 
     def __len__(self) -> int:
         return self.state.shape[2]
 
     def recording(self, craft: int) -> Recording:
-        """Return what a recorder would have logged of one craft.
-
-        Parameters
-        ----------
-        craft : int
-            Its number.
-
-        Returns
-        -------
-        Recording
-            Streams ``pose`` and ``command``, as those of a `Twin` of the same seed.
-
-        Raises
-        ------
-        InputError
-            If not every frame was kept.
-        """
+        """Return what a recorder would have logged of one craft."""
         if self.every != 1:
             raise InputError("a recording needs every frame; fly with every=1", field="every")
         sensor = pose_sensor(self.settings.motion_capture, self.seeds[craft])
@@ -294,29 +265,19 @@ def _frames(
 
 @dataclass(frozen=True)
 class _Fleet:
-    """All that may differ: the last axis of every array has one entry for each craft, or one.
+    """All that may differ: the last axis of every array has one entry for each craft, or one."""
 
-    Attributes
-    ----------
-    dynamics : Dynamics
-        Coefficients.
-    inertia : array, shape (B,)
-        About the centre of mass [kg m²].
-    commands : array, shape (K + 1, n, B)
-        What was sent, and zeros.
-    times : array, shape (E, B)
-        When what the motors follow changes, infinite at the end [s].
-    heard : array of int, shape (E, B)
-        The number of the command that they follow from then on.
-    state : array, shape (6 + n, B)
-        At first.
-    """
-
+    #: Coefficients.
     dynamics: Dynamics
+    #: About the centre of mass [kg m²].
     inertia: Any
+    #: What was sent, and zeros.
     commands: Any
+    #: When what the motors follow changes, infinite at the end [s].
     times: Any
+    #: The number of the command that they follow from then on.
     heard: Any
+    #: At first.
     state: Any
 
     @property

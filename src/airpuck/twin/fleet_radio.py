@@ -21,26 +21,7 @@ def heard_commands(
     seeds: Sequence[int],
     delays: Sequence[float],
 ) -> tuple[Float[np.ndarray, "E B"], Int[np.ndarray, "E B"]]:
-    """Say which command the motors of each craft follow, and from when on.
-
-    Parameters
-    ----------
-    settings : TwinSettings
-        Radio and motors.
-    sent : array, shape (K,)
-        When commands are sent [s].
-    seeds : sequence of int, length B
-        Of the radio of each craft: it passes packets as a `RadioLink` of that seed.
-    delays : sequence of float, length B
-        Mean delay of each radio [s].
-
-    Returns
-    -------
-    times : array, shape (E, B)
-        When what the motors follow changes, infinite at the end [s].
-    heard : array of int, shape (E, B)
-        The number of the command from then on; K: none, motors stop.
-    """
+    """Say which command the motors of each craft follow, and from when on."""
     batches = [slice(begin, begin + _TOGETHER) for begin in range(0, len(seeds), _TOGETHER)]
     changes = []
     for craft in batches:

@@ -12,20 +12,7 @@ from airpuck.twin.settings import Motors
 
 
 class MotorUnit:
-    """From the received command to what the motors follow.
-
-    Parameters
-    ----------
-    settings : Motors
-        Arming, slow starts, stalls, losses of thrust.
-    names : tuple of str
-        Names of the motors.
-
-    Raises
-    ------
-    InputError
-        If a stall or a loss names no motor.
-    """
+    """From the received command to what the motors follow."""
 
     def __init__(self, settings: Motors, names: tuple[str, ...]) -> None:
         for field, faults in (("stalls", settings.stalls), ("weak", settings.weak)):
@@ -45,36 +32,12 @@ class MotorUnit:
         self._released = np.full(len(names), np.inf)
 
     def next_change(self, now: float) -> float:
-        """Return when something changes by itself.
-
-        Parameters
-        ----------
-        now : float
-            Time [s].
-
-        Returns
-        -------
-        float
-            The next such time, or infinity [s].
-        """
+        """Return when something changes by itself."""
         times = [t for t in (*self._edges, *self._released.tolist()) if now < t < math.inf]
         return min(times, default=math.inf)
 
     def follow(self, now: float, command: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return what the motors follow now.
-
-        Parameters
-        ----------
-        now : float
-            Time, not before that of an earlier call [s].
-        command : array, shape (n,)
-            What was received.
-
-        Returns
-        -------
-        array, shape (n,)
-            What their speeds tend to.
-        """
+        """Return what the motors follow now."""
         s = self._settings
         if now < s.unarmed_s:
             return np.zeros_like(command)
@@ -92,18 +55,7 @@ class MotorUnit:
         return command
 
     def share(self, now: float) -> Float[np.ndarray, " n"]:
-        """Return the share of its thrust that each motor gives now.
-
-        Parameters
-        ----------
-        now : float
-            Time [s].
-
-        Returns
-        -------
-        array, shape (n,)
-            One: all of it.
-        """
+        """Return the share of its thrust that each motor gives now."""
         share = np.ones(len(self._released))
         for motor, weakness in self._weak:
             if weakness.start_s <= now < weakness.stop_s:

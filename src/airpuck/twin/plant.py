@@ -21,20 +21,13 @@ LONGEST_STEP = 1 / 240
 
 @dataclass(frozen=True)
 class Disc:
-    """What a rail meets.
+    """What a rail meets."""
 
-    Attributes
-    ----------
-    mass : float
-        [kg].
-    inertia : float
-        About the centre of mass [kg m²].
-    radius : float
-        [m].
-    """
-
+    #: [kg].
     mass: Any
+    #: About the centre of mass [kg m²].
     inertia: Any
+    #: [m].
     radius: Any
 
 
@@ -81,75 +74,19 @@ class Plant:
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
-    """Scale thrusts.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Coefficients.
-    factor : array
-        That broadcasts with the thrust curves: of each motor, shape (n, 1), or of each craft of a
-        batch, shape (B,).
-
-    Returns
-    -------
-    Dynamics
-        With scaled thrust curves.
-    """
+    """Scale thrusts."""
     return replace(dynamics, thrust=dynamics.thrust * factor)
 
 
 def advance(
     xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any, command: Any, duration: Any
 ) -> Any:
-    """Advance a craft by one step of the integration; rails push it back.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        Coefficients.
-    disc : Disc
-        What a rail meets.
-    table : Table
-        Rails.
-    state : array, shape (6 + n, ...)
-        x, y, γ, vx, vy, ω and the motor speeds.
-    command : array, shape (n, ...)
-        What the motors are told.
-    duration : array, shape (...) or float
-        At most `LONGEST_STEP` [s].
-
-    Returns
-    -------
-    array, shape (6 + n, ...)
-        The state after `duration`.
-    """
+    """Advance a craft by one step of the integration; rails push it back."""
     return rebound(xp, dynamics, disc, table, step(xp, dynamics, state, command, duration))
 
 
 def rebound(xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any) -> Any:
-    """Push a craft back that went beyond a rail.
-
-    Parameters
-    ----------
-    xp : module
-        Array namespace.
-    dynamics : Dynamics
-        Coefficients.
-    disc : Disc
-        What a rail meets.
-    table : Table
-        Rails.
-    state : array, shape (6 + n, ...)
-        x, y, γ, vx, vy, ω and the motor speeds.
-
-    Returns
-    -------
-    array, shape (6 + n, ...)
-        The state after the impulse; as it was where no rail is met.
-    """
+    """Push a craft back that went beyond a rail."""
     x_reach, y_reach = table.reach(disc.radius)
     beyond = (xp.abs(state[0]) > x_reach) | (xp.abs(state[1]) > y_reach)
 

@@ -12,29 +12,7 @@ from airpuck.recording.stream import COLUMNS, Stream
 
 
 class Sensor:
-    """One sensor.
-
-    Parameters
-    ----------
-    kind : {"pose", "imu", "mouse"}
-        What it measures.
-    rate : float
-        Samples per second.
-    noise : sequence of float
-        Standard deviation of each value.
-    latency : (float, float)
-        Shortest time from sample to arrival, and the mean of an exponential addition [s].
-    rng : Generator
-        Source of everything random.
-    dropped : float, default 0
-        Share of samples that are lost.
-    gaps : sequence of (start, stop)
-        Times without samples [s].
-    clock : (float, float), default (0, 0)
-        Offset [s] and drift of its clock.
-    logs : bool, default True
-        Whether to keep what was measured, for `stream`.
-    """
+    """One sensor."""
 
     def __init__(
         self,
@@ -69,14 +47,7 @@ class Sensor:
         return self._count / self._rate
 
     def measure(self, truth: Float[np.ndarray, " k"]) -> None:
-        """Take the sample that is due.
-
-        Parameters
-        ----------
-        truth : array, shape (k,)
-            What a perfect sensor would say; a pose's yaw may be anything, its measurement is
-            wrapped.
-        """
+        """Take the sample that is due."""
         time = self.due
         self._count += 1
         # All numbers are always drawn, so that one setting does not change what another draws.
@@ -91,18 +62,7 @@ class Sensor:
         self._logged.append((stamp, arrival, values))
 
     def arrived(self, now: float) -> list[tuple[float, Measurement]]:
-        """Return what has arrived since the last call.
-
-        Parameters
-        ----------
-        now : float
-            Time [s].
-
-        Returns
-        -------
-        list of (float, Measurement)
-            With the time of arrival [s].
-        """
+        """Return what has arrived since the last call."""
         found = []
         while self._delivered < len(self._logged) and self._logged[self._delivered][1] <= now:
             stamp, arrival, values = self._logged[self._delivered]
@@ -114,18 +74,7 @@ class Sensor:
         return found
 
     def stream(self, epoch_ns: int) -> Stream:
-        """Return everything that was measured so far.
-
-        Parameters
-        ----------
-        epoch_ns : int
-            The recorder's time at 0 s [ns].
-
-        Returns
-        -------
-        Stream
-            Stamps on the sensor's clock, arrivals on the recorder's.
-        """
+        """Return everything that was measured so far."""
         columns = COLUMNS[self.kind]
         stamps = np.array([entry[0] for entry in self._logged])
         arrivals = np.array([entry[1] for entry in self._logged])

@@ -27,123 +27,80 @@ Interval = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_f
 
 
 class Radio(Section):
-    """The link from the controller to the motors.
+    """The link from the controller to the motors."""
 
-    Attributes
-    ----------
-    delay_s : float, optional
-        Mean of the time that a packet takes; left out: the transport delay of the twin's model.
-    jitter_s : float
-        Its standard deviation. It is normal and never negative; packets do not overtake each other.
-    loss : float
-        Share of packets that never arrive.
-    timeout_s : float
-        The motors stop when no packet came for this long.
-    outages_s : tuple of (start, stop)
-        Times during which nothing arrives.
-    """
-
+    #: Mean of the time that a packet takes; left out: the transport delay of the twin's model.
     delay_s: NonNegative | None = None
+    #: Its standard deviation. It is normal and never negative; packets do not overtake each other.
     jitter_s: NonNegative = 0.0
+    #: Share of packets that never arrive.
     loss: Probability = 0.0
+    #: The motors stop when no packet came for this long.
     timeout_s: Positive = 0.2
+    #: Times during which nothing arrives.
     outages_s: tuple[Interval, ...] = ()
 
 
 class MotionCapture(Section):
-    """Cameras that measure the pose.
+    """Cameras that measure the pose."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Frames per second.
-    position_noise_m, yaw_noise_rad : float
-        Standard deviations of white noise.
-    latency_s, latency_jitter_s : float
-        From the frame to the controller; the jitter is the mean of an exponential distribution.
-    dropped : float
-        Share of frames that are missing.
-    gaps_s : tuple of (start, stop)
-        Times without any frame.
-    clock_offset_s, clock_drift : float
-        Stamps are (1 + drift) t + offset, t the recorder's time.
-    """
-
+    #: Frames per second.
     rate_hz: Positive = 240.0
+    #: Standard deviations of white noise.
     position_noise_m: NonNegative
     yaw_noise_rad: NonNegative
+    #: From the frame to the controller; the jitter is the mean of an exponential distribution.
     latency_s: NonNegative = 0.001
     latency_jitter_s: NonNegative = 0.0003
+    #: Share of frames that are missing.
     dropped: Probability = 0.0
+    #: Times without any frame.
     gaps_s: tuple[Interval, ...] = ()
+    #: Stamps are (1 + drift) t + offset, t the recorder's time.
     clock_offset_s: float = 0.0
     clock_drift: float = 0.0
 
 
 class OnBoard(Section):
-    """Inertial and optical sensors on the craft; their noise is not verified.
+    """Inertial and optical sensors on the craft; their noise is not verified."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Measurements per second of each; 0: there are none.
-    latency_s : float
-        From the measurement to the controller.
-    acceleration_noise_m_s2, gyro_noise_rad_s, mouse_noise_m_s : float
-        Standard deviations of white noise.
-    """
-
+    #: Measurements per second of each; 0: there are none.
     rate_hz: NonNegative = 100.0
+    #: From the measurement to the controller.
     latency_s: NonNegative = 0.01
+    #: Standard deviations of white noise.
     acceleration_noise_m_s2: NonNegative = 0.35
     gyro_noise_rad_s: NonNegative = 0.015
     mouse_noise_m_s: NonNegative = 0.01
 
 
 class Effects(Section):
-    """Optional physics (`airpuck.physics.effects`); zero: off.
+    """Optional physics (`airpuck.physics.effects`); zero: off."""
 
-    Attributes
-    ----------
-    drag_linear_1_s, drag_quadratic_1_m : float
-        Of the velocity.
-    spin_drag_linear_1_s, spin_drag_quadratic_1_rad : float
-        Of the spin.
-    inflow_s_m : float
-        Loss of thrust per air speed along the propeller's axis.
-    pair_interaction_1_N : float
-        Loss of thrust per thrust of the twin.
-    voltage_sag_1_N : float
-        Loss of battery voltage per total thrust.
-    tilt_rad : tuple of float
-        Slope of the table along x and y.
-    battery_sag_1_s : float
-        Share of the thrust that is lost per second of flight.
-    """
-
+    #: Of the velocity.
     drag_linear_1_s: NonNegative = 0.0
     drag_quadratic_1_m: NonNegative = 0.0
+    #: Of the spin.
     spin_drag_linear_1_s: NonNegative = 0.0
     spin_drag_quadratic_1_rad: NonNegative = 0.0
+    #: Loss of thrust per air speed along the propeller's axis.
     inflow_s_m: NonNegative = 0.0
+    #: Loss of thrust per thrust of the twin.
     pair_interaction_1_N: NonNegative = 0.0
+    #: Loss of battery voltage per total thrust.
     voltage_sag_1_N: NonNegative = 0.0
+    #: Slope of the table along x and y.
     tilt_rad: tuple[float, float] = (0.0, 0.0)
+    #: Share of the thrust that is lost per second of flight.
     battery_sag_1_s: NonNegative = 0.0
 
 
 class Stall(Section):
-    """A motor that does not turn for a while.
+    """A motor that does not turn for a while."""
 
-    Attributes
-    ----------
-    motor : str
-        Name of its propeller.
-    start_s, stop_s : float
-        When.
-    """
-
+    #: Name of its propeller.
     motor: str
+    #: When.
     start_s: NonNegative
     stop_s: NonNegative
 
@@ -154,42 +111,24 @@ class Stall(Section):
 
 
 class Weakness(Stall):
-    """A motor that gives only a share of its thrust for a while.
+    """A motor that gives only a share of its thrust for a while."""
 
-    Attributes
-    ----------
-    motor : str
-        Name of its propeller.
-    start_s, stop_s : float
-        When.
-    share : float
-        Thrust given, of what the model says.
-    """
-
+    #: Thrust given, of what the model says.
     share: Probability
 
 
 class Motors(Section):
-    """What motors do besides following their command.
+    """What motors do besides following their command."""
 
-    Attributes
-    ----------
-    unarmed_s : float
-        They stand still until then.
-    starting_delay_s : float
-        A motor that idles begins to follow a higher command this much later.
-    idle_below : float
-        Commands below this value count as idling.
-    stalls : tuple of Stall
-        Failures.
-    weak : tuple of Weakness
-        Losses of thrust; shares of one motor multiply.
-    """
-
+    #: They stand still until then.
     unarmed_s: NonNegative = 0.0
+    #: A motor that idles begins to follow a higher command this much later.
     starting_delay_s: NonNegative = 0.0
+    #: Commands below this value count as idling.
     idle_below: Probability = 0.05
+    #: Failures.
     stalls: tuple[Stall, ...] = ()
+    #: Losses of thrust; shares of one motor multiply.
     weak: tuple[Weakness, ...] = ()
 
 
@@ -271,13 +210,7 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
 
 
 def default_twin_settings() -> TwinSettings:
-    """Return the packaged settings: sensors and radio as in the real recordings, no faults.
-
-    Returns
-    -------
-    TwinSettings
-        The settings.
-    """
+    """Return the packaged settings: sensors and radio as in the real recordings, no faults."""
     packaged = resources.files("airpuck") / "packaged" / "twin.toml"
     with resources.as_file(packaged) as path:
         return read_toml(path, TwinSettings)

@@ -28,29 +28,19 @@ _LEAD, DWELL = 0.9, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """One model's flight to the set points.
+    """One model's flight to the set points."""
 
-    Attributes
-    ----------
-    model : str
-        Name of the model that the controller believed.
-    gains : Gains
-        Of the regulator.
-    twin : Track
-        The flight on the twin.
-    real : Track or None
-        The real flight that it imitates.
-    outcomes : mapping of str to int
-        How many control steps ended how.
-    recording : Recording
-        Of the flight on the twin.
-    """
-
+    #: Name of the model that the controller believed.
     model: str
+    #: Of the regulator.
     gains: Gains
+    #: The flight on the twin.
     twin: Track
+    #: The real flight that it imitates.
     real: Track | None
+    #: How many control steps ended how.
     outcomes: Mapping[str, int]
+    #: Of the flight on the twin.
     recording: Recording
 
     @property
@@ -75,15 +65,7 @@ class Tracked:
         return np.sqrt(np.mean(self.real.difference(self.twin) ** 2, axis=0))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``model``, ``gains``, ``setpoints``, ``outcomes``, and where there is a real flight
-            ``against_flight`` (``rmse``, ``span_s`` from ``origin_s`` on) and
-            ``flight_setpoints``.
-        """
+        """Return the figures for ``--json``."""
         figures: dict[str, Any] = {
             "model": self.model,
             "gains": vars(self.gains),

@@ -29,20 +29,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 
 
 def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
-    """Put a craft on a table.
-
-    Parameters
-    ----------
-    model : Model
-        The truth of the world.
-    settings : TwinSettings, optional
-        Rails and effects; by default the packaged ones.
-
-    Returns
-    -------
-    Plant
-        Compiled once; several twins may share it.
-    """
+    """Put a craft on a table."""
     settings = settings or default_twin_settings()
     effects = _effects(model, settings.effects)
     return Plant(model, settings.table, replace(model.dynamics, effects=effects))
@@ -244,20 +231,7 @@ class Twin:
 
 
 def check_seed(seed: Any, field: str = "seed") -> None:
-    """Refuse what random numbers cannot begin with.
-
-    Parameters
-    ----------
-    seed : object
-        Should be a whole number that is not negative.
-    field : str, default "seed"
-        What it was given as.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Refuse what random numbers cannot begin with."""
     if not isinstance(seed, Integral) or seed < 0:
         raise InputError(f"must be a whole number that is not negative, not {seed!r}", field=field)
 
@@ -275,22 +249,7 @@ def _check_pose(pose: Any, table: Table, radius: float) -> None:
 
 
 def pose_sensor(capture: MotionCapture, seed: int, logs: bool = True) -> Sensor:
-    """Build the motion capture of a twin.
-
-    Parameters
-    ----------
-    capture : MotionCapture
-        Its settings.
-    seed : int
-        Of the twin.
-    logs : bool, default True
-        Whether to keep what was measured.
-
-    Returns
-    -------
-    Sensor
-        Of poses.
-    """
+    """Build the motion capture of a twin."""
     return Sensor(
         "pose",
         rate=capture.rate_hz,
@@ -330,20 +289,7 @@ def _sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]:
 def command_stream(
     sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
 ) -> Stream:
-    """Lay out commands as a recorder logs them.
-
-    Parameters
-    ----------
-    sent : list of (float, array of shape (n,))
-        When each was sent [s], and what.
-    names : tuple of str
-        Of the propellers.
-
-    Returns
-    -------
-    Stream
-        On the recorder's clock, a tenth of a millisecond late.
-    """
+    """Lay out commands as a recorder logs them."""
     return _stream(sent, names, latency=1e-4)
 
 
