@@ -79,32 +79,32 @@ def identify_again(options):
 
 def step(options):
     """One Gauss-Newton step: loss, gradient and Hessian, and the factorisation is nothing."""
-    from airpuck.model.rungs import preset
+    from airpuck.model.rungs import named_rung
 
     loss = problem(options.stride, options.horizon, options.copies, options.share)
     # M4 has more free parameters than M3.
-    start = preset(options.model).initial(loss.vehicle, options.degree)
+    start = named_rung(options.model).initial(loss.vehicle, options.degree)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     times = repeated(lambda: loss.quadratic(start), options.runs)
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "wall_s": statistics.median(times),
         "windows": len(loss.windows),
-        "parameters": int(preset(options.model).mask(start).sum()),
+        "parameters": int(named_rung(options.model).mask(start).sum()),
         "grown_mib": (after - before) / 1024,
     }
 
 
 def peer(options):
     """Fit M3 by NumPy and SciPy to the windows of `identify`, and compare the losses."""
-    from airpuck.model.rungs import preset
+    from airpuck.model.rungs import named_rung
 
     from .peer import Peer
 
     loss = problem()
     w = loss.windows
     rollouts = Peer(w.time, w.state, w.input, w.starts, 40, 50, loss.vehicle)
-    start = preset("M3").initial(loss.vehicle)
+    start = named_rung("M3").initial(loss.vehicle)
     ours = loss.quadratic(start).loss
     theirs = float(np.mean(rollouts.residual(start.to_vector()) ** 2))
     if abs(theirs / ours - 1) > 1e-9:

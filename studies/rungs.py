@@ -20,7 +20,7 @@ from airpuck import Model, evaluate, identify, load_trajectory
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import ENCODERS
 from airpuck.model.parameters import QUANTITIES
-from airpuck.model.rungs import TERMS, preset
+from airpuck.model.rungs import TERMS, named_rung
 from airpuck.recording import dataset_folder
 
 MODELS = ("M3", *(f"M3+{term}" for term in TERMS), "M5", "M5+drag", "M5+drag+sag")
@@ -52,7 +52,7 @@ def main() -> None:
     parser.add_argument("--models", default=",".join(MODELS), help="rungs, separated by commas")
     parser.add_argument("--robust", action="store_true", help="as identify --robust")
     options = parser.parse_args()
-    rungs = [preset(name) for name in options.models.split(",")]
+    rungs = [named_rung(name) for name in options.models.split(",")]
     for title, training, validation in pairs(dataset_folder() / "experiments"):
         print(title)
         first: dict[str, np.ndarray] = {}

@@ -13,7 +13,7 @@ from airpuck.experiment_design.quantities_of_interest import (
     values_of,
 )
 from airpuck.model.model_file import Model, published_model
-from airpuck.model.rungs import preset
+from airpuck.model.rungs import named_rung
 from airpuck.model.uncertainty import Uncertainty
 
 
@@ -97,7 +97,7 @@ def test_what_is_not_determined_has_an_infinite_error():
 
 
 def test_what_has_no_size_of_its_own_is_told_but_not_judged():
-    rung = preset("M3+inflow")
+    rung = named_rung("M3+inflow")
     parameters = rung.initial(default_vehicle())
     model = Model(rung.name, default_vehicle(), parameters, rung.mask(parameters))
     covariance = np.eye(len(model.free)) * 1e-8

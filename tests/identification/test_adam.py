@@ -10,7 +10,7 @@ from airpuck.identification.adam import Adam
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
-from airpuck.model.rungs import PRESETS
+from airpuck.model.rungs import RUNGS
 
 from ..synthetic import fly
 
@@ -24,8 +24,8 @@ def loss():
 
 
 def test_approaches_the_minimum(loss):
-    start = PRESETS["M3"].initial(VEHICLE)
-    free = PRESETS["M3"].mask(start)
+    start = RUNGS["M3"].initial(VEHICLE)
+    free = RUNGS["M3"].mask(start)
     adam = Adam(learning_rate=3e-3, inertia_factor=3e-4, epochs=40, batch_size=64)
     outcome = adam.minimize(loss, start, free)
     best = LevenbergMarquardt().minimize(loss, start, free)
@@ -35,8 +35,8 @@ def test_approaches_the_minimum(loss):
 
 
 def test_a_first_step_goes_down_the_gradient_at_the_learning_rate(loss):
-    start = PRESETS["M1"].initial(VEHICLE)
-    free = PRESETS["M1"].mask(start)
+    start = RUNGS["M1"].initial(VEHICLE)
+    free = RUNGS["M1"].mask(start)
     count = len(loss.windows)
     adam = Adam(epochs=1, batch_size=count, test_share=0.0, regularizer_weight=0.0)
     outcome = adam.minimize(loss, start, free)
@@ -53,8 +53,8 @@ def test_a_first_step_goes_down_the_gradient_at_the_learning_rate(loss):
 
 
 def test_the_seed_decides(loss):
-    start = PRESETS["M3"].initial(VEHICLE)
-    free = PRESETS["M3"].mask(start)
+    start = RUNGS["M3"].initial(VEHICLE)
+    free = RUNGS["M3"].mask(start)
     first, again, other = (
         Adam(epochs=1, batch_size=64, seed=seed).minimize(loss, start, free).parameters.to_vector()
         for seed in (1, 1, 2)
@@ -64,10 +64,10 @@ def test_the_seed_decides(loss):
 
 
 def test_the_regulariser_keeps_curves_rising(loss):
-    start = PRESETS["M3"].initial(VEHICLE)
+    start = RUNGS["M3"].initial(VEHICLE)
     vector = start.to_vector()
     vector[0] = -0.02  # the first curve falls at zero
     start = start.with_vector(vector)
-    free = PRESETS["M3"].mask(start)
+    free = RUNGS["M3"].mask(start)
     adam = Adam(learning_rate=1e-3, epochs=10, batch_size=64)
     assert adam.minimize(loss, start, free).parameters.thrust[0, 0] > -1e-3

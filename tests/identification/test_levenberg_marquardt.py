@@ -14,7 +14,7 @@ from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.model.model_file import published_model
-from airpuck.model.rungs import PRESETS, preset
+from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import is_monotone
 
@@ -33,8 +33,8 @@ def noisy_loss(model, noise=0.002, duration=6.0):
 
 def test_finds_the_minimum_of_scipy_and_plain_equations():
     loss = noisy_loss(published_model("M3"))
-    start = PRESETS["M3"].initial(VEHICLE)
-    free = PRESETS["M3"].mask(start)
+    start = RUNGS["M3"].initial(VEHICLE)
+    free = RUNGS["M3"].mask(start)
     optimiser = LevenbergMarquardt(monotone=False, tolerance=1e-15)
     outcome = optimiser.minimize(loss, start, free)
     commands, durations, measured = loss.windows.future()
@@ -69,8 +69,8 @@ def test_thrust_curves_rise_even_where_the_data_say_otherwise():
     assert not is_monotone(thrust).any()
     truth = replace(truth, parameters=replace(truth.parameters, thrust=thrust))
     loss = noisy_loss(truth, noise=1e-4)
-    start = PRESETS["M3"].initial(VEHICLE)
-    free = PRESETS["M3"].mask(start)
+    start = RUNGS["M3"].initial(VEHICLE)
+    free = RUNGS["M3"].mask(start)
     constrained = LevenbergMarquardt().minimize(loss, start, free)
     unconstrained = LevenbergMarquardt(monotone=False).minimize(loss, start, free)
     assert is_monotone(constrained.parameters.thrust).all()
@@ -82,8 +82,8 @@ def test_bounds_hold():
     # Data without lag push the time constant towards zero.
     truth = published_model("M0")
     loss = noisy_loss(truth, noise=1e-4)
-    start = PRESETS["M2"].initial(VEHICLE)
-    outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M2"].mask(start))
+    start = RUNGS["M2"].initial(VEHICLE)
+    outcome = LevenbergMarquardt().minimize(loss, start, RUNGS["M2"].mask(start))
     assert 1e-4 <= outcome.parameters.motor_time_constant < 3e-3
 
 
@@ -92,7 +92,7 @@ def test_a_bound_that_holds_is_met_exactly():
     truth = published_model("M3")
     pushed = replace(truth.parameters, drag=np.array([-0.5, 0.0, -0.5, 0.0]))
     loss = noisy_loss(replace(truth, parameters=pushed), noise=1e-4)
-    rung = preset("M3+drag")
+    rung = named_rung("M3+drag")
     start = rung.initial(VEHICLE)
     outcome = LevenbergMarquardt().minimize(loss, start, rung.mask(start))
     assert outcome.parameters.drag[0] == 0.0
@@ -101,8 +101,8 @@ def test_a_bound_that_holds_is_met_exactly():
 
 def test_fixed_entries_do_not_move():
     loss = noisy_loss(published_model("M3"))
-    start = PRESETS["M2"].initial(VEHICLE)
-    outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M2"].mask(start))
+    start = RUNGS["M2"].initial(VEHICLE)
+    outcome = LevenbergMarquardt().minimize(loss, start, RUNGS["M2"].mask(start))
     assert outcome.parameters.inertia == start.inertia
     assert outcome.parameters.angle_offset == 0
     assert not np.array_equal(outcome.parameters.thrust, start.thrust)
@@ -110,9 +110,9 @@ def test_fixed_entries_do_not_move():
 
 def test_history_never_rises_and_is_reported():
     loss = noisy_loss(published_model("M3"))
-    start = PRESETS["M3"].initial(VEHICLE)
+    start = RUNGS["M3"].initial(VEHICLE)
     seen = []
-    outcome = LevenbergMarquardt().minimize(loss, start, PRESETS["M3"].mask(start), seen.append)
+    outcome = LevenbergMarquardt().minimize(loss, start, RUNGS["M3"].mask(start), seen.append)
     losses = [iteration.loss for iteration in outcome.history]
     assert losses == sorted(losses, reverse=True)
     assert tuple(seen) == outcome.history
@@ -121,6 +121,6 @@ def test_history_never_rises_and_is_reported():
 
 def test_too_few_iterations_are_said_so():
     loss = noisy_loss(published_model("M3"))
-    start = PRESETS["M3"].initial(VEHICLE)
-    outcome = LevenbergMarquardt(max_iterations=1).minimize(loss, start, PRESETS["M3"].mask(start))
+    start = RUNGS["M3"].initial(VEHICLE)
+    outcome = LevenbergMarquardt(max_iterations=1).minimize(loss, start, RUNGS["M3"].mask(start))
     assert not outcome.converged

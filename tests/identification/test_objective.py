@@ -15,7 +15,7 @@ from airpuck.identification import objective
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.parameters import EFFECTS
-from airpuck.model.rungs import TERMS, preset
+from airpuck.model.rungs import TERMS, named_rung
 from airpuck.physics.rollout import rollout
 
 from ..synthetic import fly
@@ -43,7 +43,7 @@ def plain_residuals(xp, parameters, windows, encoder, frame):
 
 def moved(name):
     """Parameters off the initial values, so that no derivative vanishes by symmetry."""
-    parameters = preset(name).initial(VEHICLE)
+    parameters = named_rung(name).initial(VEHICLE)
     vector = parameters.to_vector()
     rng = np.random.default_rng(2)
     vector = vector * (1 + 0.05 * rng.normal(size=len(vector))) + 1e-3
@@ -100,7 +100,7 @@ def test_equals_the_plain_jacobian(windows, name, frame):
 def test_gradient_by_finite_differences(windows, name, indexing):
     parameters, encoder = moved(name), PaperEncoder(indexing=indexing)
     if name in ("M0", "M2"):
-        parameters = preset(name).initial(VEHICLE)
+        parameters = named_rung(name).initial(VEHICLE)
     loss = PredictionLoss(windows, VEHICLE, encoder, WEIGHTS)
     gradient = loss.quadratic(parameters).gradient
     vector = parameters.to_vector()
@@ -109,7 +109,7 @@ def test_gradient_by_finite_differences(windows, name, indexing):
         residual = plain_residuals(np, parameters.with_vector(vector), windows, encoder, "body")
         return np.mean(residual**2)
 
-    for entry in np.flatnonzero(preset(name).mask(parameters)):
+    for entry in np.flatnonzero(named_rung(name).mask(parameters)):
         step = np.zeros_like(vector)
         step[entry] = 1e-5 * max(abs(vector[entry]), 1e-2)
         difference = (plain(vector + step) - plain(vector - step)) / (2 * step[entry])

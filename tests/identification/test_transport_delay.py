@@ -16,7 +16,7 @@ from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import Model, published_model, read_model
-from airpuck.model.rungs import PRESETS
+from airpuck.model.rungs import RUNGS
 from airpuck.physics.rollout import rollout
 
 from ..random_flight import fast_rollout, random_flight
@@ -62,7 +62,7 @@ def flight() -> Trajectory:
 @pytest.mark.parametrize("applied", [3 / 240, 7 / 240])
 def test_delay_and_lag_are_found_together(applied):
     """From a delay two samples off and a lag half too long, in data without noise."""
-    start = PRESETS["M3"].initial(VEHICLE)
+    start = RUNGS["M3"].initial(VEHICLE)
     wrong = replace(start, motor_time_constant=1.5 * 0.0281, transport_delay=applied)
     fit = identify(flown(applied=applied), initial=wrong, encoder=LONG, stride=3)
     found = fit.model.parameters
@@ -93,7 +93,7 @@ def test_gradient_by_finite_differences(flight, name, indexing):
     windows = make_windows(noisy, stride=31)
     encoder = PaperEncoder(indexing=indexing)
     loss = PredictionLoss(windows, VEHICLE, encoder, continuous_delay=True)
-    parameters = replace(PRESETS[name].initial(VEHICLE), transport_delay=0.0203)
+    parameters = replace(RUNGS[name].initial(VEHICLE), transport_delay=0.0203)
 
     def plain(vector):
         moved = parameters.with_vector(vector)

@@ -24,7 +24,7 @@ from airpuck.identification.uncertainty import (
 )
 from airpuck.model.gauge import fix_gauge, gauge_directions
 from airpuck.model.model_file import published_model, read_model
-from airpuck.model.rungs import PRESETS, preset
+from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.model.uncertainty import Bootstrap
 from airpuck.physics.rollout import rollout
 
@@ -70,7 +70,7 @@ def test_equals_a_dense_computation():
     windows = make_windows(noisy(), 40, 50, 29)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
     parameters = TRUTH.parameters
-    free = PRESETS["M3"].mask(parameters)
+    free = RUNGS["M3"].mask(parameters)
     clusters = cluster_windows(windows)
     shares = loss.by_cluster(parameters, clusters)
     nothing = np.zeros((0, len(free)))
@@ -130,7 +130,7 @@ def shares_at_the_truth():
     windows = make_windows(noisy(), 40, 50, 29)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
     parameters = TRUTH.parameters
-    free = PRESETS["M3"].mask(parameters)
+    free = RUNGS["M3"].mask(parameters)
     shares = loss.by_cluster(parameters, cluster_windows(windows))
     return shares, parameters, free
 
@@ -216,7 +216,7 @@ def test_parameters_at_a_constraint_have_no_standard_error():
         thrust=np.array([[1e-6, 0.5, 0.1], *TRUTH.parameters.thrust[1:]]),
         motor_time_constant=1e-4,
     )
-    free = PRESETS["M3"].mask(parameters)
+    free = RUNGS["M3"].mask(parameters)
     rows = binding_constraints(parameters, free)
     assert len(rows) == 2
     windows = make_windows(noisy(), 40, 50, 29)
@@ -233,7 +233,7 @@ def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
     dipping = np.array([0.12, -0.6, 1.0])  # F' = 0 at φ = 0.2
     thrust = np.array([dipping, *TRUTH.parameters.thrust[1:]])
     parameters = replace(TRUTH.parameters, thrust=thrust)
-    free = PRESETS["M3"].mask(parameters)
+    free = RUNGS["M3"].mask(parameters)
     (row,) = binding_constraints(parameters, free)
     np.testing.assert_allclose(row[:3], [1, 0.4, 0.12], atol=1e-9)
     windows = make_windows(noisy(), 40, 50, 29)
@@ -270,7 +270,7 @@ def test_m4_knows_products_only():
 def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observed():
     windows = make_windows(noisy(), 40, 50, 29)
     loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
-    rung = preset("M4+pair+sag")
+    rung = named_rung("M4+pair+sag")
     start = rung.initial(VEHICLE)
     free = rung.mask(start)
     scale = np.array([0.5, 2.0, 1.3, 0.8, 1.0, 3.0])
@@ -307,11 +307,11 @@ def physical(parameters):
 
 
 def test_a_scale_that_is_given_is_no_gauge():
-    rung = replace(preset("M4"), free=frozenset({"configuration_matrix"}))
+    rung = replace(named_rung("M4"), free=frozenset({"configuration_matrix"}))
     start = rung.initial(VEHICLE)
     assert not gauge_directions(start, rung.mask(start))
     assert fix_gauge(start, VEHICLE, rung.mask(start)) is start
-    assert not gauge_directions(PRESETS["M3"].initial(VEHICLE), np.ones(25, dtype=bool))
+    assert not gauge_directions(RUNGS["M3"].initial(VEHICLE), np.ones(25, dtype=bool))
 
 
 def test_an_idle_motor_is_named():
@@ -338,7 +338,7 @@ def test_a_motor_at_one_speed_is_named():
 
 def test_nothing_is_known_without_information():
     parameters = TRUTH.parameters
-    free = PRESETS["M3"].mask(parameters)
+    free = RUNGS["M3"].mask(parameters)
     size = len(free)
     known = identifiability_of(np.full((size, size), np.nan), parameters, free, NAMES)
     assert known.rank == 0
@@ -349,7 +349,7 @@ def test_nothing_is_known_without_information():
 )
 def test_says_why_there_are_no_standard_errors(count, value, told):
     parameters = TRUTH.parameters
-    free = PRESETS["M3"].mask(parameters)
+    free = RUNGS["M3"].mask(parameters)
     size = len(free)
     shares = Shares(
         np.ones(count), np.full((count, size), value), np.tile(np.eye(size), (count, 1, 1))

@@ -6,16 +6,16 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.parameters import change_degree, nominal_parameters
-from airpuck.model.rungs import PRESETS, preset
+from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.thrust import thrust
 
 VEHICLE = default_vehicle()
 GRID = np.tile(np.linspace(0, 1, 201), (6, 1))
 
 
-@pytest.mark.parametrize("name", [*PRESETS, "M4+drag+inflow+pair+sag+tilt"])
+@pytest.mark.parametrize("name", [*RUNGS, "M4+drag+inflow+pair+sag+tilt"])
 def test_vector_and_back(name):
-    parameters = preset(name).initial(VEHICLE)
+    parameters = named_rung(name).initial(VEHICLE)
     vector = parameters.to_vector() + 1.0
     moved = parameters.with_vector(vector)
     np.testing.assert_array_equal(moved.to_vector(), vector)
@@ -29,23 +29,23 @@ def test_vector_and_back(name):
     [("M0", 18, 0), ("M1", 19, 0), ("M2", 19, 0.03), ("M3", 23, 0.03), ("M4", 37, 0.03)],
 )
 def test_rungs_are_those_of_the_paper(name, free, tau):
-    parameters = PRESETS[name].initial(VEHICLE)
-    assert PRESETS[name].mask(parameters).sum() == free
+    parameters = RUNGS[name].initial(VEHICLE)
+    assert RUNGS[name].mask(parameters).sum() == free
     assert parameters.motor_time_constant == tau
     assert parameters.inertia == 0.337e-3
 
 
 def test_the_direct_matrix_starts_at_first_principles():
-    direct = PRESETS["M4"].initial(VEHICLE)
+    direct = RUNGS["M4"].initial(VEHICLE)
     np.testing.assert_array_equal(
         direct.configuration_matrix,
-        PRESETS["M3"].initial(VEHICLE).dynamics(np, VEHICLE).configuration,
+        RUNGS["M3"].initial(VEHICLE).dynamics(np, VEHICLE).configuration,
     )
 
 
 def test_classical_thrust_has_one_number_per_propeller():
-    parameters = PRESETS["quadratic"].initial(VEHICLE)
-    mask = PRESETS["quadratic"].mask(parameters)
+    parameters = RUNGS["quadratic"].initial(VEHICLE)
+    mask = RUNGS["quadratic"].mask(parameters)
     assert mask[: parameters.thrust.size].sum() == 6
     assert (parameters.thrust[:, 0] == 0).all()
     nominal = thrust(VEHICLE.nominal_thrust, GRID)
@@ -54,7 +54,7 @@ def test_classical_thrust_has_one_number_per_propeller():
 
 def test_unknown_rung():
     with pytest.raises(InputError, match="M0, M1"):
-        preset("M99")
+        named_rung("M99")
 
 
 def test_raising_the_degree_changes_nothing():
@@ -82,14 +82,14 @@ def test_nominal_is_the_vehicles():
 
 
 def test_terms_of_a_name_are_switches():
-    rung = preset("M3+inflow+pair")
+    rung = named_rung("M3+inflow+pair")
     assert (rung.name, rung.effects) == ("M3+inflow+pair", ("inflow", "pair_interaction"))
     parameters = rung.initial(VEHICLE)
     assert parameters.effects == {"inflow", "pair_interaction"}
     assert rung.mask(parameters).sum() == 25
     kinds = [type(effect).__name__ for effect in parameters.dynamics(np, VEHICLE).effects]
     assert kinds == ["Inflow", "PairInteraction"]
-    assert PRESETS["M3"].initial(VEHICLE).dynamics(np, VEHICLE).effects == ()
+    assert RUNGS["M3"].initial(VEHICLE).dynamics(np, VEHICLE).effects == ()
 
 
 @pytest.mark.parametrize(
@@ -98,4 +98,4 @@ def test_terms_of_a_name_are_switches():
 )
 def test_unknown_terms_are_refused(name, told):
     with pytest.raises(InputError, match=told):
-        preset(name)
+        named_rung(name)

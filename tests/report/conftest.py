@@ -13,7 +13,7 @@ from airpuck.evaluation.evaluate import compare
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
 from airpuck.model.model_file import Model, published_model
-from airpuck.model.rungs import PRESETS
+from airpuck.model.rungs import named_rung
 from airpuck.report.reproduce import Reproduction, reproduce
 from airpuck.report.study import Study
 
@@ -47,10 +47,10 @@ VEHICLES = {"six": default_vehicle, "four": four_propellers}
 
 def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
     """A model of a rung at its nominal values, with thrusts scaled."""
-    parameters = PRESETS[name].initial(vehicle)
+    parameters = named_rung(name).initial(vehicle)
     parameters = replace(parameters, thrust=factor * parameters.thrust)
     fit = {"encoder_length": 20, "prediction_length": 50, "stride": 7, "weights": [1, 1, 0.1]}
-    return Model(name, vehicle, parameters, PRESETS[name].mask(parameters), fit=fit)
+    return Model(name, vehicle, parameters, named_rung(name).mask(parameters), fit=fit)
 
 
 def fit_of(model: Model) -> Fit:

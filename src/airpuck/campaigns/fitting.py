@@ -19,7 +19,7 @@ from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.transport_delay import mean_delay
 from airpuck.model.parameters import Parameters
-from airpuck.model.rungs import preset
+from airpuck.model.rungs import named_rung
 from airpuck.preprocessing.load import load_trajectory
 
 #: Of every fit, as in `identify`.
@@ -96,7 +96,7 @@ class Fitting(Item):
 
     def fit(self, craft: Vehicle, trajectories: list[Trajectory]) -> Fit:
         """Identify, from a start of the seed's."""
-        rung, start = preset(self.model), None
+        rung, start = named_rung(self.model), None
         if self.start_spread:
             nominal = rung.initial(craft, self.degree)
             nominal = replace(nominal, transport_delay=mean_delay(trajectories, craft))

@@ -18,7 +18,7 @@ from airpuck.boundary.files import Section, checked, laid_over
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.model.rungs import preset
+from airpuck.model.rungs import named_rung
 from airpuck.recording.fingerprint import sha256
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
@@ -43,7 +43,7 @@ Spread = Annotated[float, pydantic.Field(ge=0, le=1)]
 def _known_rung(name: str) -> str:
     """Refuse a rung that there is not."""
     try:
-        preset(name)
+        named_rung(name)
     except InputError as error:
         raise ValueError(error.problem) from None
     return name

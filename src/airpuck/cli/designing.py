@@ -119,13 +119,13 @@ def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bo
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.expected_errors import fit_settings
     from airpuck.identification.fit import identify
-    from airpuck.model.rungs import preset
+    from airpuck.model.rungs import named_rung
 
     trajectories = [load(path, craft.vehicle, topics) for path in recordings]
     warn([w for t in trajectories for w in t.warnings], quiet)
     fit = identify(
         trajectories,
-        preset(craft.name),
+        named_rung(craft.name),
         vehicle=craft.vehicle,
         initial=craft.parameters,
         **fit_settings(craft),

@@ -133,9 +133,9 @@ def identify(
     from airpuck.identification.adam import Adam
     from airpuck.identification.fit import identify
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-    from airpuck.model.rungs import preset
+    from airpuck.model.rungs import named_rung
 
-    rung = preset(model)
+    rung = named_rung(model)
     choose("--method", method, ("lm", "adam"))
     if faults is not None:
         choose("--faults", faults, ("exclude", "keep"))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
-from airpuck.model.rungs import PRESETS
+from airpuck.model.rungs import RUNGS
 from airpuck.physics.thrust import thrust
 
 #: Ways to accelerate: row of Π, sign.
@@ -206,8 +206,8 @@ def _derived(model: Model) -> list[Value]:
 
 def _structure(model: Model) -> list[str]:
     """Describe the equations."""
-    preset, parameters = PRESETS.get(model.name), model.parameters
-    lines = [] if preset is None else [f"{model.name}: {preset.summary}"]
+    rung, parameters = RUNGS.get(model.name), model.parameters
+    lines = [] if rung is None else [f"{model.name}: {rung.summary}"]
     degree = np.shape(parameters.thrust)[1]
     lines.append(f"thrust F(φ) = Σ cₖ φᵏ, k = 1 … {degree}, of each propeller")
     lag = float(parameters.motor_time_constant) > 0

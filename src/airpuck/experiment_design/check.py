@@ -22,7 +22,7 @@ from airpuck.experiment_design.quantities_of_interest import (
 from airpuck.experiment_design.rehearsal import Crew, Stage, World
 from airpuck.experiment_design.worth import Candidate
 from airpuck.identification.fit import identify
-from airpuck.model.rungs import preset
+from airpuck.model.rungs import named_rung
 from airpuck.twin.radio import as_received
 
 #: Far from the seeds of rehearsals.
@@ -100,7 +100,7 @@ def _identified(
     trajectory, flown = stage.fly(plan, seed, world)
     fit = identify(
         trajectory,
-        preset(truth.name),
+        named_rung(truth.name),
         vehicle=truth.vehicle,
         initial=truth.parameters,
         delay="fit" if truth.delay_learned else "fixed",

@@ -18,7 +18,7 @@ from airpuck.experiment_design.quantities_of_interest import Interest
 from airpuck.experiment_design.rehearsal import Act, Crew, Rehearsal, Stage, World
 from airpuck.experiment_design.worth import Candidate, Criterion, Judge
 from airpuck.model.model_file import Model
-from airpuck.model.rungs import preset
+from airpuck.model.rungs import named_rung
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
 
@@ -268,7 +268,7 @@ def _near(plan: ExcitationPlan, signals: int, period: float) -> list[ExcitationP
 
 def _as_learned_next(model: Model) -> Model:
     """Free the transport delay where the next fit will: on rungs with a motor lag."""
-    if not preset(model.name).lag:
+    if not named_rung(model.name).lag:
         return model
     delay = model.parameters.mask(frozenset({"transport_delay"}))
     uncertainty = model.uncertainty

@@ -41,7 +41,7 @@ from airpuck.identification.uncertainty import sandwich, widened
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.model.rungs import Preset, preset
+from airpuck.model.rungs import Rung, named_rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
@@ -53,7 +53,7 @@ _PAST = 40
 
 def identify(
     trajectories: Trajectory | Sequence[Trajectory],
-    model: str | Preset = "M3",
+    model: str | Rung = "M3",
     *,
     vehicle: Vehicle | None = None,
     method: Method | None = None,
@@ -78,7 +78,7 @@ def identify(
     ----------
     trajectories : Trajectory or sequence of Trajectory
         Data of one craft.
-    model : str or Preset, default "M3"
+    model : str or Rung, default "M3"
         The rung of the model ladder.
     vehicle : Vehicle, optional
         The craft; by default the paper's.
@@ -151,7 +151,7 @@ def identify(
         if asked and not isinstance(method, LevenbergMarquardt):
             raise InputError("is of Levenberg-Marquardt only", field=name)
     vehicle = vehicle or default_vehicle()
-    rung = preset(model) if isinstance(model, str) else model
+    rung = named_rung(model) if isinstance(model, str) else model
     encoder = encoder or PaperEncoder(length=_PAST)
     continuous = learns_delay(delay, rung, method, trajectories)
 
@@ -291,7 +291,7 @@ def _uncertainty(
 
 def identifiability(
     trajectories: Trajectory | Sequence[Trajectory],
-    model: str | Preset = "M3",
+    model: str | Rung = "M3",
     *,
     vehicle: Vehicle | None = None,
     initial: Parameters | None = None,
@@ -321,7 +321,7 @@ def identifiability(
     if isinstance(trajectories, Trajectory):
         trajectories = [trajectories]
     vehicle = vehicle or default_vehicle()
-    rung = preset(model) if isinstance(model, str) else model
+    rung = named_rung(model) if isinstance(model, str) else model
     encoder = PaperEncoder(length=_PAST)
     continuous = learns_delay(delay, rung, LevenbergMarquardt(), trajectories)
     loss = replace(
@@ -336,7 +336,7 @@ def identifiability(
 def _start(
     trajectories: Sequence[Trajectory],
     vehicle: Vehicle,
-    rung: Preset,
+    rung: Rung,
     initial: Parameters | None,
     degree: int | None,
     continuous: bool,

@@ -18,7 +18,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Method
 from airpuck.model.model_file import Model
-from airpuck.model.rungs import Preset
+from airpuck.model.rungs import Rung
 
 #: Whether to learn the delay.
 DelayChoice = Literal["fit", "fixed"]
@@ -27,7 +27,7 @@ _FAR_SAMPLES = 3.0
 
 
 def learns_delay(
-    choice: DelayChoice | None, rung: Preset, method: Method, trajectories: Sequence[Trajectory]
+    choice: DelayChoice | None, rung: Rung, method: Method, trajectories: Sequence[Trajectory]
 ) -> bool:
     """Say whether a fit learns the transport delay."""
     can = isinstance(method, LevenbergMarquardt)

@@ -1,4 +1,4 @@
 """The physics: pure functions of state, input and parameters.
 
-Entry points: `model_file.published_model`, `rungs.preset`, `uncertainty.Uncertainty`.
+Entry points: `model_file.published_model`, `rungs.named_rung`, `uncertainty.Uncertainty`.
 """

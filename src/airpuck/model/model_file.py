@@ -21,7 +21,7 @@ from airpuck.boundary.files import Section, checked, read_toml, write_toml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.parameters_section import ParametersSection
-from airpuck.model.rungs import PRESETS
+from airpuck.model.rungs import RUNGS
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.model.uncertainty_section import DelayJitter, UncertaintySection, uncertainty_content
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
@@ -365,7 +365,7 @@ def published_model(name: str) -> Model:
         name=name,
         vehicle=vehicle,
         parameters=parameters,
-        free=PRESETS[name].mask(parameters),
+        free=RUNGS[name].mask(parameters),
         frame="world",
         indexing="end",
         source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
@@ -444,7 +444,7 @@ def _read_params_json(path: Path) -> Model:
         "configuration_matrix": switches.learn_configuration_matrix,
     }
     mask = parameters.mask(frozenset(name for name, learned in free.items() if learned))
-    rung = (n for n, p in PRESETS.items() if np.array_equal(p.mask(parameters), mask))
+    rung = (n for n, p in RUNGS.items() if np.array_equal(p.mask(parameters), mask))
     return Model(
         name=next(rung, path.parent.name),
         vehicle=vehicle,

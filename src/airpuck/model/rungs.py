@@ -13,7 +13,7 @@ from airpuck.model.parameters import EFFECTS, Parameters, nominal_parameters
 
 
 @dataclass(frozen=True)
-class Preset:
+class Rung:
     """A named choice of free parameters."""
 
     #: ``M0``, ….
@@ -76,34 +76,34 @@ _FIRST_PRINCIPLES = frozenset(
     {"thrust", "inertia", "motor_time_constant", "angle_offset", "center_of_mass"}
 )
 
-PRESETS: dict[str, Preset] = {
-    preset.name: preset
-    for preset in (
-        Preset("M0", "thrust curves only; no motor lag", frozenset({"thrust"}), lag=False),
-        Preset("M1", "and the inertia; no motor lag", frozenset({"thrust", "inertia"}), lag=False),
-        Preset(
+RUNGS: dict[str, Rung] = {
+    rung.name: rung
+    for rung in (
+        Rung("M0", "thrust curves only; no motor lag", frozenset({"thrust"}), lag=False),
+        Rung("M1", "and the inertia; no motor lag", frozenset({"thrust", "inertia"}), lag=False),
+        Rung(
             "M2",
             "thrust curves and motor lag, inertia of a disc",
             frozenset({"thrust", "motor_time_constant"}),
         ),
-        Preset(
+        Rung(
             "M3",
             "full first-principles model",
             _FIRST_PRINCIPLES,
         ),
-        Preset(
+        Rung(
             "M4",
             "thrust curves, motor lag and a free configuration matrix",
             frozenset({"thrust", "motor_time_constant", "configuration_matrix"}),
             direct=True,
         ),
-        Preset(
+        Rung(
             "M5",
             "M3, inflow and pair interaction",
             _FIRST_PRINCIPLES,
             effects=("inflow", "pair_interaction"),
         ),
-        Preset(
+        Rung(
             "quadratic",
             "M3 with the classical thrust κφ²",
             _FIRST_PRINCIPLES,
@@ -123,17 +123,17 @@ TERMS: dict[str, str] = {
 }
 
 
-def preset(name: str) -> Preset:
+def named_rung(name: str) -> Rung:
     """Return a rung by name.
 
     Parameters
     ----------
     name : str
-        A rung in `PRESETS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
+        A rung in `RUNGS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
 
     Returns
     -------
-    Preset
+    Rung
         The rung.
 
     Raises
@@ -142,11 +142,11 @@ def preset(name: str) -> Preset:
         If there is no rung or no term of that name.
     """
     base, *terms = name.split("+")
-    if base not in PRESETS:
+    if base not in RUNGS:
         raise InputError(
-            f"there is no model {base!r}; choose one of {', '.join(PRESETS)}", field="model"
+            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}", field="model"
         )
-    rung = PRESETS[base]
+    rung = RUNGS[base]
     for term in terms:
         if term not in TERMS:
             raise InputError(

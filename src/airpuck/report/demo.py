@@ -9,7 +9,7 @@ from pathlib import Path
 
 from airpuck.boundary.errors import InputError
 from airpuck.model.model_file import published_model
-from airpuck.model.rungs import PRESETS
+from airpuck.model.rungs import RUNGS
 
 #: Excitation experiments: seeds of the one to learn from and the one to validate on.
 _SEEDS = {"training": 1, "validation": 2}
@@ -57,7 +57,7 @@ def demo(
     for name in ("M0", "M1", "M2", "M3", "M4"):
         fits.append(identify(trajectories["training"], name))
         fits[-1].model.save(out / "models" / f"{name}.toml")
-        progress(f"identified {name} ({PRESETS[name].summary}) in {fits[-1].wall_s:.1f} s")
+        progress(f"identified {name} ({RUNGS[name].summary}) in {fits[-1].wall_s:.1f} s")
     evaluations = compare([fit.model for fit in fits], trajectories["validation"])
     for evaluation in evaluations:
         x, y, yaw = evaluation.rmse

@@ -97,7 +97,7 @@ def learning_section(study: Study) -> Section:
         "The models, and how they are learned",
         (
             Table(
-                "Table 1 of the paper: free and fixed parameters, from the presets of the package. "
+                "Table 1 of the paper: free and fixed parameters, from the rungs of the package. "
                 "A dash: not used. Π “from the others”: by first principles.",
                 ["model", "", *headings],
                 [[row.label, row.unit, *(cell.text for cell in row.cells)] for row in rows],

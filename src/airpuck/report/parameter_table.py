@@ -11,7 +11,7 @@ import numpy as np
 from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
 from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
 from airpuck.model.model_file import Model
-from airpuck.model.rungs import preset as preset_of
+from airpuck.model.rungs import named_rung
 
 #: Quantities in the order of the paper's table:models.
 _COLUMNS = (
@@ -52,18 +52,18 @@ def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str
     headings = ["thrust a, b, c [N]", "I [kg m²]", "τ [s]", "α [rad]", "r [m]", "Π"]
     rows = []
     for name, model in zip(names, models, strict=True):
-        preset, cells = preset_of(name), []
+        rung, cells = named_rung(name), []
         for column in _COLUMNS:
-            if column in preset.free:
+            if column in rung.free:
                 cells.append(Cell("free", True))
-            elif preset.direct and column in UNUSED_WHERE_DIRECT:
+            elif rung.direct and column in UNUSED_WHERE_DIRECT:
                 cells.append(Cell("–", False))
             elif column == "configuration_matrix":
                 cells.append(Cell("from the others", False))
             else:
                 value = np.ravel(getattr(model.parameters, column))
                 cells.append(Cell(", ".join(f"{x:.3g}" for x in value), False))
-        rows.append(Row(name, preset.summary, tuple(cells)))
+        rows.append(Row(name, rung.summary, tuple(cells)))
     return headings, rows
 
 
