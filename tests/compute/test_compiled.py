@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from airpuck.compute import compiled
 from airpuck.compute.compiled import for_real_time, program
-from airpuck.model import compiled
 from airpuck.model.model_file import published_model
 from airpuck.physics.rollout import step
 

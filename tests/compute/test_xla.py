@@ -1,7 +1,7 @@
 """Options for XLA."""
 
+from airpuck.compute import xla
 from airpuck.compute.xla import cpu_options, for_batches
-from airpuck.model import xla
 
 
 def test_this_version_knows_them_all():
