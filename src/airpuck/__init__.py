@@ -14,166 +14,116 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-if TYPE_CHECKING:
-    from airpuck.boundary.errors import InputError
-    from airpuck.campaigns.campaign import campaign
-    from airpuck.control.reference import SetPoint, SetPoints, TimedPath
-    from airpuck.control.tracking import TrackingController
-    from airpuck.control.tuning import Tuning, read_tuning
-    from airpuck.craft.vehicle import Vehicle, default_vehicle, read_vehicle
-    from airpuck.data.trajectory import Span, Trajectory, read_trajectory
-    from airpuck.estimate.encoder import PaperEncoder
-    from airpuck.evaluation.drift import Drift, drift
-    from airpuck.evaluation.evaluate import Evaluation, compare, evaluate
-    from airpuck.evaluation.prediction_bands import PredictionBands, prediction_bands
-    from airpuck.evaluation.presentation import Presentation, present
-    from airpuck.evaluation.residuals import ResidualTests, resid
-    from airpuck.experiment_design.design import design
-    from airpuck.faults.find import find_faults
-    from airpuck.faults.layout_check import check_layout
-    from airpuck.flight.preflight import preflight
-    from airpuck.flight.replay import Replay, replay
-    from airpuck.identification.adam import Adam
-    from airpuck.identification.fit import identifiability, identify
-    from airpuck.identification.fit_result import Fit
-    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-    from airpuck.model.model_file import Model, read_model
-    from airpuck.model.parameters import Parameters
-    from airpuck.preprocessing.load import load_trajectory
-    from airpuck.preprocessing.pipeline import preprocess
-    from airpuck.recording.bag_writer import write_bag
-    from airpuck.recording.csv_folder import write_csv
-    from airpuck.recording.dataset import fetch
-    from airpuck.recording.read import read_recording
-    from airpuck.recording.stream import Recording, Stream
-    from airpuck.report.animation import animate
-    from airpuck.report.reproduce import reproduce
-    from airpuck.twin.experiments import excite, track
-    from airpuck.twin.fleet import fly_fleet
-    from airpuck.twin.settings import TwinSettings, read_twin_settings
-    from airpuck.twin.tracking_study import tracking_study
-    from airpuck.twin.twin import Twin
+if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
+    # isort: off
+    from airpuck.boundary.errors import InputError as InputError
+    from airpuck.campaigns.campaign import campaign as campaign
+    from airpuck.control.reference import (
+        SetPoint as SetPoint,
+        SetPoints as SetPoints,
+        TimedPath as TimedPath,
+    )
+    from airpuck.control.tracking import TrackingController as TrackingController
+    from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
+    from airpuck.craft.vehicle import (
+        Vehicle as Vehicle,
+        default_vehicle as default_vehicle,
+        read_vehicle as read_vehicle,
+    )
+    from airpuck.data.trajectory import (
+        Span as Span,
+        Trajectory as Trajectory,
+        read_trajectory as read_trajectory,
+    )
+    from airpuck.estimate.encoder import PaperEncoder as PaperEncoder
+    from airpuck.evaluation.drift import Drift as Drift, drift as drift
+    from airpuck.evaluation.evaluate import (
+        Evaluation as Evaluation,
+        compare as compare,
+        evaluate as evaluate,
+    )
+    from airpuck.evaluation.prediction_bands import (
+        PredictionBands as PredictionBands,
+        prediction_bands as prediction_bands,
+    )
+    from airpuck.evaluation.presentation import Presentation as Presentation, present as present
+    from airpuck.evaluation.residuals import ResidualTests as ResidualTests, resid as resid
+    from airpuck.experiment_design.design import design as design
+    from airpuck.faults.find import find_faults as find_faults
+    from airpuck.faults.layout_check import check_layout as check_layout
+    from airpuck.flight.preflight import preflight as preflight
+    from airpuck.flight.replay import Replay as Replay, replay as replay
+    from airpuck.identification.adam import Adam as Adam
+    from airpuck.identification.fit import identifiability as identifiability, identify as identify
+    from airpuck.identification.fit_result import Fit as Fit
+    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+    from airpuck.model.model_file import Model as Model, read_model as read_model
+    from airpuck.model.parameters import Parameters as Parameters
+    from airpuck.preprocessing.load import load_trajectory as load_trajectory
+    from airpuck.preprocessing.pipeline import preprocess as preprocess
+    from airpuck.recording.bag_writer import write_bag as write_bag
+    from airpuck.recording.csv_folder import write_csv as write_csv
+    from airpuck.recording.dataset import fetch as fetch
+    from airpuck.recording.read import read_recording as read_recording
+    from airpuck.recording.stream import Recording as Recording, Stream as Stream
+    from airpuck.report.animation import animate as animate
+    from airpuck.report.reproduce import reproduce as reproduce
+    from airpuck.twin.experiments import excite as excite, track as track
+    from airpuck.twin.fleet import fly_fleet as fly_fleet
+    from airpuck.twin.settings import (
+        TwinSettings as TwinSettings,
+        read_twin_settings as read_twin_settings,
+    )
+    from airpuck.twin.tracking_study import tracking_study as tracking_study
+    from airpuck.twin.twin import Twin as Twin
+    # isort: on
 
-#: Public name -> the module that defines it.
-_HOME = {
-    "Adam": "airpuck.identification.adam",
-    "Drift": "airpuck.evaluation.drift",
-    "Evaluation": "airpuck.evaluation.evaluate",
-    "Fit": "airpuck.identification.fit_result",
-    "InputError": "airpuck.boundary.errors",
-    "LevenbergMarquardt": "airpuck.identification.levenberg_marquardt",
-    "Model": "airpuck.model.model_file",
-    "PaperEncoder": "airpuck.estimate.encoder",
-    "Parameters": "airpuck.model.parameters",
-    "PredictionBands": "airpuck.evaluation.prediction_bands",
-    "Presentation": "airpuck.evaluation.presentation",
-    "Recording": "airpuck.recording.stream",
-    "Replay": "airpuck.flight.replay",
-    "ResidualTests": "airpuck.evaluation.residuals",
-    "SetPoint": "airpuck.control.reference",
-    "SetPoints": "airpuck.control.reference",
-    "Span": "airpuck.data.trajectory",
-    "Stream": "airpuck.recording.stream",
-    "TimedPath": "airpuck.control.reference",
-    "TrackingController": "airpuck.control.tracking",
-    "Trajectory": "airpuck.data.trajectory",
-    "Tuning": "airpuck.control.tuning",
-    "Twin": "airpuck.twin.twin",
-    "TwinSettings": "airpuck.twin.settings",
-    "Vehicle": "airpuck.craft.vehicle",
-    "animate": "airpuck.report.animation",
-    "campaign": "airpuck.campaigns.campaign",
-    "check_layout": "airpuck.faults.layout_check",
-    "compare": "airpuck.evaluation.evaluate",
-    "default_vehicle": "airpuck.craft.vehicle",
-    "design": "airpuck.experiment_design.design",
-    "drift": "airpuck.evaluation.drift",
-    "evaluate": "airpuck.evaluation.evaluate",
-    "excite": "airpuck.twin.experiments",
-    "fetch": "airpuck.recording.dataset",
-    "find_faults": "airpuck.faults.find",
-    "fly_fleet": "airpuck.twin.fleet",
-    "identifiability": "airpuck.identification.fit",
-    "identify": "airpuck.identification.fit",
-    "load_trajectory": "airpuck.preprocessing.load",
-    "prediction_bands": "airpuck.evaluation.prediction_bands",
-    "preflight": "airpuck.flight.preflight",
-    "present": "airpuck.evaluation.presentation",
-    "preprocess": "airpuck.preprocessing.pipeline",
-    "read_model": "airpuck.model.model_file",
-    "read_recording": "airpuck.recording.read",
-    "read_trajectory": "airpuck.data.trajectory",
-    "read_tuning": "airpuck.control.tuning",
-    "read_twin_settings": "airpuck.twin.settings",
-    "read_vehicle": "airpuck.craft.vehicle",
-    "replay": "airpuck.flight.replay",
-    "reproduce": "airpuck.report.reproduce",
-    "resid": "airpuck.evaluation.residuals",
-    "track": "airpuck.twin.experiments",
-    "tracking_study": "airpuck.twin.tracking_study",
-    "write_bag": "airpuck.recording.bag_writer",
-    "write_csv": "airpuck.recording.csv_folder",
+#: Module -> the public names that it defines, as above.
+_NAMES = {
+    "boundary.errors": "InputError",
+    "campaigns.campaign": "campaign",
+    "control.reference": "SetPoint SetPoints TimedPath",
+    "control.tracking": "TrackingController",
+    "control.tuning": "Tuning read_tuning",
+    "craft.vehicle": "Vehicle default_vehicle read_vehicle",
+    "data.trajectory": "Span Trajectory read_trajectory",
+    "estimate.encoder": "PaperEncoder",
+    "evaluation.drift": "Drift drift",
+    "evaluation.evaluate": "Evaluation compare evaluate",
+    "evaluation.prediction_bands": "PredictionBands prediction_bands",
+    "evaluation.presentation": "Presentation present",
+    "evaluation.residuals": "ResidualTests resid",
+    "experiment_design.design": "design",
+    "faults.find": "find_faults",
+    "faults.layout_check": "check_layout",
+    "flight.preflight": "preflight",
+    "flight.replay": "Replay replay",
+    "identification.adam": "Adam",
+    "identification.fit": "identifiability identify",
+    "identification.fit_result": "Fit",
+    "identification.levenberg_marquardt": "LevenbergMarquardt",
+    "model.model_file": "Model read_model",
+    "model.parameters": "Parameters",
+    "preprocessing.load": "load_trajectory",
+    "preprocessing.pipeline": "preprocess",
+    "recording.bag_writer": "write_bag",
+    "recording.csv_folder": "write_csv",
+    "recording.dataset": "fetch",
+    "recording.read": "read_recording",
+    "recording.stream": "Recording Stream",
+    "report.animation": "animate",
+    "report.reproduce": "reproduce",
+    "twin.experiments": "excite track",
+    "twin.fleet": "fly_fleet",
+    "twin.settings": "TwinSettings read_twin_settings",
+    "twin.tracking_study": "tracking_study",
+    "twin.twin": "Twin",
 }
+#: Public name -> its module.
+_HOME = {name: f"airpuck.{module}" for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = [
-    "Adam",
-    "Drift",
-    "Evaluation",
-    "Fit",
-    "InputError",
-    "LevenbergMarquardt",
-    "Model",
-    "PaperEncoder",
-    "Parameters",
-    "PredictionBands",
-    "Presentation",
-    "Recording",
-    "Replay",
-    "ResidualTests",
-    "SetPoint",
-    "SetPoints",
-    "Span",
-    "Stream",
-    "TimedPath",
-    "TrackingController",
-    "Trajectory",
-    "Tuning",
-    "Twin",
-    "TwinSettings",
-    "Vehicle",
-    "animate",
-    "campaign",
-    "check_layout",
-    "compare",
-    "default_vehicle",
-    "design",
-    "drift",
-    "evaluate",
-    "excite",
-    "fetch",
-    "find_faults",
-    "fly_fleet",
-    "identifiability",
-    "identify",
-    "load_trajectory",
-    "prediction_bands",
-    "preflight",
-    "preprocess",
-    "present",
-    "read_model",
-    "read_recording",
-    "read_trajectory",
-    "read_tuning",
-    "read_twin_settings",
-    "read_vehicle",
-    "replay",
-    "reproduce",
-    "resid",
-    "track",
-    "tracking_study",
-    "write_bag",
-    "write_csv",
-]
+if not TYPE_CHECKING:  # it reads the imports above
+    __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
@@ -185,4 +135,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """List the public names."""
-    return __all__
+    return sorted(_HOME)
