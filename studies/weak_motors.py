@@ -19,6 +19,7 @@ from airpuck.control.reference import SetPoints
 from airpuck.control.tuning import ESTIMATORS, default_tuning
 from airpuck.flight.track import Track
 from airpuck.model.model_file import published_model
+from airpuck.physics.angle import pose_difference
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import Motors, Stall, TwinSettings, Weakness, default_twin_settings
 from airpuck.twin.twin import build_plant
@@ -61,8 +62,7 @@ def flown(fault: str, estimator: str, seed: int) -> list[float]:
     )
     flight = Track.of(recording, model.vehicle, "")
     wanted = np.array([set_points.at(float(t), 0.0).state[:3] for t in flight.time])
-    error = flight.pose - wanted
-    error[:, 2] -= 2 * np.pi * np.round(error[:, 2] / (2 * np.pi))
+    error = pose_difference(np, flight.pose.T, wanted.T).T
     settled = (flight.time > FAULT) & (flight.time % DWELL > SETTLED)
     return (np.sqrt(np.mean(error[settled] ** 2, axis=0)) * [1e3, 1e3, 1]).tolist()
 

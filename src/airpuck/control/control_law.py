@@ -9,12 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from airpuck.control.allocation import problem
 from airpuck.control.discretization import motor_lag, point_mass
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import Dynamics, acceleration_map
 from airpuck.physics.thrust import inverse_thrust, thrust
 
 #: Where the effectiveness that the allocation reckons with is kept: a motor that seems dead is
@@ -41,7 +40,6 @@ def control_law(
     """Write the control law for a craft."""
     dynamics, vehicle, n = model.dynamics, model.vehicle, model.vehicle.n_propellers
     arm, least, most = model.radius_of_gyration, vehicle.command_min, vehicle.command_max
-    a, b = point_mass(period)
     lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
     rejected = 1.0 if reject_disturbance else 0.0
 
@@ -55,19 +53,13 @@ def control_law(
         feedforward: Any,
         gain: Any,
     ) -> tuple[Any, ...]:
-        # What the motors do in the coming period is settled; go on to the next one.
         # A thrust that is believed weaker than it is counts the less, none is divided by.
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
-        matrix, offset = acceleration_map(xp, dynamics, state[2], state[5])
-        matrix = matrix * effectiveness
-        settled = matrix @ thrust(dynamics.thrust, speed) + offset + disturbance
-        following = a @ state + b @ settled
-        error = following - target
-        turn = (error[2] + np.pi) % (2 * np.pi) - np.pi
-        error = xp.concatenate([error[:2], turn[None], error[3:]])
+        following, matrix, offset = look_ahead(
+            xp, dynamics, period, state, speed, disturbance, effectiveness
+        )
+        error = pose_difference(xp, following, target)
         request = feedforward - gain @ error - rejected * disturbance
-        matrix, offset = acceleration_map(xp, dynamics, following[2], following[5])
-        matrix = matrix * effectiveness
         coasting = lag * speed
         low = thrust(dynamics.thrust, coasting + drive * least)
         high = thrust(dynamics.thrust, coasting + drive * most)
@@ -81,3 +73,24 @@ def control_law(
         return (xp.clip((speed - coasting) / drive, least, most),)
 
     return ControlLaw(plan, command)
+
+
+def look_ahead(
+    xp: Any,
+    dynamics: Dynamics,
+    period: float,
+    state: Any,
+    speed: Any,
+    disturbance: Any,
+    effectiveness: Any,
+) -> tuple[Any, Any, Any]:
+    """Return the state one period on, and the map M F + g from thrusts to accelerations there.
+
+    What the motors do until then is settled: they turn as they do now.
+    """
+    a, b = point_mass(period)
+    matrix, offset = acceleration_map(xp, dynamics, state[2], state[5])
+    settled = matrix * effectiveness @ thrust(dynamics.thrust, speed) + offset + disturbance
+    following = a @ state + b @ settled
+    matrix, offset = acceleration_map(xp, dynamics, following[2], following[5])
+    return following, matrix * effectiveness, offset

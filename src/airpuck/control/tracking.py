@@ -22,6 +22,7 @@ from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import Estimate, Estimator
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.thrust import InverseThrust
 
 #: What callers may give for an array of one dimension.
@@ -399,9 +400,7 @@ def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
     """Say whether two poses cannot be neighbours."""
-    x, y, yaw = (pose - other).tolist()
-    turn = (yaw + math.pi) % (2 * math.pi) - math.pi
-    return abs(x) > _JUMP[0] or abs(y) > _JUMP[1] or abs(turn) > _JUMP[2]
+    return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())
 
 
 def _estimator(model: Model, estimation: Estimation, compiled: bool) -> Estimator:

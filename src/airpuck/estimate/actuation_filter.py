@@ -21,7 +21,6 @@ from airpuck.estimate.axis_filter import (
     INITIAL_VELOCITY,
     Noise,
     propagate,
-    wrapped,
 )
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
 from airpuck.estimate.kalman import turned
@@ -45,6 +44,7 @@ from airpuck.estimate.recursive_filter import (
     RecursiveFilter,
 )
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
 
 
 class ActuationFilter(RecursiveFilter):
@@ -92,7 +92,7 @@ class ActuationFilter(RecursiveFilter):
             *moving, pose = given
             *belief, speed = move(xp, means, covariances, weights, *moving)
             expected = xp.sum(belief[2][:, None] * belief[0], axis=0)[POSITION]
-            innovation = wrapped(xp, pose - expected)
+            innovation = pose_difference(xp, pose, expected)
             belief = measure(xp, states, tuple(belief), rows, innovation, variances)
             return *belief, speed, innovation
 

@@ -29,13 +29,6 @@ class Noise:
 #: Standard deviation of velocity and disturbance at the first pose, in each axis.
 INITIAL_VELOCITY = np.array([0.5, 0.5, 5.0])
 INITIAL_DISTURBANCE = np.array([0.1, 0.1, 3.0])
-#: One turn of each axis, and its inverse: only the yaw goes round.
-_TURN, _PER_TURN = np.array([0.0, 0.0, 2 * np.pi]), np.array([0.0, 0.0, 0.5 / np.pi])
-
-
-def wrapped(xp: Any, difference: Any) -> Any:
-    """Take whole turns off a difference of poses."""
-    return difference - _TURN * xp.round(difference * _PER_TURN)
 
 
 def propagate(

@@ -24,7 +24,6 @@ from airpuck.estimate.axis_filter import (
     correct,
     propagate,
     spread,
-    wrapped,
 )
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.recursive_filter import (
@@ -35,6 +34,7 @@ from airpuck.estimate.recursive_filter import (
     RecursiveFilter,
 )
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import acceleration
 
 
@@ -69,7 +69,7 @@ class KalmanFilter(RecursiveFilter):
         def measure(xp: Any, mean: Any, covariance: Any, speed: Any, *given: Any) -> Any:
             *pieces, pose = given
             mean, covariance, speed = advance(xp, mean, covariance, speed, *pieces)
-            innovation = wrapped(xp, pose - mean[:, 0])
+            innovation = pose_difference(xp, pose, mean[:, 0])
             mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
             return mean, covariance, speed, innovation
 

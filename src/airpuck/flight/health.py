@@ -17,6 +17,7 @@ from airpuck.craft.table import Table
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.flight.deviations import Deviations, Judged, deviations
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import Dynamics, acceleration_map
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import thrust
@@ -225,8 +226,7 @@ class HealthMonitor:
         """Compare a prediction with the state at its end."""
         predicted = self._predicted(self._dynamics, begun, end)
         late = self._predicted(self._nominal, begun, end, _DELAY_STEP)
-        error = state - predicted[:, 0]
-        error[2] -= 2 * np.pi * np.round(error[2] / (2 * np.pi))
+        error = pose_difference(np, state, predicted[:, 0])
         by_motor = (predicted[:, 1:] - predicted[:, :1]) / _LOSS_STEP
         by_delay = (late - predicted[:, :1]) / _DELAY_STEP
         slopes = np.hstack([by_motor, by_delay])

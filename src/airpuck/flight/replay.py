@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.control_law import look_ahead
+from airpuck.control.discretization import motor_lag
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import Target
 from airpuck.control.tracking import Status, TrackingController
@@ -17,7 +19,7 @@ from airpuck.craft.vehicle import match_columns
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.clock import align_clocks, seconds
 from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
@@ -318,22 +320,18 @@ def _regression(
     v_{k+1} = -K (x_{k+1} - reference) is linear in the gains, and v_{k+1} follows from the motor
     speeds after the recorded command.
     """
-    from airpuck.control.discretization import motor_lag, point_mass
-
     dynamics, period = controller.model.dynamics, controller.tuning.period_s
-    a, b = point_mass(period)
     lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
     rows = []
     for k in np.flatnonzero(used):
         estimate, target = estimates[k], targets[k]
         assert estimate is not None
-        state, speed = estimate.state, estimate.motor_speed
-        matrix, offset = acceleration_map(np, dynamics, state[2], state[5])
-        following = a @ state + b @ (matrix @ thrust(dynamics.thrust, speed) + offset)
-        error = following - target.state
-        error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
-        matrix, offset = acceleration_map(np, dynamics, following[2], following[5])
+        speed = estimate.motor_speed
+        following, matrix, offset = look_ahead(
+            np, dynamics, period, estimate.state, speed, np.zeros(3), np.ones(len(speed))
+        )
         given = matrix @ thrust(dynamics.thrust, lag * speed + drive * sent[k]) + offset
+        error = pose_difference(np, following, target.state)
         rows.append(np.concatenate([error, given]))
     x, y, yaw, vx, vy, spin, ax, ay, turn = np.array(rows).T
     linear = np.stack([np.append(x, y), np.append(vx, vy)], axis=1), -np.append(ax, ay)

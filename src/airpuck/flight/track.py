@@ -11,6 +11,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
 from airpuck.craft.vehicle import Vehicle, match_columns
+from airpuck.physics.angle import pose_difference, wrapped
 from airpuck.preprocessing.clock import align_clocks, seconds
 from airpuck.preprocessing.derivative import unwrap_yaw
 from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
@@ -111,8 +112,7 @@ class Track:
         """
         times, poses = self.set_points.times, self.set_points.poses
         begin = min(int(self.time.searchsorted(times[0])), len(self.time) - 1)
-        away = self.pose[begin] - poses[0]
-        away[2] -= 2 * np.pi * np.round(away[2] / (2 * np.pi))
+        away = pose_difference(np, self.pose[begin], poses[0])
         if (np.abs(away) > TOLERANCE).any():
             return 0
         return int((poses != poses[0]).any(axis=1).argmax())
@@ -152,7 +152,7 @@ class Track:
         """Measure one set point."""
         time, error = self.time[inside], self.pose[inside] - pose
         # The nearest of the yaws that are the same orientation, where the dwell ends.
-        error[:, 2] -= 2 * np.pi * np.round(error[-1, 2] / (2 * np.pi))
+        error[:, 2] += wrapped(np, error[-1, 2]) - error[-1, 2]
         outside = np.flatnonzero((np.abs(error) > TOLERANCE).any(axis=1))
         if len(outside) == 0:
             settled = 0.0
@@ -184,12 +184,8 @@ class Track:
         inside = (self.time >= max(begin, other.time[0])) & (self.time <= stop)
         if not inside.any():
             raise InputError(f"{self.label} and {other.label} have no time in common")
-        apart = [
-            np.interp(self.time[inside], other.time, other.pose[:, i]) - self.pose[inside, i]
-            for i in range(3)
-        ]
-        apart[2] = (apart[2] + np.pi) % (2 * np.pi) - np.pi
-        return np.stack(apart, axis=1)
+        theirs = [np.interp(self.time[inside], other.time, values) for values in other.pose.T]
+        return pose_difference(np, np.array(theirs), self.pose[inside].T).T
 
 
 def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:

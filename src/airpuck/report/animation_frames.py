@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle, match_columns
+from airpuck.physics.angle import wrapped
 from airpuck.preprocessing.clock import Aligned, align_clocks
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
@@ -256,14 +257,10 @@ def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
     share = np.where(known, share, 0.0)[:, None]
     pose = (1 - share) * scene.pose[before] + share * scene.pose[after]
     reference = _held(scene.reference_time, scene.reference, time, np.inf)
-    reference[:, 2] = nearest_turn(reference[:, 2], pose[:, 2])
+    # In the turn that is nearest to the craft.
+    reference[:, 2] = pose[:, 2] - wrapped(np, pose[:, 2] - reference[:, 2])
     command = _held(scene.command_time, scene.command, time, scene.command_pause)
     return Frames(time, pose, known, command, reference)
-
-
-def nearest_turn(angle: Float[np.ndarray, " F"], to: Float[np.ndarray, " F"]) -> np.ndarray:
-    """Return angles moved by whole turns until they are nearest to others."""
-    return angle + 2 * np.pi * np.round((to - angle) / (2 * np.pi))
 
 
 def _held(

@@ -14,6 +14,7 @@ from matplotlib.patches import Arc, Circle, FancyArrowPatch, Rectangle
 
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+from airpuck.physics.angle import wrapped
 from airpuck.report.style import (
     BLACK,
     GREY,
@@ -146,7 +147,7 @@ def _half_angles(vehicle: Vehicle) -> Float[np.ndarray, " pairs"]:
     angles = np.arctan2(vehicle.positions[:, 1], vehicle.positions[:, 0])
     pairs = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2)
     apart = angles[pairs[:, 1]] - angles[pairs[:, 0]]
-    return np.abs((apart + np.pi) % (2 * np.pi) - np.pi) / 2
+    return np.abs(wrapped(np, apart)) / 2
 
 
 def _closest(positions: Float[np.ndarray, "n 2"]) -> float:

@@ -9,6 +9,7 @@ from matplotlib.patches import Patch
 
 from airpuck.control.discretization import rotation_error
 from airpuck.flight.replay import Replay
+from airpuck.physics.angle import wrapped
 from airpuck.report.style import (
     BLACK,
     BLUE,
@@ -72,8 +73,8 @@ def flight_figure(replay: Replay) -> Figure:
     known = np.isfinite(pose[:, 2])
     pose[known, 2] = np.unwrap(pose[known, 2])
     asked = replay.reference.copy()
-    turns = np.round((pose[:, 2] - asked[:, 2]) / (2 * np.pi))
-    asked[:, 2] += 2 * np.pi * np.where(known, turns, 0)
+    near = pose[:, 2] - wrapped(np, pose[:, 2] - asked[:, 2])
+    asked[:, 2] = np.where(known, near, asked[:, 2])
     for i, (axes, (name, unit)) in enumerate(zip(panels, _POSE, strict=True)):
         axes.plot(replay.time, asked[:, i], color=BLACK, linewidth=1.0, linestyle="--")
         axes.plot(replay.time, pose[:, i], color=BLUE)

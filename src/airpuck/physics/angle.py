@@ -1,0 +1,19 @@
+"""Differences of angles and poses: whole turns do not count."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def wrapped(xp: Any, angle: Any) -> Any:
+    """Move angles by whole turns to between -π and π."""
+    return angle - 2 * np.pi * xp.round(angle * (0.5 / np.pi))
+
+
+def pose_difference(xp: Any, pose: Any, other: Any) -> Any:
+    """Subtract a pose x, y, γ, or a state that begins with one, from another; wrap its yaw."""
+    difference = pose - other
+    turn = wrapped(xp, difference[2:3])
+    return xp.concatenate([difference[:2], turn, difference[3:]])
