@@ -3,7 +3,7 @@
     python studies/next_flight.py --flights 20 --duration 60
 
 Proposes an excitation for the published M3, as if nothing were known, flies it and the usual one on
-the twin with seeds that no rehearsal had, identifies each flight by itself, and compares the errors
+the twin with seeds that no trial had, identifies each flight by itself, and compares the errors
 that the fits state with the predicted ones and with what is really missed.
 """
 
@@ -15,23 +15,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.experiment_design.check import Obtained, check_design
 from airpuck.experiment_design.design import design
+from airpuck.experiment_design.trials import CheckedFlights, check_design
 from airpuck.model.model_file import published_model
 from airpuck.report.design_figure import write_design_figure
 
 
-def told(done: int, total: int) -> None:
+def show_progress(done: int, total: int) -> None:
     """Say how far it is."""
     print(f"{done} of {total} flights", file=sys.stderr, flush=True)
 
 
-def report(name: str, one: Obtained, labels: list[str]) -> None:
+def report(name: str, one: CheckedFlights) -> None:
     """Print predicted and obtained errors [%], and root mean square misses in stated errors."""
     ratio = one.typical / one.predicted
     missed = np.sqrt(((one.misses / one.errors) ** 2).mean(axis=0))
     print(f"{name}: predicted %, obtained %, ratio; missed, in stated errors")
-    for k, label in enumerate(labels):
+    for k, label in enumerate(one.labels):
         print(
             f"  {label:20s} {100 * one.predicted[k]:6.2f} {100 * one.typical[k]:6.2f} "
             f"{ratio[k]:5.2f}   {missed[k]:5.2f}"
@@ -58,16 +58,15 @@ def main() -> None:
         duration=options.duration,
         criterion=options.criterion,
         processes=options.processes,
-        progress=told,
+        progress=show_progress,
     )
     print("usual:", found.usual.plan)
     print("proposal:", found.proposal.plan)
     usual, proposal = check_design(
-        found, options.flights, processes=options.processes, progress=told
+        found, options.flights, processes=options.processes, progress=show_progress
     )
-    labels = [one.label for one in found.wanted]
-    report("usual", usual, labels)
-    report("proposal", proposal, labels)
+    report("usual", usual)
+    report("proposal", proposal)
     if options.figure is not None:
         write_design_figure(found, proposal, options.figure)
 

@@ -1,4 +1,4 @@
-"""Proposals of what to fly next: the search over made-up rehearsals, and a real one checked."""
+"""Proposals of what to fly next: the search over made-up trials, and real ones."""
 
 import json
 from dataclasses import replace
@@ -11,12 +11,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.designing import _print_errors, summary
 from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
-from airpuck.experiment_design.check import Obtained, check_design
-from airpuck.experiment_design.design import Design, design
-from airpuck.experiment_design.expected_errors import Forecast, Information, joined
-from airpuck.experiment_design.quantities_of_interest import relative_errors
-from airpuck.experiment_design.rehearsal import Crew, Rehearsal, Stage, World
-from airpuck.experiment_design.worth import Candidate
+from airpuck.experiment_design.design import Candidate, Design, design
+from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
+from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial
 from airpuck.model.model_file import published_model
 from airpuck.report.design_figure import design_figure
 
@@ -29,7 +26,11 @@ MODEL = replace(
 SIZE = len(MODEL.free)
 
 
-def told(gain):
+#: What the search calls for each flight.
+FLY = "airpuck.experiment_design.design.fly_trial"
+
+
+def information(gain):
     """Information of each second: every parameter as well known as its size and the gain say."""
     unit = gain / np.maximum(np.abs(MODEL.parameters.to_vector()), 1e-3)
     spread = np.random.default_rng(0).normal(size=(SIZE, 100)) * unit[:, None]
@@ -38,32 +39,31 @@ def told(gain):
 
 
 def made_up(best=0.4, near=0.45, wall=0.02):
-    """Rehearsals in which one hold time teaches most, and long ones come near to a rail."""
+    """Trials in which one hold time teaches most, and long ones come near to a rail."""
 
-    def fly(_crew, _act, tasks):
-        for plan, seed in tasks:
-            weakest = min(np.ravel(plan.amplitude))
-            gain = weakest * np.exp(-(np.log(plan.hold_s / best) ** 2)) * (1 - 0.1 * plan.margin_m)
-            clearance = wall if plan.hold_s > near else 0.2
-            yield Rehearsal(plan, seed, clearance, 0.0, told(gain) if clearance else None)
+    def fly(_model, _settings, _tuning, plan, _seed):
+        weakest = min(np.ravel(plan.amplitude))
+        gain = weakest * np.exp(-(np.log(plan.hold_s / best) ** 2)) * (1 - 0.1 * plan.margin_m)
+        clearance = wall if plan.hold_s > near else 0.2
+        return Trial(clearance, information(gain) if clearance else None)
 
     return fly
 
 
 @pytest.fixture
-def rehearsed(monkeypatch):
-    """Let rehearsals be made up."""
+def trials(monkeypatch):
+    """Let trials be made up."""
 
-    def as_told(**values):
-        monkeypatch.setattr(Crew, "fly", made_up(**values))
+    def as_given(**values):
+        monkeypatch.setattr(FLY, made_up(**values))
 
-    return as_told
+    return as_given
 
 
 @pytest.fixture(scope="module")
 def found():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Crew, "fly", made_up())
+        patch.setattr(FLY, made_up())
         return design(MODEL, processes=1)
 
 
@@ -78,20 +78,20 @@ def test_the_best_of_all_combinations_is_found(found):
     assert scores == sorted(scores)
 
 
-def test_the_delay_is_judged_where_the_next_fit_learns_it(rehearsed):
-    rehearsed()
+def test_the_delay_counts_where_the_next_fit_learns_it(trials):
+    trials()
     for name, learned in (("M1", False), ("M3", True)):
         found = design(published_model(name), processes=1)
         assert found.model.delay_learned == learned
 
 
-def test_hold_times_between_those_of_the_grid_are_found(rehearsed):
-    rehearsed(best=0.32)
+def test_hold_times_between_those_of_the_grid_are_found(trials):
+    trials(best=0.32)
     assert design(MODEL, processes=1).proposal.plan.hold_s == pytest.approx(0.32)
 
 
-def test_what_comes_near_to_a_rail_is_not_proposed(rehearsed):
-    rehearsed(best=0.6, near=0.3)
+def test_what_comes_near_to_a_rail_is_not_proposed(trials):
+    trials(best=0.6, near=0.3)
     found = design(MODEL, processes=1)
     assert found.proposal.plan.hold_s <= 0.3
     refused = [one for one in found.candidates if one.plan.hold_s > 0.3]
@@ -100,14 +100,12 @@ def test_what_comes_near_to_a_rail_is_not_proposed(rehearsed):
 
 
 def test_a_rail_that_is_met_at_full_length_only_passes_the_turn_on(monkeypatch):
-    short = made_up()
+    def fly(*given):
+        plan = given[3]
+        met = plan.duration_s == 60.0 and plan.hold_s > 0.3
+        return Trial(0.0, None) if met else made_up()(*given)
 
-    def fly(crew, act, tasks):
-        for one in short(crew, act, tasks):
-            met = one.plan.duration_s == 60.0 and one.plan.hold_s > 0.3
-            yield replace(one, clearance=0.0, information=None) if met else one
-
-    monkeypatch.setattr(Crew, "fly", fly)
+    monkeypatch.setattr(FLY, fly)
     found = design(MODEL, processes=1)
     assert 0.2 < found.proposal.plan.hold_s <= 0.3
     met = next(one for one in found.candidates if one.plan.hold_s == 0.4 and one.refused)
@@ -115,114 +113,103 @@ def test_a_rail_that_is_met_at_full_length_only_passes_the_turn_on(monkeypatch):
 
 
 def test_the_usual_excitation_is_proposed_where_no_other_keeps_away(monkeypatch):
-    inner = made_up()
+    def fly(*given):
+        one, usual = made_up()(*given), given[3] == ExcitationPlan(duration_s=given[3].duration_s)
+        return one if usual else one._replace(clearance=0.02)
 
-    def fly(crew, act, tasks):
-        for one in inner(crew, act, tasks):
-            usual = one.plan == ExcitationPlan(duration_s=one.plan.duration_s)
-            yield one if usual else replace(one, clearance=0.02)
-
-    monkeypatch.setattr(Crew, "fly", fly)
+    monkeypatch.setattr(FLY, fly)
     found = design(MODEL, processes=1)
     assert found.proposal.plan == found.usual.plan
     assert not found.proposal.refused
 
 
 @pytest.mark.parametrize("wall", [0.02, 0.0])
-def test_where_nothing_keeps_away_nothing_is_proposed(rehearsed, wall):
-    rehearsed(near=0.0, wall=wall)
+def test_where_nothing_keeps_away_nothing_is_proposed(trials, wall):
+    trials(near=0.0, wall=wall)
     with pytest.raises(InputError) as caught:
         design(MODEL, processes=1)
     assert caught.value.field in ("margin", "table")
 
 
-def test_what_is_known_stands_beside_and_counts(rehearsed, found):
-    rehearsed()
-    known = Forecast(MODEL, [told(1.0)]).of(told(1.0), 60.0)
+def test_what_is_known_stands_beside_and_counts(trials, found):
+    trials()
+    known = Forecast(MODEL, [information(1.0)]).of(information(1.0), 60.0)
     after = design(replace(MODEL, uncertainty=known), processes=1)
-    np.testing.assert_allclose(
-        after.known, relative_errors(replace(MODEL, uncertainty=known), found.wanted)
-    )
-    expected = 1 / np.sqrt(1 / found.proposal.relative**2 + 1 / after.known**2)
+    before = after.relative_before
+    np.testing.assert_allclose(before, found.quantities.relative_errors(known))
+    expected = 1 / np.sqrt(1 / found.proposal.relative**2 + 1 / before**2)
     np.testing.assert_allclose(after.proposal.relative, expected, rtol=1e-6)
-    np.testing.assert_allclose(after.proposal.alone, found.proposal.alone, rtol=1e-6)
+    np.testing.assert_allclose(
+        after.proposal.relative_alone, found.proposal.relative_alone, rtol=1e-6
+    )
 
 
-def test_the_loss_of_the_fit_says_how_large_real_residuals_are(rehearsed, found):
-    rehearsed()
+def test_the_loss_of_the_fit_says_how_large_real_residuals_are(trials, found):
+    trials()
     fitted = replace(MODEL, fit={"loss": 4e-6})
     large = design(fitted, processes=1)
-    assert large.level == pytest.approx(4.0)
+    assert large.residual_level == pytest.approx(4.0)
     np.testing.assert_allclose(large.proposal.relative / found.proposal.relative, 2.0)
     robust = design(replace(MODEL, fit={"loss": 4e-6, "robust": True}), processes=1)
-    assert robust.level == 1.0
+    assert robust.residual_level == 1.0
 
 
 def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monkeypatch):
-    def rehearse(stage, plan, seed, _world):
+    def fly(model, *_):
         # What packets that arrive late leave unexplained where nobody looks for them.
-        information = replace(told(1.0), loss=1e-6 if stage.model.delay_learned else 5e-6)
-        return Rehearsal(plan, seed, 0.2, 0.0, information)
+        loss = 1e-6 if model.delay_learned else 5e-6
+        return Trial(0.2, replace(information(1.0), loss=loss))
 
-    def fly(crew, act, tasks):
-        unused = object.__new__(World)
-        return [act(crew._stage, plan, seed, unused) for plan, seed in tasks]
-
-    monkeypatch.setattr(Stage, "rehearse", rehearse)
-    monkeypatch.setattr(Crew, "fly", fly)
+    monkeypatch.setattr(FLY, fly)
     for model in (PUBLISHED, MODEL):
         found = design(replace(model, fit={"loss": 1e-5}), processes=1)
-        assert found.level == pytest.approx(10.0 if model.delay_learned else 2.0)
+        assert found.residual_level == pytest.approx(10.0 if model.delay_learned else 2.0)
 
 
 def test_flights_prepared_like_the_fit_that_all_met_a_rail_say_nothing_of_its_residuals(
     monkeypatch,
 ):
-    inner = made_up()
+    def fly(model, *given):
+        return made_up()(model, *given) if model.delay_learned else Trial(0.0, None)
 
-    def fly(crew, act, tasks):
-        for one in inner(crew, act, tasks):
-            lost = act is not Stage.rehearse
-            yield replace(one, clearance=0.0, information=None) if lost else one
-
-    monkeypatch.setattr(Crew, "fly", fly)
-    assert design(replace(PUBLISHED, fit={"loss": 1e-5}), processes=1).level == 1.0
+    monkeypatch.setattr(FLY, fly)
+    assert design(replace(PUBLISHED, fit={"loss": 1e-5}), processes=1).residual_level == 1.0
 
 
-def test_a_delay_that_was_fixed_is_not_known(rehearsed):
-    rehearsed()
-    known = Forecast(PUBLISHED, [told(1.0)]).of(told(1.0), 60.0)
+def test_a_delay_that_was_fixed_is_not_known(trials):
+    trials()
+    known = Forecast(PUBLISHED, [information(1.0)]).of(information(1.0), 60.0)
     found = design(replace(PUBLISHED, uncertainty=known), processes=1)
     shown = found.to_json()["known"]
     assert [label for label, error in shown.items() if error is None] == ["d"]
     assert "stays undetermined" not in " ".join(summary(found))
 
 
-def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(rehearsed):
-    rehearsed()
+def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(trials):
+    trials()
     lag = MODEL.parameters.mask(frozenset({"motor_time_constant"}))
     upper = MODEL.parameters.bounds()[1]
     vector = np.where(lag, upper, MODEL.parameters.to_vector())
     held = replace(MODEL, parameters=MODEL.parameters.with_vector(vector))
     found = design(held, processes=1, criterion="mean")
-    labels = [one.label for one in found.wanted]
+    labels = found.quantities.labels
     assert found.proposal.relative[labels.index("τ")] < 1e-12
     others = np.delete(found.proposal.relative, labels.index("τ"))
     assert found.proposal.score == pytest.approx(np.exp(np.log(others).mean()))
     flights = np.full((2, len(labels)), 0.1)
-    checked = Obtained(found.proposal.alone, flights, flights, np.ones(2))
+    checked = CheckedFlights(labels, found.proposal.relative_alone, flights, flights, np.ones(2))
     assert np.isnan(checked.ratio).tolist() == [label == "τ" for label in labels]
     _print_errors(found, checked)
 
 
 def test_no_two_flights_share_their_seed(monkeypatch):
-    seeds, inner = [], made_up()
+    seeds = []
 
-    def fly(crew, act, tasks):
-        seeds.extend(seed for _, seed in tasks)
-        return inner(crew, act, tasks)
+    def fly(*given):
+        seeds.append(given[-1])
+        return made_up()(*given)
 
-    monkeypatch.setattr(Crew, "fly", fly)
+    monkeypatch.setattr(FLY, fly)
     design(MODEL, processes=1, seed=7)
     assert min(seeds) == 7
     assert len(set(seeds)) == len(seeds)
@@ -241,15 +228,16 @@ def test_numbers_out_of_range_are_refused(field, value):
 @pytest.mark.study
 def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     plan = ExcitationPlan(duration_s=8.0)
-    with Crew(found.stage, 1) as crew:
-        *flights, again = crew.fly(Stage.rehearse, [(plan, seed) for seed in (1, 2, 1)])
+    *flights, again = (
+        fly_trial(MODEL, found.settings, found.tuning, plan, seed) for seed in (1, 2, 1)
+    )
     assert again.clearance == flights[0].clearance != flights[1].clearance
     assert 0.05 < again.clearance < 0.48
     both = [one.information for one in flights if one.information is not None]
     assert again.information is not None
     np.testing.assert_array_equal(again.information.hessian, both[0].hessian)
     expected = Forecast(MODEL, both).of(joined(both), 8.0, alone=True)
-    alone = relative_errors(replace(MODEL, uncertainty=expected), found.wanted)
+    alone = ComparedQuantities(MODEL).relative_errors(expected)
     candidate = Candidate(plan, again.clearance, alone, alone, float(alone.max()), "")
     real = replace(found, usual=candidate, proposal=candidate)
     one, other = check_design(real, 1, processes=1)
@@ -262,13 +250,12 @@ def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     shows_every_quantity(real, one)
 
 
-def shows_every_quantity(real: Design, obtained):
-    (axes,) = design_figure(real, obtained).axes
-    labels = [label.get_text() for label in axes.get_yticklabels()]
-    assert labels == [one.label for one in real.wanted]
+def shows_every_quantity(real: Design, checked):
+    (axes,) = design_figure(real, checked).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == real.quantities.labels
     shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
-    np.testing.assert_allclose(shown["proposal, predicted"], 100 * real.proposal.alone)
-    np.testing.assert_allclose(shown["proposal, obtained in 1 flights"], 100 * obtained.errors[0])
+    np.testing.assert_allclose(shown["proposal, predicted"], 100 * real.proposal.relative_alone)
+    np.testing.assert_allclose(shown["proposal, obtained in 1 flights"], 100 * checked.errors[0])
 
 
 def test_the_command_writes_a_plan_that_excite_takes(found, tmp_path, monkeypatch):
@@ -283,8 +270,7 @@ def test_the_command_writes_a_plan_that_excite_takes(found, tmp_path, monkeypatc
     for sentence in summary(found):
         assert sentence in result.output
     content = json.loads(figures.read_text())
-    labels = [one.label for one in found.wanted]
-    inertia = float(found.proposal.relative[labels.index("I")])
+    inertia = float(found.proposal.relative[found.quantities.labels.index("I")])
     assert content["proposal"]["relative_error"]["I"] == inertia
     assert content["known"]["I"] is None
     flight = ["--plan", str(plan), "--duration", "1", "-o", str(tmp_path / "bag"), "--json", "-"]

@@ -19,9 +19,8 @@ from airpuck.cli.output import check_destinations, console, is_stdout, warn, wri
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.experiment_design.check import Obtained
-    from airpuck.experiment_design.design import Design
-    from airpuck.experiment_design.worth import Candidate
+    from airpuck.experiment_design.design import Candidate, Design
+    from airpuck.experiment_design.trials import CheckedFlights
     from airpuck.model.model_file import Model
 
 #: Candidates to print.
@@ -65,8 +64,8 @@ def design(
     quiet: Quiet = False,
 ) -> None:
     """Propose the excitation that shrinks the worst-determined parameters most."""
-    from airpuck.experiment_design.check import check_design
     from airpuck.experiment_design.design import design
+    from airpuck.experiment_design.trials import check_design
     from airpuck.model.model_file import read_model
     from airpuck.twin.settings import read_twin_settings
 
@@ -76,7 +75,7 @@ def design(
     if after:
         craft = _fitted(craft, after, topics, quiet)
     settings = None if twin is None else read_twin_settings(twin)
-    with _progress("rehearsals", quiet) as progress:
+    with _progress("trial flights", quiet) as progress:
         found = design(
             craft,
             duration=duration,
@@ -87,29 +86,22 @@ def design(
             tuning=read_controls(tuning),
             progress=progress,
         )
-    obtained = None
+    figures, checked = found.to_json(), None
     if check is not None:
         with _progress("flights to check", quiet) as progress:
-            obtained = check_design(found, check, progress=progress)
+            usual, checked = check_design(found, check, progress=progress)
+        figures["check"] = {"usual": usual.to_json(), "proposal": checked.to_json()}
     if output is not None:
         found.proposal.plan.save(output)
     if figure is not None:
         from airpuck.report.design_figure import write_design_figure
 
-        write_design_figure(found, obtained and obtained[1], figure)
-    figures = found.to_json()
-    if obtained is not None:
-        labels = [one.label for one in found.wanted]
-        figures["check"] = {
-            name: one.to_json(labels)
-            for name, one in zip(("usual", "proposal"), obtained, strict=True)
-        }
+        write_design_figure(found, checked, figure)
     write_json(json_file, figures)
     if not is_stdout(json_file):
         _print_candidates(found)
-        _print_errors(found, obtained and obtained[1])
-        for sentence in summary(found):
-            print(sentence)
+        _print_errors(found, checked)
+        print(*summary(found), sep="\n")
         for path in (output, figure):
             if path is not None:
                 print(path)
@@ -117,7 +109,7 @@ def design(
 
 def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bool) -> Model:
     """Fit a model's rung to recordings, starting from it."""
-    from airpuck.experiment_design.expected_errors import fit_settings
+    from airpuck.experiment_design.forecast import fit_settings
     from airpuck.identification.fit import identify
     from airpuck.model.rungs import named_rung
 
@@ -149,38 +141,35 @@ def _progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
 
 
 def summary(found: Design) -> list[str]:
-    """Say in words what a proposal shrinks, and what it rests on."""
+    """Describe what a proposal shrinks, and what the forecast rests on."""
     import numpy as np
 
+    labels, counts = found.quantities.labels, np.isfinite(found.quantities.scales)
     usual, proposal = found.usual.relative, found.proposal.relative
-    before = found.known if np.isfinite(found.known).any() else usual
-    since = "now" if before is found.known else "with the usual excitation"
-    judged = np.array([np.isfinite(one.scale) for one in found.wanted])
-    worst = int(np.argmax(np.where(judged, before, -1)))
+    before, since = found.relative_before, "now"
+    if not np.isfinite(before).any():
+        before, since = usual, "with the usual excitation"
+    worst_before, worst = (int(np.argmax(np.where(counts, e, -1))) for e in (before, proposal))
     text = [
-        f"{found.wanted[worst].label}, the worst determined {since}: from {_percent(before[worst])}"
-        f" to {_percent(proposal[worst])}"
+        f"{labels[worst_before]}, the worst determined {since}: "
+        f"from {_percent(before[worst_before])} to {_percent(proposal[worst_before])}",
+        f"worst after the proposed flight: {labels[worst]}, {_percent(proposal[worst])}"
+        f" ({_percent(usual[worst])} after the usual one)",
     ]
-    worst = int(np.argmax(np.where(judged, proposal, -1)))
-    text.append(
-        f"worst after the proposed flight: {found.wanted[worst].label}, {_percent(proposal[worst])}"
-        f" ({_percent(usual[worst])} after the usual one)"
-    )
-    missing = [
-        one.label for one, error in zip(found.wanted, proposal, strict=True) if np.isinf(error)
-    ]
+    missing = [labels[k] for k in np.flatnonzero(np.isinf(proposal))]
     if missing:
         text.append(f"stays undetermined: {', '.join(missing)}")
-    if found.level == 1.0:
+    level = found.residual_level
+    if level == 1.0:
         text.append("residuals as on the twin; those of a real flight are larger (--after)")
     else:
-        text.append(f"variance of the residuals: {found.level:.2g} times the twin's, as in the fit")
+        text.append(f"variance of the residuals: {level:.2g} times the twin's, as in the fit")
     return text
 
 
 def _print_candidates(found: Design) -> None:
     """Print the best candidates, and the usual one."""
-    table, show = _table(
+    table = _table(
         f"Excitations of {found.proposal.plan.duration_s:g} s, by the "
         + ("largest error" if found.criterion == "worst" else "mean error"),
         ("", "amplitude", "hold s", "margin m", "from a rail mm", "error", "remark"),
@@ -188,21 +177,18 @@ def _print_candidates(found: Design) -> None:
     shown = list(found.candidates[:_SHOWN])
     if all(one.plan != found.usual.plan for one in shown):
         shown.append(found.usual)
+    names = {found.usual.plan: "usual", found.proposal.plan: "proposal"}
     for one in shown:
-        name = "usual" if one.plan == found.usual.plan else ""
-        if one.plan == found.proposal.plan:
-            name = "proposal"
-        table.add_row(name, *_row(one))
-    show()
+        table.add_row(names.get(one.plan, ""), *_row(one))
+    console().print(table)
 
 
 def _row(one: Candidate) -> tuple[str, ...]:
-    """Return the texts of a candidate."""
+    """Return the cells of a candidate."""
     plan = one.plan
     amplitudes = plan.amplitude if isinstance(plan.amplitude, tuple) else (plan.amplitude,)
-    each = " ".join(f"{amplitude:g}" for amplitude in amplitudes)
     return (
-        each,
+        " ".join(f"{amplitude:g}" for amplitude in amplitudes),
         f"{plan.hold_s:g}",
         f"{plan.margin_m:g}",
         f"{1e3 * one.clearance:.0f}",
@@ -211,39 +197,38 @@ def _row(one: Candidate) -> tuple[str, ...]:
     )
 
 
-def _print_errors(found: Design, obtained: Obtained | None) -> None:
+def _print_errors(found: Design, checked: CheckedFlights | None) -> None:
     """Print the standard errors of every quantity."""
-    table, show = _table(
-        "Standard errors, in shares of what each matters against",
-        ("", "100 % are", "now", "usual", "proposal", "alone", "obtained", "ratio")[
-            : 8 if obtained else 5
-        ],
-    )
-    for k, one in enumerate(found.wanted):
-        errors = [found.known[k], found.usual.relative[k], found.proposal.relative[k]]
-        row = [one.label, _size(one.scale, one.unit), *map(_percent, errors)]
-        if obtained is not None:
-            ratio = float(obtained.ratio[k])
-            row += [_percent(float(obtained.predicted[k])), _percent(float(obtained.typical[k]))]
+    headings = ("", "100 % are", "now", "usual", "proposal")
+    errors = [found.relative_before, found.usual.relative, found.proposal.relative]
+    if checked is not None:
+        headings += ("alone", "obtained", "ratio")
+        errors += [checked.predicted, checked.typical]
+    table = _table("Standard errors, in shares of what each matters against", headings)
+    compared = found.quantities
+    for k, (label, unit) in enumerate(zip(compared.labels, compared.units, strict=True)):
+        row = [label, _size(compared.scales[k], unit), *(_percent(each[k]) for each in errors)]
+        if checked is not None:
+            ratio = float(checked.ratio[k])
             row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
         table.add_row(*row)
-    show()
+    console().print(table)
 
 
-def _table(title: str, headings: tuple[str, ...]) -> tuple[Table, Callable[[], None]]:
-    """Return an empty table, and what prints it."""
+def _table(title: str, headings: tuple[str, ...]) -> Table:
+    """Return an empty table."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
     for heading in headings:
         left = heading in ("", "amplitude", "100 % are", "remark")
         table.add_column(heading, justify="left" if left else "right")
-    return table, lambda: console().print(table)
+    return table
 
 
 def _size(scale: float, unit: str) -> str:
-    """Return what an error of 100 % is."""
-    return f"{scale:.3g} {unit}" if scale < 1e12 else "not judged"
+    """Return the size of an error of 100 %."""
+    return f"{scale:.3g} {unit}" if scale < 1e12 else "no scale"
 
 
 def _percent(share: float) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -14,13 +14,21 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.experiment_design.quantities_of_interest import Interest
-from airpuck.experiment_design.rehearsal import Act, Crew, Rehearsal, Stage, World
-from airpuck.experiment_design.worth import Candidate, Criterion, Judge
+from airpuck.experiment_design.forecast import (
+    HELD,
+    ComparedQuantities,
+    Forecast,
+    Information,
+    joined,
+)
+from airpuck.experiment_design.trials import Progress, Trial, fly_trial, on_processes
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
+
+#: By what candidates are compared: the largest relative error, or the geometric mean of all.
+Criterion = Literal["worst", "mean"]
 
 #: The first candidates: all combinations of amplitudes, hold times and margins.
 _AMPLITUDES = (1.0, 0.6)
@@ -35,37 +43,55 @@ _FINALISTS, _FLIGHTS = 3, 3
 
 
 @dataclass(frozen=True, eq=False)
+class Candidate:
+    """An excitation, and what it is expected to give."""
+
+    #: What to fly.
+    plan: ExcitationPlan
+    #: Least distance to a rail in all its trials [m]; 0: it met one.
+    clearance: float
+    #: Relative standard errors after the flight, with what is known before; infinite where a
+    #: quantity stays undetermined.
+    relative: Float[np.ndarray, " K"]
+    #: The same from this flight alone, on the twin.
+    relative_alone: Float[np.ndarray, " K"]
+    #: The criterion, smaller is better; infinite for what is refused.
+    score: float
+    #: Why it is not proposed; empty where it may be.
+    refused: str
+
+
+@dataclass(frozen=True, eq=False)
 class Design:
     """A proposal, and what it was chosen from."""
 
-    #: The truth of the rehearsals, and what is known before.
+    #: The truth of the trials, and what is known before.
     model: Model
-    #: What candidates are judged by.
-    wanted: tuple[Interest, ...]
-    #: Relative standard errors now; infinite where nothing is known.
-    known: Float[np.ndarray, " K"]
+    #: What candidates are compared by.
+    quantities: ComparedQuantities
+    #: Relative standard errors before the flight; infinite where nothing is known.
+    relative_before: Float[np.ndarray, " K"]
     #: The excitation of the paper, of the same length.
     usual: Candidate
     #: The best that keeps away from the rails.
     proposal: Candidate
-    #: All that were rehearsed, the best first.
+    #: All that were flown, the best first.
     candidates: tuple[Candidate, ...]
-    #: By what.
+    #: How errors of several quantities make one score.
     criterion: Criterion
     #: Variance of the residuals of the model's fit, in those of the twin.
-    level: float
-    #: Where it was rehearsed.
-    stage: Stage
+    residual_level: float
+    #: Of the twin and the controller in the trials.
+    settings: TwinSettings
+    tuning: Tuning
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
-        labels = [one.label for one in self.wanted]
+        q = self.quantities
 
         def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:
-            return {
-                label: float(error) if math.isfinite(error) else None
-                for label, error in zip(labels, errors, strict=True)
-            }
+            shown = [float(error) if math.isfinite(error) else None for error in errors]
+            return dict(zip(q.labels, shown, strict=True))
 
         def figures(candidate: Candidate) -> dict[str, Any]:
             return {
@@ -74,16 +100,15 @@ class Design:
                 "score": candidate.score if math.isfinite(candidate.score) else None,
                 "refused": candidate.refused,
                 "relative_error": by_label(candidate.relative),
-                "relative_error_alone": by_label(candidate.alone),
+                "relative_error_alone": by_label(candidate.relative_alone),
             }
 
+        sizes = zip(q.labels, q.units, q.scales.tolist(), strict=True)
         return {
             "criterion": self.criterion,
-            "residual_level": self.level,
-            "quantities": {
-                one.label: {"unit": one.unit, "scale": one.scale} for one in self.wanted
-            },
-            "known": by_label(self.known),
+            "residual_level": self.residual_level,
+            "quantities": {label: {"unit": unit, "scale": scale} for label, unit, scale in sizes},
+            "known": by_label(self.relative_before),
             "usual": figures(self.usual),
             "proposal": figures(self.proposal),
             "candidates": [figures(candidate) for candidate in self.candidates],
@@ -103,7 +128,7 @@ def design(
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     processes: int | None = None,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Progress = lambda _done, _total: None,
 ) -> Design:
     """Propose the excitation to fly next.
 
@@ -116,13 +141,13 @@ def design(
     criterion : {"worst", "mean"}, default "worst"
         The largest relative standard error, or the geometric mean of all.
     margin : float, default 0.08
-        Least distance of the craft to the rails in every rehearsal [m].
+        Least distance of the craft to the rails in every trial flight [m].
     rehearsal : float, default 20
-        Length of the rehearsals of all candidates [s]. The best are then flown at full length.
+        Length of the trial flights of all candidates [s]. The best are then flown at full length.
     amplitudes, holds : sequence of float
         Amplitudes and hold times [s] to combine at first.
     seed : int, default 0
-        Seed of the rehearsals.
+        Seed of the trial flights.
     settings : TwinSettings, optional
         Of the twin; by default the packaged ones.
     tuning : Tuning, optional
@@ -130,7 +155,7 @@ def design(
     processes : int, optional
         By default one for each core. The result does not depend on it.
     progress : callable, optional
-        Called with the number of rehearsals done, and of those that are due so far.
+        Called with the number of trial flights done, and of those that are due so far.
 
     Returns
     -------
@@ -153,7 +178,6 @@ def design(
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
     _check(model, duration, criterion, margin, rehearsal, seed)
     given, model = model, _as_learned_next(model)
-    stage = Stage(model, settings, tuning)
     usual = ExcitationPlan(duration_s=duration)
     grid = [
         usual.model_copy(update={"amplitude": a, "hold_s": h, "margin_m": m})
@@ -162,108 +186,169 @@ def design(
         for m in _MARGINS
         if h >= tuning.period_s
     ]
-    signals = model.vehicle.n_propellers - len(model.vehicle.pairs)
-    judge = Judge(model, criterion, margin)
-    with Crew(stage, processes) as crew:
-        rehearsals = _Rehearsals(crew, judge, seed, progress)
-        short = min(rehearsal, duration)
-        if judge.scaled and model.delay_learned and not given.delay_learned:
-            rehearsals.fly_as_fitted(given, usual, short)
-        rehearsals.fly([usual, *(plan for plan in grid if plan != usual)], short)
-        rehearsals.fly(_near(judge.ranked()[0].plan, signals, tuning.period_s), short)
-        rehearsals.fly([usual], duration, _FLIGHTS)
-        chosen = _finals(rehearsals, judge, usual, duration)
+    short = min(rehearsal, duration)
+    with on_processes(processes) as run:
+        search = _Search(model, usual, criterion, margin, settings, tuning, seed, run, progress)
+        if search.fit_has_loss and model.delay_learned and not given.delay_learned:
+            search.fly_as_fitted(given, short)
+        search.fly([usual, *(plan for plan in grid if plan != usual)], short)
+        search.fly(_near(search.ranked()[0].plan, model, tuning.period_s), short)
+        search.fly([usual], duration, _FLIGHTS)
+        proposal = search.finals(duration)
     return Design(
         model=model,
-        wanted=judge.wanted,
-        known=judge.relative(model.uncertainty),
-        usual=judge.candidate(usual),
-        proposal=chosen,
-        candidates=tuple(judge.ranked()),
+        quantities=search.quantities,
+        relative_before=search.quantities.relative_errors(model.uncertainty),
+        usual=search.candidate(usual),
+        proposal=proposal,
+        candidates=tuple(search.ranked()),
         criterion=criterion,
-        level=judge.level(usual),
-        stage=stage,
+        residual_level=search.residual_level(),
+        settings=settings,
+        tuning=tuning,
     )
 
 
-def _finals(
-    rehearsals: _Rehearsals, judge: Judge, usual: ExcitationPlan, duration: float
-) -> Candidate:
-    """Fly the best at full length, and return the best of those that keep the margin."""
-    final = [usual]
-    while True:
-        left = [one for one in judge.ranked() if not one.refused]
-        flown = [one for one in left if one.plan in final and one.plan != usual]
-        if flown:
-            return min((one for one in left if one.plan in final), key=lambda one: one.score)
-        waiting = [one.plan for one in left if one.plan not in final][:_FINALISTS]
-        if not waiting:
-            if left:
-                # The usual one, which was flown before.
-                return left[0]
-            raise InputError(
-                f"no excitation keeps {1e3 * judge.margin:g} mm away from the rails; lower it",
-                field="margin",
-            )
-        rehearsals.fly(waiting, duration, _FLIGHTS)
-        final += waiting
+@dataclass(eq=False)
+class _Search:
+    """Trial flights so far, and what they say of each plan."""
 
+    model: Model
+    #: The excitation of the paper.
+    usual: ExcitationPlan
+    criterion: Criterion
+    #: Least distance to a rail [m].
+    margin: float
+    settings: TwinSettings
+    tuning: Tuning
+    seed: int
+    #: Like the built-in `map`.
+    run: Callable[..., Iterable[Any]]
+    progress: Progress
 
-class _Rehearsals:
-    """Flies plans, each flight with chances of its own, and counts them."""
-
-    def __init__(
-        self, crew: Crew, judge: Judge, seed: int, progress: Callable[[int, int], None]
-    ) -> None:
-        self._crew, self._judge, self._seed, self._progress = crew, judge, seed, progress
+    def __post_init__(self) -> None:
+        """Begin without any flights."""
+        self.quantities = ComparedQuantities(self.model)
+        #: Whether the loss of the model's fit says how large its residuals are.
+        self.fit_has_loss = self.model.fit.get("loss") is not None and not self.model.fit.get(
+            "robust"
+        )
+        self._trials: dict[ExcitationPlan, list[Trial]] = {}
+        #: Of the usual excitation, prepared as for the model's fit; None: as all flights are.
+        self._as_fitted: list[Trial] | None = None
         self._done = 0
 
     def fly(self, plans: Sequence[ExcitationPlan], length: float, flights: int = 1) -> None:
-        """Fly plans for some seconds, and hand the results to the judge."""
-        for plan, one in self._flown(Stage.rehearse, plans, length, flights):
-            self._judge.flown.setdefault(plan, []).append(one)
+        """Fly plans for some seconds."""
+        for plan, trial in self._flown(self.model, plans, length, flights):
+            self._trials.setdefault(plan, []).append(trial)
 
-    def fly_as_fitted(self, model: Model, usual: ExcitationPlan, length: float) -> None:
-        """Fly the usual plan for what a model fitted like this one leaves unexplained."""
-        flown = self._flown(partial(_rehearse_as, model), [usual], length, _FLIGHTS)
-        self._judge.as_fitted = [one.information for _, one in flown if one.information is not None]
+    def fly_as_fitted(self, model: Model, length: float) -> None:
+        """Fly the usual plan for the residuals of a model fitted like this one."""
+        self._as_fitted = [trial for _, trial in self._flown(model, [self.usual], length, _FLIGHTS)]
 
     def _flown(
-        self, act: Act[Rehearsal], plans: Sequence[ExcitationPlan], length: float, flights: int
-    ) -> Iterator[tuple[ExcitationPlan, Rehearsal]]:
-        """Fly plans for some seconds."""
-        owners = [plan for plan in plans for _ in range(flights)]
-        tasks = [
-            (plan.model_copy(update={"duration_s": length}), self._seed + self._done + number)
-            for number, plan in enumerate(owners)
-        ]
-        total = self._done + len(tasks)
-        for plan, one in zip(owners, self._crew.fly(act, tasks), strict=True):
+        self, model: Model, plans: Sequence[ExcitationPlan], length: float, flights: int
+    ) -> Iterator[tuple[ExcitationPlan, Trial]]:
+        """Fly plans, each flight with a seed of its own."""
+        repeated = [plan for plan in plans for _ in range(flights)]
+        flown = [plan.model_copy(update={"duration_s": length}) for plan in repeated]
+        seeds = range(self.seed + self._done, self.seed + self._done + len(flown))
+        total = self._done + len(flown)
+        act = partial(fly_trial, model, self.settings, self.tuning)
+        for plan, trial in zip(repeated, self.run(act, flown, seeds), strict=True):
             self._done += 1
-            self._progress(self._done, total)
-            yield plan, one
+            self.progress(self._done, total)
+            yield plan, trial
+
+    def residual_level(self) -> float:
+        """Return the variance of the residuals of the model's fit, in those of the twin."""
+        trials = self._trials[self.usual] if self._as_fitted is None else self._as_fitted
+        flights = _informations(trials)
+        if not (self.fit_has_loss and flights):
+            return 1.0
+        return float(self.model.fit["loss"]) / joined(flights).loss
+
+    def ranked(self) -> list[Candidate]:
+        """Rate all plans that were flown, the best first."""
+        forecast = self._forecast()
+        candidates = [self._rated(plan, forecast) for plan in self._trials]
+        return sorted(candidates, key=lambda one: (one.score, -one.clearance))
+
+    def candidate(self, plan: ExcitationPlan) -> Candidate:
+        """Rate a plan by all its flights."""
+        return self._rated(plan, self._forecast())
+
+    def finals(self, duration: float) -> Candidate:
+        """Fly the best at full length, and return the best of those that keep the margin."""
+        final = [self.usual]
+        while True:
+            left = [one for one in self.ranked() if not one.refused]
+            flown = [one for one in left if one.plan in final]
+            waiting = [one.plan for one in left if one.plan not in final][:_FINALISTS]
+            if any(one.plan != self.usual for one in flown) or (flown and not waiting):
+                return flown[0]
+            if not waiting:
+                raise InputError(
+                    f"no excitation keeps {1e3 * self.margin:g} mm away from the rails; lower it",
+                    field="margin",
+                )
+            self.fly(waiting, duration, _FLIGHTS)
+            final += waiting
+
+    def _forecast(self) -> Forecast:
+        """Forecast errors from all that was flown."""
+        flights = [one for trials in self._trials.values() for one in _informations(trials)]
+        if not flights:
+            raise InputError(
+                "every rehearsal met a rail; are the table's length and width right?",
+                field="table",
+            )
+        return Forecast(self.model, flights, self.residual_level())
+
+    def _rated(self, plan: ExcitationPlan, forecast: Forecast) -> Candidate:
+        """Rate a plan by all its flights."""
+        clearance = min(trial.clearance for trial in self._trials[plan])
+        refused = ""
+        if clearance < self.margin:
+            refused = "meets a rail" if clearance == 0 else f"{1e3 * clearance:.0f} mm from a rail"
+        relative = alone = np.full(len(self.quantities.labels), np.inf)
+        flights = _informations(self._trials[plan])
+        if flights:
+            relative, alone = (
+                self.quantities.relative_errors(
+                    forecast.of(joined(flights), plan.duration_s, alone=by_itself)
+                )
+                for by_itself in (False, True)
+            )
+        score = math.inf if refused else self._score(relative)
+        return Candidate(plan, clearance, relative, alone, score, refused)
+
+    def _score(self, relative: Float[np.ndarray, " K"]) -> float:
+        """Compute the criterion from what has a scale and no constraint holds."""
+        counted = relative[np.isfinite(self.quantities.scales) & (relative > HELD)]
+        if self.criterion == "worst" or not np.isfinite(counted).all():
+            return float(counted.max(initial=0.0))
+        return float(np.exp(np.log(counted).mean()))
 
 
-def _rehearse_as(
-    model: Model, stage: Stage, plan: ExcitationPlan, seed: int, world: World
-) -> Rehearsal:
-    """Rehearse on a stage whose model differs only in what is learned."""
-    return replace(stage, model=model).rehearse(plan, seed, world)
+def _informations(trials: Sequence[Trial]) -> list[Information]:
+    """Return what trials say, those left out that met a rail."""
+    return [trial.information for trial in trials if trial.information is not None]
 
 
-def _near(plan: ExcitationPlan, signals: int, period: float) -> list[ExcitationPlan]:
-    """Return plans near one: other hold times, and one signal weaker than the others."""
-    found = [
-        plan.model_copy(update={"hold_s": max(round(factor * plan.hold_s, 3), period)})
-        for factor in _STRETCHES
+def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationPlan]:
+    """Return plans near one: other hold times, another margin, and one signal weaker."""
+    changes: list[dict[str, Any]] = [
+        {"hold_s": max(round(factor * plan.hold_s, 3), period)} for factor in _STRETCHES
     ]
-    between = sum(_MARGINS) / len(_MARGINS)
-    found.append(plan.model_copy(update={"margin_m": between}))
-    each = np.broadcast_to(plan.amplitude, signals)
+    changes.append({"margin_m": sum(_MARGINS) / len(_MARGINS)})
+    signals = model.vehicle.n_propellers - len(model.vehicle.pairs)
     for weak in range(signals if signals > 1 else 0):
-        scaled = each * np.where(np.arange(signals) == weak, _WEAKER, 1.0)
-        found.append(plan.model_copy(update={"amplitude": tuple(np.round(scaled, 3).tolist())}))
-    return found
+        amplitude = np.broadcast_to(plan.amplitude, signals).astype(float)
+        amplitude[weak] *= _WEAKER
+        changes.append({"amplitude": tuple(np.round(amplitude, 3).tolist())})
+    return [plan.model_copy(update=change) for change in changes]
 
 
 def _as_learned_next(model: Model) -> Model:
@@ -273,7 +358,7 @@ def _as_learned_next(model: Model) -> Model:
     delay = model.parameters.mask(frozenset({"transport_delay"}))
     uncertainty = model.uncertainty
     if uncertainty is not None and not model.delay_learned:
-        # It has no variance since it was not learned, not since it were known.
+        # It has no variance because it was not learned, not because it is known.
         unknown = np.concatenate([uncertainty.undetermined, delay[None].astype(float)])
         uncertainty = replace(uncertainty, undetermined=unknown)
     return replace(model, free=model.free | delay, uncertainty=uncertainty)
@@ -282,7 +367,7 @@ def _as_learned_next(model: Model) -> Model:
 def _check(
     model: Model, duration: float, criterion: str, margin: float, rehearsal: float, seed: int
 ) -> None:
-    """Refuse what cannot be rehearsed."""
+    """Refuse what cannot be flown."""
     check_seed(seed)
     if criterion not in ("worst", "mean"):
         raise InputError(f"must be 'worst' or 'mean', not {criterion!r}", field="criterion")

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from airpuck.boundary.files import replacing
-from airpuck.experiment_design.check import Obtained
 from airpuck.experiment_design.design import Design
+from airpuck.experiment_design.trials import CheckedFlights
 from airpuck.report.style import (
     BLUE,
     GREY,
@@ -25,22 +25,22 @@ from airpuck.report.style import (
 
 
 def write_design_figure(
-    found: Design, obtained: Obtained | None, path: str | os.PathLike[str]
+    found: Design, checked: CheckedFlights | None, path: str | os.PathLike[str]
 ) -> None:
     """Write `design_figure` as PNG."""
     with replacing(path) as temporary:
-        temporary.write_bytes(png(design_figure(found, obtained)))
+        temporary.write_bytes(png(design_figure(found, checked)))
 
 
 @styled
-def design_figure(found: Design, obtained: Obtained | None = None) -> Figure:
+def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figure:
     """Draw the relative standard errors of every quantity: now, usual, proposed, obtained."""
-    figure = new_figure(PAGE_WIDTH, 1.0 + 0.24 * len(found.wanted))
+    figure = new_figure(PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
-    rows = -np.arange(len(found.wanted), dtype=float)
-    by_itself = obtained is not None
+    rows = -np.arange(len(found.quantities.labels), dtype=float)
+    alone = checked is not None
     usual, proposal = (
-        one.alone if by_itself else one.relative for one in (found.usual, found.proposal)
+        one.relative_alone if alone else one.relative for one in (found.usual, found.proposal)
     )
     axes.hlines(rows, 100 * usual, 100 * proposal, color="#d9d9d9", lw=2.5)
     handles: list[Line2D] = []
@@ -54,21 +54,21 @@ def design_figure(found: Design, obtained: Obtained | None = None) -> Figure:
         line.set_label(label)
         handles.append(line)
 
-    if not by_itself and np.isfinite(found.known).any():
-        dots(found.known, "s", GREY, True, "now")
+    if not alone and np.isfinite(found.relative_before).any():
+        dots(found.relative_before, "s", GREY, True, "now")
     dots(usual, "o", GREY, False, "usual excitation, predicted")
     dots(proposal, "o", BLUE, True, "proposal, predicted")
-    if obtained is not None:
+    if checked is not None:
         marks = axes.plot(
-            100 * obtained.errors.T, rows, ls="", marker="|", color=VERMILLION, ms=9, mew=1.3
+            100 * checked.errors.T, rows, ls="", marker="|", color=VERMILLION, ms=9, mew=1.3
         )
-        marks[0].set_label(f"proposal, obtained in {len(obtained.errors)} flights")
+        marks[0].set_label(f"proposal, obtained in {len(checked.errors)} flights")
         handles.append(marks[0])
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     axes.grid(visible=True, axis="x", which="minor")
-    axes.set_yticks(rows, [one.label for one in found.wanted])
+    axes.set_yticks(rows, found.quantities.labels)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
     axes.set_ylim(rows[-1] - 0.6, 0.6)

@@ -1,4 +1,4 @@
-"""Predicted standard errors, against plain sums and what follows from them."""
+"""Forecast standard errors, and the quantities in which they are compared."""
 
 from dataclasses import replace
 
@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.experiment_design.expected_errors import Forecast, Information, information_of, joined
+from airpuck.experiment_design.forecast import (
+    ComparedQuantities,
+    Forecast,
+    Information,
+    information_of,
+    joined,
+)
 from airpuck.identification.objective import PUBLISHED_WEIGHTS
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import Model, published_model
+from airpuck.model.rungs import named_rung
+from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rollout import rollout
 
 from ..synthetic import fly
@@ -183,3 +192,94 @@ def test_many_blocks_find_what_the_residuals_are_made_of():
 def test_a_flight_of_one_block_is_refused():
     with pytest.raises(InputError, match="two blocks"):
         information_of(fly(MODEL, duration=1.5), MODEL, 1.5)
+
+
+def known(model, covariance, undetermined=()):
+    vector = model.parameters.to_vector()
+    return Uncertainty(
+        vector, covariance, np.sqrt(np.diag(covariance)),
+        np.array(undetermined).reshape(-1, len(vector)), 30, 2.0,
+    )  # fmt: skip
+
+
+def at(model, name):
+    return np.flatnonzero(model.parameters.mask(frozenset({name})))
+
+
+def test_values_and_scales_of_the_published_m3_by_hand():
+    model = published_model("M3")
+    compared = ComparedQuantities(model)
+    value = dict(zip(compared.labels, compared.values(model), strict=True))
+    scale = dict(zip(compared.labels, compared.scales, strict=True))
+    a, b, c = model.parameters.thrust[2]
+    assert value["F(1) motor_b_1"] == pytest.approx(a + b + c)
+    assert value["F(0.5) motor_b_1"] == pytest.approx(a / 2 + b / 4 + c / 8)
+    assert scale["F(0.5) motor_b_1"] == pytest.approx(a + b + c)
+    assert value["I"] == scale["I"] == model.parameters.inertia
+    assert value["τ"] == scale["τ"] == pytest.approx(28.06e-3, abs=1e-5)
+    assert scale["α"] == 1.0
+    assert scale["r x"] == pytest.approx(np.sqrt(0.2647e-3 / 0.1377), rel=1e-3)
+    assert len(compared.labels) == 2 * 6 + 5
+
+
+def test_what_is_not_learned_is_not_compared():
+    labels = ComparedQuantities(published_model("M0")).labels
+    assert "τ" not in labels
+    assert not any(label.startswith("r ") for label in labels)
+
+
+def test_a_factor_between_thrust_and_matrix_changes_nothing():
+    model = published_model("M4")
+    factor = np.linspace(0.5, 2, 6)
+    p = model.parameters
+    other = replace(
+        model,
+        parameters=replace(
+            p,
+            thrust=p.thrust * factor[:, None],
+            configuration_matrix=p.configuration_matrix / factor,
+        ),
+    )
+    compared = ComparedQuantities(model)
+    assert len(compared.labels) >= 24
+    np.testing.assert_allclose(
+        compared.values(other), compared.values(model), rtol=1e-12, atol=1e-15
+    )
+
+
+def test_errors_of_sums_by_hand():
+    model = published_model("M3")
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(len(model.free), len(model.free))) * 1e-4
+    covariance = root @ root.T
+    uncertainty, compared = known(model, covariance), ComparedQuantities(model)
+    errors = compared.relative_errors(uncertainty)
+    np.testing.assert_allclose(
+        compared.relative_errors_of(replace(model, uncertainty=uncertainty)), errors, rtol=1e-6
+    )
+    first = at(model, "thrust")[:3]
+    full = model.parameters.thrust[0].sum()
+    expected = np.sqrt(covariance[np.ix_(first, first)].sum()) / full
+    assert errors[1] == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_is_not_determined_has_an_infinite_error():
+    model = published_model("M3")
+    covariance, direction = np.eye(len(model.free)) * 1e-8, np.zeros(len(model.free))
+    (inertia,) = at(model, "inertia")
+    covariance[inertia], direction[inertia] = 0.0, 1.0
+    compared = ComparedQuantities(model)
+    errors = compared.relative_errors(known(model, covariance, [direction]))
+    assert [compared.labels[k] for k in np.flatnonzero(np.isinf(errors))] == ["I"]
+    assert np.isinf(compared.relative_errors(None)).all()
+    assert np.isinf(compared.relative_errors_of(model)).all()
+
+
+def test_what_has_no_size_to_compare_with_has_no_relative_error():
+    rung = named_rung("M3+inflow")
+    parameters = rung.initial(default_vehicle())
+    model = Model(rung.name, default_vehicle(), parameters, rung.mask(parameters))
+    covariance = np.eye(len(model.free)) * 1e-8
+    compared = ComparedQuantities(model)
+    errors = compared.relative_errors(known(model, covariance))
+    assert [compared.labels[k] for k in np.flatnonzero(np.isnan(errors))] == ["cᵢ"]  # it is zero

@@ -1,0 +1,380 @@
+"""Standard errors that a flight will give, forecast from shorter trial flights on the twin.
+
+A trial is flown with a model that is known, so that residuals and scores can be taken at the truth.
+The information H of a flight and the covariance M of its scores grow with its length, and the
+covariance of an estimate is H⁻¹ M H⁻¹ (White 1980). Ten blocks of a short trial say little about M.
+But how M and H differ is a property of what the residuals are made of (radio, noise of the cameras,
+windows that overlap), not of the signals: M = κ H^½ K H^½. κ is the flight's own; K is common to
+all trials, drawn to the identity by as much as the number of its blocks asks for (Ledoit and Wolf
+2004).
+
+Errors are compared in quantities, each with a size that its error is held against. Coefficients of
+a thrust curve are not among them: they correlate by more than 0.95, and the curve is known far
+better than they are. The force at half and at full speed says how well it is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import make_windows
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.blocks import cluster_windows, shared_at_borders
+from airpuck.identification.delay_jitter import spread_of, variance_of_mean
+from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.uncertainty import (
+    UNDETERMINED,
+    binding_constraints,
+    subspace,
+)
+from airpuck.model.model_file import Model
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.physics.thrust import thrust
+
+#: Windows as `identify` cuts them, where the model does not say otherwise.
+_PAST, _AHEAD, _STRIDE = 40, 50, 7
+#: Motor speeds at which forces are compared.
+_SPEEDS = (0.5, 1.0)
+#: Step of a finite difference, in the size of a parameter; of one near zero, in this size.
+_STEP, _LEAST = 1e-6, 1e-3
+#: A relative error below this is rounding: a constraint holds the quantity.
+HELD = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What each second of a flight says about the parameters of a known model."""
+
+    #: Gauss-Newton Hessian H of the loss, summed over windows, at the truth [1/s].
+    hessian: Float[np.ndarray, "P P"]
+    #: Covariance of the sum of scores, from those of blocks of time about their mean [1/s]: an
+    #: error that all blocks share is a bias, which no standard error shows.
+    scores: Float[np.ndarray, "P P"]
+    #: Mean squared weighted prediction error.
+    loss: float
+    #: Of the flight [s].
+    duration: float
+    #: Blocks of time behind `scores`.
+    blocks: int
+    #: Variance of the mean delay of the packets whose arrival is known, times the duration [s³]:
+    #: these packets are only a sample of all.
+    packets: float = 0.0
+
+
+def fit_settings(model: Model) -> dict[str, Any]:
+    """Return the arguments of `identify` that a model was learned with."""
+    fit = model.fit
+    x, y, yaw = fit.get("weights", PUBLISHED_WEIGHTS)
+    return {
+        "encoder": PaperEncoder(length=int(fit.get("encoder_length", _PAST))),
+        "weights": (x, y, yaw),
+        "prediction_length": int(fit.get("prediction_length", _AHEAD)),
+        "stride": int(fit.get("stride", _STRIDE)),
+        "frame": model.frame,
+    }
+
+
+def information_of(
+    trajectory: Trajectory, model: Model, duration: float, delays: Sequence[PacketDelays] = ()
+) -> Information:
+    """Compute what a flight of a known model says about its parameters."""
+    how = fit_settings(model)
+    encoder = how["encoder"]
+    trajectory = _whole_seconds(trajectory)
+    windows = make_windows(trajectory, encoder.length, how["prediction_length"], how["stride"])
+    loss = PredictionLoss(
+        windows,
+        model.vehicle,
+        encoder,
+        how["weights"],
+        how["frame"],
+        continuous_delay=model.delay_learned,
+    )
+    clusters = cluster_windows(windows)
+    if clusters.max() < 1:
+        raise InputError("is too short for two blocks of time", field="rehearsal")
+    shares = loss.by_cluster(model.parameters, clusters)
+    # The loss is a mean over windows; information and scores are sums.
+    count, blocks = len(windows), len(shares.gradient)
+    spread = shares.gradient - shares.gradient.mean(axis=0)
+    spread /= np.sqrt(1 - shared_at_borders(windows, clusters))
+    return Information(
+        hessian=count * shares.hessian.sum(axis=0) / duration,
+        scores=count**2 * blocks / (blocks - 1) * (spread.T @ spread) / duration,
+        loss=float(shares.loss.sum()),
+        duration=duration,
+        blocks=blocks,
+        packets=duration * variance_of_mean(delays, spread_of(delays)),
+    )
+
+
+def _whole_seconds(trajectory: Trajectory) -> Trajectory:
+    """Cut a flight to whole seconds: flights of one length share a compiled program.
+
+    Their samples differ by a few, since a flight is cropped to where it is commanded.
+    """
+    second = round(1 / trajectory.sample_period)
+    kept = len(trajectory) // second * second
+    return trajectory.slice(0.0, kept / len(trajectory)) if kept else trajectory
+
+
+def joined(flights: Sequence[Information]) -> Information:
+    """Average what several flights of one plan say, weighted by their length."""
+    weights = np.array([one.duration for one in flights])
+
+    def mean(name: str) -> Any:
+        return np.average([getattr(one, name) for one in flights], axis=0, weights=weights)
+
+    return Information(
+        hessian=mean("hessian"),
+        scores=mean("scores"),
+        loss=float(mean("loss")),
+        duration=float(weights.sum()),
+        blocks=sum(one.blocks for one in flights),
+        packets=float(mean("packets")),
+    )
+
+
+class Forecast:
+    """Predicts standard errors of flights of any length."""
+
+    def __init__(self, model: Model, trials: Sequence[Information], level: float = 1.0) -> None:
+        self.model, self.level = model, level
+        self._constraints = binding_constraints(model.parameters, model.free)
+        size = len(model.free)
+        #: θ = basis @ y: what is learned and no constraint holds.
+        self._basis = subspace(np.eye(size), model.free, self._constraints).basis
+        found = [self._decomposed(trial) for trial in trials]
+        # A flight that leaves a direction undetermined says nothing of K there.
+        rank = max(one.rank for one in found)
+        used = [k for k, one in enumerate(found) if one.rank == rank]
+        self._shape = _shrunk(
+            np.mean([found[k].shape for k in used], axis=0),
+            rank,
+            sum(trials[k].blocks - 1 for k in used),
+        )
+
+    def of(self, flight: Information, duration: float, *, alone: bool = False) -> Uncertainty:
+        """Predict the uncertainty after a flight of some seconds.
+
+        `alone`: from this flight only, with residuals as on the twin.
+        """
+        precision = self._precision(flight) * duration
+        if not alone:
+            precision = precision / self.level
+        precision = self._less_certain(precision, flight.packets / duration)
+        if not alone:
+            precision = precision + self._prior()
+        covariance = self._basis @ _pseudo_inverse(precision) @ self._basis.T
+        whole = self._basis @ precision @ self._basis.T
+        space = subspace(whole, self.model.free, self._constraints)
+        return Uncertainty(
+            estimate=self.model.parameters.to_vector(),
+            covariance=covariance,
+            standard_errors=np.sqrt(np.diag(covariance)),
+            undetermined=space.undetermined,
+            clusters=0,
+            quantile=1.96,
+        )
+
+    def _less_certain(
+        self, precision: Float[np.ndarray, "R R"], variance: float
+    ) -> Float[np.ndarray, "R R"]:
+        """Add `variance` to that of the delay, in the inverse of `precision`."""
+        delay = self.model.free & self.model.parameters.mask(frozenset({"transport_delay"}))
+        if not delay.any() or not variance > 0:
+            return precision
+        along = np.linalg.lstsq(self._basis, delay.astype(float), rcond=None)[0]
+        gained = precision @ along
+        return precision - np.outer(gained, gained) / (1 / variance + along @ gained)
+
+    def _prior(self) -> Float[np.ndarray, "R R"]:
+        """Return the precision of what is known before."""
+        before = self.model.uncertainty
+        if before is None or not np.isfinite(before.covariance).all():
+            return np.zeros((self._basis.shape[1],) * 2)
+        return _pseudo_inverse(self._basis.T @ before.covariance @ self._basis)
+
+    def _precision(self, flight: Information) -> Float[np.ndarray, "R R"]:
+        """Return the precision that a second of a flight gives, H M⁻¹ H = H^½ K⁻¹ H^½ / κ."""
+        one = self._decomposed(flight)
+        scaled = one.root @ _pseudo_inverse(self._shape) @ one.root / one.inflation
+        back = np.divide(1.0, one.scale, out=np.zeros_like(one.scale), where=one.scale > 0)
+        return scaled * np.outer(back, back)
+
+    def _decomposed(self, flight: Information) -> _Decomposed:
+        """Split what a flight says into information and shape of the scores."""
+        value, vector, scale = _spectrum(self._basis.T @ flight.hessian @ self._basis)
+        inverse = vector / np.sqrt(value) @ vector.T
+        scores = self._basis.T @ flight.scores @ self._basis * np.outer(scale, scale)
+        whitened, rank = inverse @ scores @ inverse, len(value)
+        inflation = float(np.trace(whitened)) / max(rank, 1)
+        return _Decomposed(
+            vector * np.sqrt(value) @ vector.T, scale, inflation, whitened / inflation, rank
+        )
+
+
+class _Decomposed(NamedTuple):
+    """H and M of a flight in coordinates that give H a unit diagonal."""
+
+    #: H^½.
+    root: Float[np.ndarray, "R R"]
+    #: Of the coordinates.
+    scale: Float[np.ndarray, " R"]
+    #: κ: the variance of the scores over the information, on average.
+    inflation: float
+    #: K = H^-½ M H^-½ / κ.
+    shape: Float[np.ndarray, "R R"]
+    #: How many directions the flight determines.
+    rank: int
+
+
+def _shrunk(shape: Float[np.ndarray, "R R"], rank: int, blocks: int) -> Float[np.ndarray, "R R"]:
+    """Draw K, whose trace is its rank, to the identity: too few blocks make it singular.
+
+    By as much as is best for the expected square of its error (Ledoit and Wolf 2004).
+    """
+    square = float((shape**2).sum())
+    noise = (rank**2 + square) / max(blocks, 1)
+    weight = min(1.0, noise / max(square - rank, 1e-300))
+    return (1 - weight) * shape + weight * np.diag(np.where(np.diag(shape) > 0, 1.0, 0.0))
+
+
+def _spectrum(
+    matrix: Float[np.ndarray, "R R"],
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "R K"], Float[np.ndarray, " R"]]:
+    """Return positive eigenvalues and their vectors of a matrix scaled to a unit diagonal.
+
+    And the scale; 0 where the diagonal is.
+    """
+    diagonal = np.diag(matrix)
+    scale = np.divide(1.0, np.sqrt(diagonal), out=np.zeros(len(matrix)), where=diagonal > 0)
+    value, vector = np.linalg.eigh(matrix * np.outer(scale, scale))
+    positive = value > UNDETERMINED * max(value[-1], 1e-300)
+    return value[positive], vector[:, positive], scale
+
+
+def _pseudo_inverse(matrix: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "R R"]:
+    """Invert a positive semidefinite matrix where it is not zero, whatever the units."""
+    value, vector, scale = _spectrum(matrix)
+    return (vector / value @ vector.T) * np.outer(scale, scale)
+
+
+class Quantity(NamedTuple):
+    """A quantity computed from a model."""
+
+    label: str
+    unit: str
+    #: An error of this size is one of 100 %. Infinite where there is none to compare with: the
+    #: error is then shown, but does not count.
+    scale: float
+    value: Callable[[Model], float]
+
+
+class ComparedQuantities:
+    """What a model has learned, as quantities with comparable errors."""
+
+    def __init__(self, model: Model) -> None:
+        self._quantities = (*_of_propellers(model), *_scalars(model))
+        self.labels = [quantity.label for quantity in self._quantities]
+        self.units = [quantity.unit for quantity in self._quantities]
+        self.scales = np.array([quantity.scale for quantity in self._quantities])
+        self._estimate = vector = model.parameters.to_vector()
+        self._gradient = np.empty((len(vector), len(self.labels)))
+        for entry, step in enumerate(_STEP * np.maximum(np.abs(vector), _LEAST)):
+            above, below = (
+                self.values(replace(model, parameters=model.parameters.with_vector(moved)))
+                for moved in vector + step * np.outer((1, -1), np.arange(len(vector)) == entry)
+            )
+            self._gradient[entry] = (above - below) / (2 * step)
+
+    def values(self, model: Model) -> Float[np.ndarray, " K"]:
+        """Compute the quantities of a model."""
+        return np.array([float(quantity.value(model)) for quantity in self._quantities])
+
+    def relative_errors(self, uncertainty: Uncertainty | None) -> Float[np.ndarray, " K"]:
+        """Compute standard errors in shares of the scales, for an uncertainty of this model.
+
+        Infinite where a quantity is not determined, nan where it has no scale.
+        """
+        if uncertainty is None or not np.array_equal(uncertainty.estimate, self._estimate):
+            return np.full(len(self.scales), np.inf)
+        return self._shares(uncertainty.errors_along(self._gradient))
+
+    def relative_errors_of(self, model: Model) -> Float[np.ndarray, " K"]:
+        """Compute the same for another model, from its own uncertainty."""
+        return self._shares(model.standard_error(self.values))
+
+    def _shares(self, errors: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+        """Divide errors by the scales."""
+        shares = np.where(np.isfinite(errors), errors / self.scales, np.inf)
+        return np.where(np.isfinite(self.scales), shares, np.nan)
+
+
+def _of_propellers(model: Model) -> Iterator[Quantity]:
+    """List the quantities of each propeller."""
+    learned = model.free[model.parameters.mask(frozenset({"thrust", "configuration_matrix"}))]
+    if not learned.any():
+        return
+    for motor, name in enumerate(model.vehicle.propeller_names):
+        full = abs(_force(motor, 1.0, model)) or np.inf
+        for speed in _SPEEDS:
+            yield Quantity(f"F({speed:g}) {name}", "N", full, partial(_force, motor, speed))
+    if model.parameters.configuration_matrix is None:
+        return
+    for motor, name in enumerate(model.vehicle.propeller_names):
+        ahead = np.asarray(model.dynamics.configuration)[:2, motor]
+        yield Quantity(f"direction {name}", "rad", 1.0, partial(_direction, motor, ahead))
+        arm = 1 / model.radius_of_gyration
+        yield Quantity(f"turn per push {name}", "rad/m", arm, partial(_turn_per_push, motor))
+
+
+def _force(motor: int, speed: float, model: Model) -> float:
+    """Return the force of a propeller [N]."""
+    push = np.hypot(*model.propeller_effects[:2, motor])
+    curve = np.asarray(model.parameters.thrust)[motor : motor + 1]
+    return model.vehicle.mass_kg * push * thrust(curve, np.array([speed]))[0]
+
+
+def _direction(motor: int, ahead: Float[np.ndarray, " 2"], model: Model) -> float:
+    """Return the angle between the force of a propeller and a direction [rad]."""
+    x, y = np.asarray(model.dynamics.configuration)[:2, motor]
+    return np.arctan2(ahead[0] * y - ahead[1] * x, ahead @ (x, y))
+
+
+def _turn_per_push(motor: int, model: Model) -> float:
+    """Return the ratio of a propeller's angular to its linear acceleration [rad/m]."""
+    x, y, turn = np.asarray(model.dynamics.configuration)[:, motor]
+    return turn / np.hypot(x, y)
+
+
+def _scalars(model: Model) -> Iterator[Quantity]:
+    """List everything learned that belongs to no propeller."""
+    scales = {"angle_offset": 1.0, "center_of_mass": model.radius_of_gyration}
+    names, degree = model.vehicle.propeller_names, np.shape(model.parameters.thrust)[1]
+    for quantity in model.parameters.quantities:
+        if quantity.name in ("thrust", "configuration_matrix"):
+            continue
+        free = model.free[model.parameters.mask(frozenset({quantity.name}))]
+        entries = quantity.entries(names, degree)
+        for k in np.flatnonzero(free):
+            value = partial(_entry, quantity.name, int(k))
+            scale = scales.get(quantity.name) or abs(value(model)) or np.inf
+            label, unit = f"{quantity.symbol} {entries[k]}".rstrip(), quantity.unit
+            if ", " in quantity.symbol:
+                label, unit = quantity.of_entry(int(k))
+            yield Quantity(label, unit, scale, value)
+
+
+def _entry(name: str, number: int, model: Model) -> float:
+    """Return one entry of a parameter."""
+    return float(np.ravel(getattr(model.parameters, name))[number])
