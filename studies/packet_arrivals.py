@@ -18,7 +18,7 @@ import numpy as np
 from recovery import true_delay, truth
 
 from airpuck import identify, preprocess
-from airpuck.campaigns.recovery import thrust_error
+from airpuck.campaigns.items import thrust_error
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification import fit as fit_module
 from airpuck.model.model_file import Model

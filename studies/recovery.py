@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from airpuck import identify, preprocess
-from airpuck.campaigns.recovery import recovery_errors
+from airpuck.campaigns.items import recovery_errors
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import Model, published_model
 from airpuck.twin.experiments import excite

@@ -1,29 +1,35 @@
-"""Campaigns as a whole: resumed, interrupted, from the command line; what items compute."""
+"""Campaigns as a whole: resumed, interrupted, from the command line; files and tables."""
 
+import csv
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
-from airpuck import campaign, identify, load_trajectory, tracking_study
+from airpuck import InputError, campaign
 from airpuck.campaigns import campaign as module
-from airpuck.campaigns.dispatch import compute
-from airpuck.campaigns.fitting import Fitting
-from airpuck.campaigns.fleet import Fleet
-from airpuck.campaigns.item import varied
-from airpuck.campaigns.recovery import recovery_errors
-from airpuck.campaigns.tracking import Tracking
-from airpuck.model.model_file import published_model
-from airpuck.recording import write_csv
+from airpuck.campaigns.campaign import Campaign, read_result, statistics, write_result
+from airpuck.campaigns.items import Fleet
+from airpuck.campaigns.spec import Entry
+from airpuck.campaigns.workers import Result, compute
 
 from ..command_line import airpuck, refused
-from ..synthetic import record
 
+ENTRIES = tuple(
+    Entry(f"key{number}", {"spread": spread, "model": ["a", "b"]}, Fleet(seed=number))
+    for number, spread in enumerate((0.1, 0.1, 0.2))
+)
+RESULTS = (
+    Result(rows=({"x_m": 1.0, "y_m": math.nan}, {"x_m": 2.0, "y_m": 5.0}), wall_s=0.5),
+    Result(rows=(), failure="is not to be had", wall_s=0.1),
+    Result(rows=({"x_m": 4.0, "y_m": 1e-300},), wall_s=0.5),
+)
 SPEC = 'kind = "tracking"\nseeds = {seeds}\nbase.dwell_s = 0.2\n'
 
 
@@ -32,10 +38,10 @@ def here(monkeypatch):
     """Compute in this process, and note the seeds."""
     seeds = []
 
-    def dispatch(entries, done, **_):
+    def dispatch(entries, **_):
         for entry in entries:
             seeds.append(entry.item.seed)
-            done(entry, compute(entry.item))
+            yield entry, compute(entry.item)
 
     monkeypatch.setattr(module, "dispatch", dispatch)
     return seeds
@@ -51,9 +57,9 @@ def spec(tmp_path):
 
 
 def test_only_what_is_missing_is_computed(here, spec, tmp_path):
-    told = []
-    first = campaign(spec(2), tmp_path, progress=lambda *state: told.append(state))
-    assert told == [(0, 2, 0), (1, 2, 0), (2, 2, 0)]
+    states = []
+    first = campaign(spec(2), tmp_path, progress=lambda *state: states.append(state))
+    assert states == [(0, 2, 0), (1, 2, 0), (2, 2, 0)]
     again = campaign(spec(2), tmp_path)
     assert again.computed == 0
     for one, other in zip(again.results, first.results, strict=True):
@@ -102,10 +108,10 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
         time.sleep(0.05)
     # As a terminal does: to the worker, too.
     os.killpg(process.pid, signal.SIGINT)
-    _, told = process.communicate(timeout=180)
+    _, printed = process.communicate(timeout=180)
     assert process.returncode == 130
-    assert told.splitlines()[-1] == "airpuck: interrupted; run it again for what is missing"
-    assert "Traceback" not in told
+    assert printed.splitlines()[-1] == "airpuck: interrupted; run it again for what is missing"
+    assert "Traceback" not in printed
     (done,) = items.iterdir()
     content = done.read_bytes()
     again = campaign(spec(1, dwells + "[0.1, 0.2]"), tmp_path / "out")
@@ -114,101 +120,55 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
     assert len(again.results) == 2
 
 
-@pytest.mark.study
-def test_a_flight_is_the_tracking_studys():
-    (row,) = Tracking(seed=3, controller="full", dwell_s=0.4).run()
-    model = published_model("M4")
-    (flown,) = tracking_study([model], model, dwell=0.4, seed=3, full_controller=True)
-    worst = np.max([np.abs(r.steady_state_error) for r in flown.results], axis=0)
-    names = ("x_m", "y_m", "yaw_rad")
-    np.testing.assert_array_equal([row[f"steady_state_error_{n}"] for n in names], worst)
-    assert row["not_settled"] == sum(r.settling_time is None for r in flown.results)
-    inside = np.abs(flown.twin.pose[:, :2]).max(axis=0)
-    half = np.array([2.2, 1.1]) / 2 - model.vehicle.radius_m
-    assert row["clearance_m"] == pytest.approx((half - inside).min())
+def test_what_is_written_reads_back(tmp_path):
+    for entry, result in zip(ENTRIES, RESULTS, strict=True):
+        assert read_result(tmp_path, entry.key) is None
+        write_result(tmp_path, entry, result)
+        found = read_result(tmp_path, entry.key)
+        np.testing.assert_equal(found.model_dump(), result.model_dump())
 
 
-def test_craft_vary_as_asked():
-    model = published_model("M3")
-    assert varied(model, 0.0, 5) is model
-    factors = [
-        np.log(
-            [
-                *(v.parameters.thrust / model.parameters.thrust).mean(axis=1),
-                v.parameters.inertia / model.parameters.inertia,
-                v.parameters.motor_time_constant / model.parameters.motor_time_constant,
-            ]
-        )
-        for v in (varied(model, 0.1, seed) for seed in range(400))
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"rows": [3], "failure": 0, "wall_s": 0}'])
+def test_a_file_of_somebody_else_is_refused(tmp_path, text):
+    (tmp_path / "items").mkdir()
+    (tmp_path / "items" / "key0.json").write_text(text)
+    with pytest.raises(InputError, match=r"key0\.json: is no result"):
+        read_result(tmp_path, "key0")
+
+
+def test_statistics_against_scipy():
+    values = np.random.default_rng(0).normal(size=101)
+    found = statistics([*values, math.nan, math.inf])
+    known = scipy.stats.describe(values)
+    assert found["count"] == 101
+    assert found["mean"] == pytest.approx(known.mean)
+    assert found["sd"] ** 2 == pytest.approx(known.variance)
+    assert (found["min"], found["max"]) == known.minmax
+    assert found["q50"] == np.sort(values)[50]
+    assert found["q05"] == np.sort(values)[5]
+
+
+def test_summary_of_each_setting():
+    first, second = Campaign(ENTRIES, RESULTS, 0).settings
+    assert [(s["items"], s["failed"]) for s in (first, second)] == [(1, 1), (1, 0)]
+    assert first["figures"]["x_m"]["mean"] == 1.5
+    assert first["figures"]["x_m"]["sd"] == pytest.approx(math.sqrt(0.5))
+    assert (first["figures"]["y_m"]["count"], first["figures"]["y_m"]["mean"]) == (1, 5)
+    assert second["figures"]["x_m"]["mean"] == 4
+    assert math.isnan(second["figures"]["x_m"]["sd"])
+
+
+def test_the_table_has_every_row_and_every_failure(tmp_path):
+    Campaign(ENTRIES, RESULTS, 0).write_table(tmp_path / "results.csv")
+    with (tmp_path / "results.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["key"], r["seed"], r["row"]) for r in rows] == [
+        ("key0", "0", "0"),
+        ("key0", "0", "1"),
+        ("key1", "1", ""),
+        ("key2", "2", "0"),
     ]
-    # 400 draws: standard errors of 0.005 and 0.0035.
-    np.testing.assert_allclose(np.mean(factors, axis=0), 0, atol=0.02)
-    np.testing.assert_allclose(np.std(factors, axis=0), 0.1, atol=0.015)
-    assert np.abs(np.corrcoef(np.transpose(factors)) - np.eye(8)).max() < 0.25
-
-
-def test_recovery_errors_by_hand():
-    truth = published_model("M3")
-    p = truth.parameters
-    other = replace(
-        p,
-        thrust=p.thrust * np.array([1, 1, 1.05, 1, 1, 1])[:, None],
-        inertia=p.inertia * 0.9,
-        motor_time_constant=p.motor_time_constant * 1.2,
-        angle_offset=p.angle_offset + 0.01,
-        center_of_mass=p.center_of_mass + np.array([3e-3, -4e-3]),
-    )
-    found = recovery_errors(replace(truth, parameters=other), truth)
-    expected = {
-        "thrust": 0.05,
-        "motor_time_constant": 0.2,
-        "inertia": -0.1,
-        "angle_offset_rad": 0.01,
-        "center_of_mass_m": 5e-3,
-    }
-    assert found == pytest.approx(expected)
-
-
-def test_craft_of_a_fleet_come_apart_as_much_as_they_differ():
-    item = Fleet(craft=64, duration_s=0.3, hold_s=0.3, twin={"radio": {"jitter_s": 0.0}}, seed=2)
-    same, near, far = (
-        np.array([list(row.values()) for row in item.model_copy(update={"spread": s}).run()])
-        for s in (0.0, 0.01, 0.02)
-    )
-    assert (same == 0).all()
-    # The same factors, twice as far: to first order twice as far apart.
-    np.testing.assert_allclose(far.std(axis=0), 2 * near.std(axis=0), rtol=0.1)
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("flights") / "one"
-    write_csv(record(duration=15.0, noise=1e-4), folder)
-    return str(folder)
-
-
-@pytest.mark.study
-def test_fits_from_anywhere_end_at_the_same_place(flight):
-    plain = identify(load_trajectory(flight), "M2").model.parameters.to_vector()
-    for seed in (1, 2):
-        (row,) = Fitting(
-            recordings=[flight], model="M2", start_spread=0.1, seed=seed, validation=flight
-        ).run()
-        assert row["converged"] == 1
-        assert row["windows"] > 100
-        found = np.array([v for k, v in row.items() if k.startswith(("thrust", "motor"))])
-        np.testing.assert_allclose(found, [*plain[:18], plain[19]], atol=5e-3)
-        assert 0 < row["rmse_x_m"] < 0.02
-
-
-@pytest.mark.study
-def test_resampled_fits_surround_the_fit(flight):
-    rows = Fitting(recordings=[flight], model="M2", resamplings=12, seed=4).run()
-    fit = identify(load_trajectory(flight), "M2")
-    lag = [row["motor_time_constant"] for row in rows]
-    centre = float(fit.model.parameters.motor_time_constant)
-    error = fit.model.standard_error(lambda m: m.parameters.motor_time_constant)
-    assert 10 <= len(rows) <= 12
-    assert abs(np.median(lag) - centre) < 3 * error
-    assert 0.3 < np.std(lag) / error < 3
-    assert {row["inertia"] for row in rows} == {float(fit.model.parameters.inertia)}
+    assert [r["x_m"] for r in rows] == ["1.0", "2.0", "", "4.0"]
+    assert [r["y_m"] for r in rows] == ["", "5.0", "", "1e-300"]
+    assert rows[2]["failure"] == "is not to be had"
+    assert rows[0]["model"] == '["a", "b"]'

@@ -37,8 +37,8 @@ def spec(tmp_path):
 def test_every_combination_with_every_seed(spec):
     entries = read_spec(spec())
     assert len(entries) == len({entry.key for entry in entries}) == 2 * 3 * 2
-    told = [(e.item.controller, e.item.twin.radio.jitter_s, e.item.seed) for e in entries]
-    assert told == [(c, j, s) for c in ("paper", "full") for j in (0, 0.01, 0.03) for s in (0, 1)]
+    found = [(e.item.controller, e.item.twin.radio.jitter_s, e.item.seed) for e in entries]
+    assert found == [(c, j, s) for c in ("paper", "full") for j in (0, 0.01, 0.03) for s in (0, 1)]
     assert entries[0].setting == {"controller": "paper", "twin.radio.jitter_s": 0.0}
 
 

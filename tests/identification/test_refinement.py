@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.campaigns.recovery import thrust_error
+from airpuck.campaigns.items import thrust_error
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification import fit as fit_module
 from airpuck.identification.fit import identify

@@ -1,1 +1,4 @@
-"""Many independent flights and fits, on all cores or on a cluster."""
+"""Many independent flights and fits, on all cores or on a cluster.
+
+Entry points: `campaign.campaign`, `items.recovery_errors`.
+"""

@@ -1,17 +1,26 @@
-"""`campaign`: compute what a spec asks for and has no result yet."""
+"""`campaign`: compute what a spec asks for and has no result yet; sum up what there is."""
 
 from __future__ import annotations
 
+import csv
+import itertools
+import json
+import math
 import os
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from airpuck.campaigns.dispatch import dispatch
-from airpuck.campaigns.item import Entry
-from airpuck.campaigns.results import Result, Store, Summary, summarise, write_table
-from airpuck.campaigns.spec import read_spec
+import numpy as np
+
+from airpuck import __version__
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import replacing
+from airpuck.campaigns.spec import Entry, read_spec
+from airpuck.campaigns.workers import Result, dispatch
+
+_STATISTICS = ("count", "mean", "sd", "min", "q05", "q50", "q95", "max")
 
 
 @dataclass(frozen=True)
@@ -22,7 +31,7 @@ class Campaign:
     entries: tuple[Entry, ...]
     #: What became of each.
     results: tuple[Result, ...]
-    #: Items that had no result before.
+    #: Number of items that had no result before.
     computed: int
 
     @property
@@ -32,21 +41,42 @@ class Campaign:
         return [(entry, result.failure) for entry, result in pairs if result.failure is not None]
 
     @property
-    def summaries(self) -> list[Summary]:
-        """Figures of each setting of the grid."""
-        return summarise(self.entries, self.results)
+    def settings(self) -> list[dict[str, Any]]:
+        """Of each setting of the grid: ``setting, items, failed, figures``.
+
+        ``figures`` has for each name ``count, mean, sd, min, q05, q50, q95, max`` over all rows
+        where it is known; nan where there is none.
+        """
+        pairs = zip(self.entries, self.results, strict=True)
+        # The items of a setting follow one another.
+        groups = itertools.groupby(pairs, key=lambda pair: pair[0].setting)
+        return [_summary(setting, [result for _, result in group]) for setting, group in groups]
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
         return {
             "items": len(self.entries),
             "computed": self.computed,
-            "settings": [asdict(summary) for summary in self.summaries],
+            "settings": self.settings,
             "failures": [
                 {"key": e.key, "setting": e.setting, "seed": e.item.seed, "reason": why}
                 for e, why in self.failures
             ],
         }
+
+    def write_table(self, path: Path) -> None:
+        """Write all rows as CSV."""
+        settings = dict.fromkeys(field for entry in self.entries for field in entry.setting)
+        names = dict.fromkeys(n for result in self.results for row in result.rows for n in row)
+        columns = ["key", *settings, "seed", "row", *names, "failure"]
+        with (
+            replacing(path) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
+            writer = csv.DictWriter(file, columns)
+            writer.writeheader()
+            for entry, result in zip(self.entries, self.results, strict=True):
+                writer.writerows(_lines(entry, result))
 
 
 def campaign(
@@ -85,26 +115,80 @@ def campaign(
     InputError
         If the spec is wrong, Dask is not installed, or the scheduler is not there.
     """
-    entries, store = read_spec(spec), Store(Path(output))
-    results = {entry.key: store.read(entry.key) for entry in entries}
-    known = {
+    entries, folder = read_spec(spec), Path(output)
+    results = {entry.key: read_result(folder, entry.key) for entry in entries}
+    results = {
         key: result
         for key, result in results.items()
         if result is not None and not (retry and result.failure is not None)
     }
-    missing = [entry for entry in entries if entry.key not in known]
-    failed = sum(result.failure is not None for result in known.values())
-    progress(len(known), len(entries), failed)
-
-    def done(entry: Entry, result: Result) -> None:
-        nonlocal failed
-        store.write(entry, result)
-        known[entry.key] = result
+    missing = [entry for entry in entries if entry.key not in results]
+    failed = sum(result.failure is not None for result in results.values())
+    progress(len(results), len(entries), failed)
+    computed = dispatch(missing, scheduler=scheduler, workers=workers) if missing else ()
+    for entry, result in computed:
+        write_result(folder, entry, result)
+        results[entry.key] = result
         failed += result.failure is not None
-        progress(len(known), len(entries), failed)
-
-    if missing:
-        dispatch(missing, done, scheduler=scheduler, workers=workers)
-    found = Campaign(tuple(entries), tuple(known[e.key] for e in entries), len(missing))
-    write_table(Path(output) / "results.csv", found.entries, found.results)
+        progress(len(results), len(entries), failed)
+    found = Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
+    found.write_table(folder / "results.csv")
     return found
+
+
+def read_result(folder: Path, key: str) -> Result | None:
+    """Read the result of an item, if it has one."""
+    path = folder / "items" / f"{key}.json"
+    try:
+        return Result.model_validate_json(path.read_text(encoding="utf-8"), strict=True)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"is no result of a campaign ({error}); remove it", file=path) from error
+
+
+def write_result(folder: Path, entry: Entry, result: Result) -> None:
+    """Write the result of an item, in one step."""
+    content = {
+        "airpuck": __version__,
+        "kind": type(entry.item).__name__,
+        "item": entry.item.model_dump(mode="json"),
+        **json.loads(result.model_dump_json()),
+    }
+    with replacing(folder / "items" / f"{entry.key}.json") as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _summary(setting: dict[str, Any], results: list[Result]) -> dict[str, Any]:
+    """Sum up the results of one setting."""
+    rows = [row for result in results for row in result.rows]
+    names = dict.fromkeys(name for row in rows for name in row)
+    failed = sum(result.failure is not None for result in results)
+    figures = {name: statistics([row.get(name, math.nan) for row in rows]) for name in names}
+    ended = {"items": len(results) - failed, "failed": failed}
+    return {"setting": setting, **ended, "figures": figures}
+
+
+def statistics(values: list[float]) -> dict[str, float]:
+    """Describe the finite values of a sample."""
+    sample = np.array([value for value in values if math.isfinite(value)])
+    count, mean, sd, quantiles = len(sample), math.nan, math.nan, [math.nan] * 5
+    if count:
+        mean = sample.mean()
+        quantiles = np.quantile(sample, (0, 0.05, 0.5, 0.95, 1))
+    if count > 1:
+        sd = sample.std(ddof=1)
+    return dict(zip(_STATISTICS, map(float, (count, mean, sd, *quantiles)), strict=True))
+
+
+def _lines(entry: Entry, result: Result) -> Iterator[dict[str, Any]]:
+    """Lay out the rows of one item, or its failure, for the table."""
+    common = {"key": entry.key, "seed": entry.item.seed, "failure": result.failure}
+    for field, value in entry.setting.items():
+        plain = isinstance(value, (str, int, float))
+        common[field] = value if plain else json.dumps(value, default=str)
+    for number, row in enumerate(result.rows):
+        finite = {name: value for name, value in row.items() if math.isfinite(value)}
+        yield {**common, "row": number, **finite}
+    if not result.rows:
+        yield common

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,32 +16,26 @@ import pydantic
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
-from airpuck.campaigns.fitting import Fitting
-from airpuck.campaigns.fleet import Fleet
-from airpuck.campaigns.item import Entry, Item, fingerprint
-from airpuck.campaigns.recovery import Recovery
-from airpuck.campaigns.tracking import Tracking
+from airpuck.campaigns.items import Fitting, Fleet, Item, Natural, Recovery, Tracking, fingerprint
 
-#: What an item can be.
 KINDS: dict[str, type[Item]] = {
     "tracking": Tracking,
     "recovery": Recovery,
     "fit": Fitting,
     "fleet": Fleet,
 }
-#: More are taken for a slip of the pen.
+#: More items than this are taken for a mistake.
 _MOST = 1_000_000
 
 
 class Spec(Section):
     """Content of a spec file."""
 
-    #: What an item is.
     kind: Literal["tracking", "recovery", "fit", "fleet"]
     #: How many, from 0 on, or which.
     seeds: (
         Annotated[int, pydantic.Field(ge=1)]
-        | Annotated[tuple[Annotated[int, pydantic.Field(ge=0)], ...], pydantic.Field(min_length=1)]
+        | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)]
     ) = 1
     #: Fields that all items share.
     base: dict[str, Any] = pydantic.Field(default_factory=dict)
@@ -47,36 +43,43 @@ class Spec(Section):
     grid: dict[str, Any] = pydantic.Field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Entry:
+    """An item and its place in the campaign."""
+
+    #: Of the item: the same computation has the same key in every campaign.
+    key: str
+    #: The values from the grid, by dotted field.
+    setting: dict[str, Any]
+    item: Item
+
+
 def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
     """Read a spec file, and lay out all of its items."""
-    spec = read_toml(path, Spec)
-    kind, folder = KINDS[spec.kind], Path(path).resolve().parent
-    seeds = tuple(range(spec.seeds)) if isinstance(spec.seeds, int) else spec.seeds
-    for field in ("base", "grid"):
-        if "seed" in getattr(spec, field):
-            raise InputError("is given by seeds; leave it out", file=path, field=f"{field}.seed")
-    axes = dict(_axes(spec.grid, path))
-    size = len(seeds)
-    for values in axes.values():
-        size *= len(values)
+    spec, folder = read_toml(path, Spec), Path(path).resolve().parent
+    for table, content in (("base", spec.base), ("grid", spec.grid)):
+        if "seed" in content:
+            raise InputError("is given by seeds; leave it out", file=path, field=f"{table}.seed")
+    kind, axes = KINDS[spec.kind], dict(_axes(spec.grid, path))
+    seeds = range(spec.seeds) if isinstance(spec.seeds, int) else spec.seeds
+    size = math.prod(map(len, axes.values()), start=len(seeds))
     if size > _MOST:
         raise InputError(f"asks for {size} items, more than {_MOST}", file=path)
-    remembered = cache(fingerprint)
+    fingerprint_once = cache(fingerprint)
     entries: dict[str, Entry] = {}
     for values in itertools.product(*axes.values()):
         setting = dict(zip(axes, values, strict=True))
-        content = dict(spec.base)
+        content = spec.base
         for field, value in setting.items():
-            content = laid_over(content, _nested(field, value))
-        content = {
-            field: _resolved(value, folder) if field in kind.SOURCES else value
-            for field, value in content.items()
-        }
+            for name in reversed(field.split(".")):
+                value = {name: value}
+            content = laid_over(content, value)
+        sources = {name: _resolved(content[name], folder) for name in kind.SOURCES & content.keys()}
         # Checked once for all seeds.
-        item = checked(content, kind, file=path)
+        item = checked({**content, **sources}, kind, file=path)
         for seed in seeds:
             seeded = item.model_copy(update={"seed": seed})
-            key = seeded.key(remembered)
+            key = seeded.key(fingerprint_once)
             entries.setdefault(key, Entry(key, setting, seeded))
     return list(entries.values())
 
@@ -89,20 +92,12 @@ def _axes(
         field = above + name
         if isinstance(values, Mapping):
             yield from _axes(values, path, f"{field}.")
-        elif isinstance(values, list) and values:
-            told = [json.dumps(value, sort_keys=True, default=str) for value in values]
-            if len(set(told)) < len(told):
-                raise InputError("names a value twice", file=path, field=f"grid.{field}")
-            yield field, values
-        else:
+            continue
+        if not isinstance(values, list) or not values:
             raise InputError("must be a list of values", file=path, field=f"grid.{field}")
-
-
-def _nested(field: str, value: Any) -> dict[str, Any]:
-    """``a.b``, value -> ``{"a": {"b": value}}``."""
-    for name in reversed(field.split(".")):
-        value = {name: value}
-    return value
+        if len({json.dumps(v, sort_keys=True, default=str) for v in values}) < len(values):
+            raise InputError("names a value twice", file=path, field=f"grid.{field}")
+        yield field, values
 
 
 def _resolved(names: Any, folder: Path) -> Any:

@@ -120,17 +120,17 @@ def _print(found: Campaign) -> None:
     from rich.table import Table
 
     headings = ("mean", "sd", "min", "q05", "q50", "q95", "max")
-    for summary in found.summaries:
-        told = ", ".join(f"{k} = {json.dumps(v, default=str)}" for k, v in summary.setting.items())
-        title = f"{told or 'all'}: {summary.items} items" + (
-            f", {summary.failed} failed" if summary.failed else ""
-        )
+    for summary in found.settings:
+        values = (f"{k} = {json.dumps(v, default=str)}" for k, v in summary["setting"].items())
+        title = f"{', '.join(values) or 'all'}: {summary['items']} items"
+        if summary["failed"]:
+            title += f", {summary['failed']} failed"
         console().print(title, soft_wrap=True, highlight=False, markup=False)
         table = Table()
         table.add_column("figure", overflow="fold")
         for heading in headings:
             table.add_column(heading, justify="right")
-        for name, figures in summary.figures.items():
+        for name, figures in summary["figures"].items():
             values = (figures[heading] for heading in headings)
             table.add_row(name, *(f"{v:.4g}" if math.isfinite(v) else "" for v in values))
         console().print(table)

@@ -10,9 +10,10 @@ from typing import Literal
 import pytest
 
 from airpuck import InputError
-from airpuck.campaigns import dispatch as module
-from airpuck.campaigns.dispatch import DEADLY, dispatch
-from airpuck.campaigns.item import Entry, Item
+from airpuck.campaigns import workers as module
+from airpuck.campaigns.items import Item
+from airpuck.campaigns.spec import Entry
+from airpuck.campaigns.workers import DEADLY, dispatch
 
 
 class Mortal(Item):
@@ -43,16 +44,12 @@ def run(tmp_path_factory):
         Mortal(seed=s, folder=str(folder), kills=fates.get(s, "never"), raises=s == 10)
         for s in range(12)
     ]
-    results, order = {}, []
-
-    def done(entry, result):
+    results = {}
+    for entry, result in dispatch([Entry(f"item {i.seed}", {}, i) for i in items], workers=2):
         if not results:
             os.kill(int(result.rows[0]["pid"]), signal.SIGKILL)
         assert entry.item.seed not in results
         results[entry.item.seed] = result
-        order.append(entry.item.seed)
-
-    dispatch([Entry(f"item {i.seed}", {}, i) for i in items], done, workers=2)
     runs = {s: len(list(folder.glob(f"{s}-*"))) for s in range(12)}
     return results, runs
 
@@ -100,10 +97,10 @@ def cluster():
         yield cluster
 
 
-def test_a_scheduler_without_workers_is_told_in_one_line(cluster, monkeypatch):
+def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.5)
     with pytest.raises(InputError, match="has no workers"):
-        dispatch([], lambda *_: None, scheduler=cluster.scheduler_address)
+        list(dispatch([], scheduler=cluster.scheduler_address))
 
 
 class Interrupted:
@@ -116,23 +113,18 @@ class Interrupted:
 def test_an_interrupt_in_a_destructor_is_not_lost(cluster, tmp_path, monkeypatch):
     cluster.scale(1)
     items = [Mortal(seed=s, folder=str(tmp_path)) for s in range(20)]
-    results = []
-
-    def done(entry, _result):
-        results.append(entry.item.seed)
-        if len(results) == 2:
-            Interrupted()
-
-    entries = [Entry(f"interrupted {i.seed}", {}, i) for i in items]
+    entries, count = [Entry(f"interrupted {i.seed}", {}, i) for i in items], 0
     with pytest.raises(KeyboardInterrupt):
-        dispatch(entries, done, scheduler=cluster.scheduler_address)
-    assert 2 <= len(results) <= 3
+        for count, _ in enumerate(dispatch(entries, scheduler=cluster.scheduler_address), start=1):
+            if count == 2:
+                Interrupted()
+    assert 2 <= count <= 3
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_no_scheduler_is_told_in_one_line(monkeypatch):
+def test_a_missing_scheduler_is_refused(monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.3)
     with pytest.raises(InputError, match="no Dask scheduler answers there"):
-        dispatch([], lambda *_: None, scheduler="tcp://127.0.0.1:9")
+        list(dispatch([], scheduler="tcp://127.0.0.1:9"))
     with pytest.raises(InputError, match="no Dask scheduler answers there"):
-        dispatch([], lambda *_: None, scheduler="nonsense://")
+        list(dispatch([], scheduler="nonsense://"))

@@ -1,0 +1,408 @@
+"""What a campaign can compute: items, each wholly described by its fields."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+import pydantic
+from jaxtyping import Float
+
+from airpuck import __version__
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, checked, laid_over
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.craft.vehicle import default_vehicle, read_vehicle
+from airpuck.data.trajectory import Trajectory
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.evaluation.evaluate import evaluate
+from airpuck.identification.bootstrap import bootstrap
+from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.transport_delay import mean_delay
+from airpuck.model.model_file import Model, read_model
+from airpuck.model.parameters import Parameters
+from airpuck.model.rungs import named_rung
+from airpuck.physics.thrust import thrust
+from airpuck.preprocessing.load import load_trajectory
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.recording.fingerprint import sha256
+from airpuck.twin.experiments import excite
+from airpuck.twin.fleet import fly_fleet
+from airpuck.twin.radio import as_received
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.tracking_study import DWELL, Tracked, tracking_study
+
+#: A number; null in JSON stands for one that is not known.
+Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
+#: Figures by name.
+Row = dict[str, Figure]
+Packaged = TypeVar("Packaged", TwinSettings, Tuning)
+
+
+def _laid_over_packaged(table: Any, packaged: Packaged) -> Packaged:
+    """Complete a spec's table, which names only what differs from the packaged file."""
+    if not isinstance(table, Mapping):
+        raise ValueError("must be a table")
+    return checked(laid_over(packaged.model_dump(mode="json"), table), type(packaged))
+
+
+def _known_rung(name: str) -> str:
+    """Refuse an unknown rung."""
+    try:
+        named_rung(name)
+    except InputError as error:
+        raise ValueError(error.problem) from None
+    return name
+
+
+TwinTable = Annotated[
+    TwinSettings,
+    pydantic.BeforeValidator(lambda table: _laid_over_packaged(table, default_twin_settings())),
+]
+TuningTable = Annotated[
+    Tuning, pydantic.BeforeValidator(lambda table: _laid_over_packaged(table, default_tuning()))
+]
+RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
+Natural = Annotated[int, pydantic.Field(ge=0)]
+Count = Annotated[int, pydantic.Field(ge=1)]
+Positive = Annotated[float, pydantic.Field(gt=0)]
+Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
+#: How much a craft differs from its model, at random; see `moved`.
+Spread = Annotated[float, pydantic.Field(ge=0, le=1)]
+
+
+class Item(Section):
+    """Base of all kinds of items."""
+
+    #: Fields that name models or recordings: the content of these files belongs to the key.
+    SOURCES: ClassVar[tuple[str, ...]] = ()
+
+    #: Of everything random in it.
+    seed: Natural = 0
+
+    def run(self) -> list[Row]:
+        """Compute the item's figures."""
+        raise NotImplementedError
+
+    def key(self, fingerprint: Callable[[str], str]) -> str:
+        """Hash the fields, the content of the files that they name, and our version."""
+        content = self.model_dump(mode="json")
+        for field in self.SOURCES:
+            names = content[field] if isinstance(content[field], list) else [content[field]]
+            content[field] = [
+                name if name is None or name.startswith("paper:") else fingerprint(name)
+                for name in names
+            ]
+        text = json.dumps([type(self).__name__, __version__, content], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def fingerprint(name: str) -> str:
+    """Hash a file, or all files in a folder."""
+    path = Path(name)
+    if not path.is_dir():
+        return sha256(path)
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    lines = [f"{file.relative_to(path)} {sha256(file)}" for file in files]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+class Tracking(Item):
+    """One flight of the twin to the paper's set points, in closed loop."""
+
+    SOURCES: ClassVar = ("model", "truth")
+
+    #: What the controller believes, and what the twin is.
+    model: str = "paper:M4"
+    truth: str = "paper:M4"
+    truth_spread: Spread = 0.0
+    #: Time at each set point.
+    dwell_s: Annotated[float, pydantic.Field(ge=0.1, le=1000)] = DWELL
+    #: As flown in the paper; "full" also compensates the delay and rejects disturbances.
+    controller: Literal["paper", "full"] = "paper"
+    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+    tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
+
+    def run(self) -> list[Row]:
+        """Fly; see `Item.run`."""
+        truth = varied(read_model(self.truth), self.truth_spread, self.seed)
+        (flown,) = tracking_study(
+            [read_model(self.model)],
+            truth,
+            dwell=self.dwell_s,
+            seed=self.seed,
+            full_controller=self.controller == "full",
+            settings=self.twin,
+            tuning=self.tuning,
+        )
+        reach = self.twin.table.reach(truth.vehicle.radius_m)
+        clearance = np.asarray(reach) - np.abs(flown.twin.pose[:, :2]).max(axis=0)
+        return [{**flight_figures(flown), "clearance_m": float(clearance.min())}]
+
+
+class Recovery(Item):
+    """One excitation flight of the twin, identified, and compared with the truth."""
+
+    SOURCES: ClassVar = ("truth",)
+
+    #: What the twin is; its centre of mass is fixed to the body.
+    truth: str = "paper:M3"
+    truth_spread: Spread = 0.0
+    #: What is identified.
+    model: RungName = "M3"
+    duration_s: Positive = 90.0
+    amplitude: Amplitude = 1.0
+    hold_s: Positive = 0.2
+    #: Samples from one window to the next.
+    stride: Count = 7
+    #: Whether windows that are predicted badly count less.
+    robust: bool = False
+    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+
+    def run(self) -> list[Row]:
+        """Fly, identify, compare; see `Item.run`."""
+        truth = varied(read_model(self.truth), self.truth_spread, self.seed)
+        truth = replace(truth, frame="body", indexing="start")
+        recording = excite(
+            truth,
+            self.duration_s,
+            self.seed,
+            amplitude=self.amplitude,
+            hold=self.hold_s,
+            settings=self.twin,
+        )
+        data, craft = preprocess(recording, truth.vehicle), truth.vehicle
+        fit = identify(data, self.model, vehicle=craft, stride=self.stride, robust=self.robust)
+        delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
+        delay_error = {"delay_s": fit.model.transport_delay - delay}
+        return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
+
+
+class Fleet(Item):
+    """A batch of craft that fly the same commands in open loop, beside one as the model says."""
+
+    SOURCES: ClassVar = ("model",)
+
+    model: str = "paper:M3"
+    spread: Spread = 0.0
+    #: Number of craft.
+    craft: Count = 500
+    #: Length of the flight; commands are drawn anew every `hold_s`, up to `amplitude`.
+    duration_s: Positive = 0.5
+    hold_s: Annotated[float, pydantic.Field(ge=0.01)] = 0.2
+    amplitude: Amplitude = 1.0
+    precision: Literal["double", "single"] = "double"
+    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+
+    def run(self) -> list[Row]:
+        """Fly; see `Item.run`."""
+        model = read_model(self.model)
+        lowest, n = model.vehicle.command_min, model.vehicle.n_propellers
+        hold, steps = round(self.hold_s / 0.01), max(1, round(self.duration_s / 0.01))
+        rng = np.random.default_rng([self.seed, 8])
+        drawn = rng.uniform(lowest, max(lowest, self.amplitude), (-(-steps // hold), n))
+        # Seeds of different items of a campaign must not meet.
+        seeds = rng.integers(2**62, size=self.craft).tolist()
+        flight = fly_fleet(
+            [model, *(varied(model, self.spread, seed) for seed in seeds)],
+            np.repeat(drawn, hold, axis=0)[:steps],
+            seeds=[self.seed, *seeds],
+            settings=self.twin,
+            precision=self.precision,
+        )
+        apart = flight.state[:, :3, 1:] - flight.state[:, :3, :1]
+        return [named("apart", displacement) for displacement in apart[-1].T]
+
+
+class Fitting(Item):
+    """One fit to recordings; or `resamplings` of them, to data drawn with replacement."""
+
+    SOURCES: ClassVar = ("recordings", "validation", "vehicle")
+
+    recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
+    model: RungName = "M3"
+    #: A recording to judge the fit on, by the paper's protocol.
+    validation: str | None = None
+    #: Vehicle file; by default the paper's craft.
+    vehicle: str | None = None
+    #: Part of each recording to learn from.
+    span: tuple[float, float] | None = None
+    #: How much the start differs from the nominal values, at random; see `moved`.
+    start_spread: Spread = 0.0
+    #: Fits to blocks of time drawn with replacement, from the fit to all data.
+    resamplings: Natural = 0
+    #: Samples from one window to the next.
+    stride: Count = 7
+    #: Of the thrust polynomials.
+    degree: Annotated[int, pydantic.Field(ge=1, le=9)] | None = None
+    #: Where the offset of the centre of mass is constant.
+    frame: Literal["body", "world"] = "body"
+    #: Whether windows that are predicted badly count less; not with resampled data.
+    robust: bool = False
+
+    @pydantic.model_validator(mode="after")
+    def _resamples_plain_fits(self) -> Fitting:
+        if self.resamplings == 1:
+            raise ValueError("resamplings must be 0 or at least 2")
+        if self.resamplings and (self.robust or self.start_spread):
+            raise ValueError("resamplings go with neither robust nor start_spread")
+        return self
+
+    def run(self) -> list[Row]:
+        """Fit; see `Item.run`."""
+        if self.resamplings:
+            return self._resampled()
+        fit = self.fit()
+        row = {**_progress(fit), "windows": float(fit.windows)}
+        row |= _labelled(fit.model, fit.model.parameters)
+        if self.validation is not None:
+            row |= named("rmse", evaluate(fit.model, self._load(self.validation)).rmse)
+        return [row]
+
+    def _load(self, name: str) -> Trajectory:
+        files = [name] if self.vehicle is None else [name, self.vehicle]
+        return _trajectory(name, self.vehicle, *map(fingerprint, files))
+
+    def fit(self) -> Fit:
+        """Identify, from where the seed says."""
+        craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
+        trajectories = [self._load(name) for name in self.recordings]
+        if self.span is not None:
+            trajectories = [trajectory.slice(*self.span) for trajectory in trajectories]
+        rung, start = named_rung(self.model), None
+        if self.start_spread:
+            nominal = rung.initial(craft, self.degree)
+            nominal = replace(nominal, transport_delay=mean_delay(trajectories, craft))
+            elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
+            start = nominal.with_vector(
+                np.where(rung.mask(nominal), elsewhere, nominal.to_vector())
+            )
+        return identify(
+            trajectories,
+            rung,
+            vehicle=craft,
+            initial=start,
+            degree=self.degree,
+            encoder=PaperEncoder(length=40),
+            stride=self.stride,
+            frame=self.frame,
+            robust=self.robust,
+        )
+
+    def _resampled(self) -> list[Row]:
+        """Fit to resampled data, each time from the fit to all."""
+        # A frozen pydantic model has a hash, which the type checker does not see.
+        whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
+        fit = _fit_to_all(whole, whole.key(fingerprint))
+        model, loss = fit.model, fit.objective
+        assert loss is not None and loss.clusters is not None
+        _, estimates = bootstrap(
+            loss, model.parameters, model.free, loss.clusters, self.resamplings, seed=self.seed
+        )
+        return [_labelled(model, model.parameters.with_vector(e)) for e in estimates]
+
+
+# Items of one campaign share recordings, and resamplings the fit that they begin at. A worker may
+# outlive the content of a file: its hash is part of what is remembered.
+
+
+@lru_cache(maxsize=8)
+def _trajectory(name: str, vehicle: str | None, *_hashes: str) -> Trajectory:
+    return load_trajectory(name, None if vehicle is None else read_vehicle(vehicle))
+
+
+@lru_cache(maxsize=8)
+def _fit_to_all(item: Fitting, _key: str) -> Fit:
+    return item.fit()
+
+
+def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
+    """Multiply thrusts, inertia and motor lag by random factors exp(spread · N(0, 1))."""
+    rng = np.random.default_rng([seed, 7])
+    inertia, lag, *thrusts = np.exp(spread * rng.normal(size=2 + len(parameters.thrust)))
+    return replace(
+        parameters,
+        thrust=parameters.thrust * np.array(thrusts)[:, None],
+        inertia=parameters.inertia * inertia,
+        motor_time_constant=parameters.motor_time_constant * lag,
+    )
+
+
+def varied(model: Model, spread: float, seed: int) -> Model:
+    """Return another craft of the kind, its parameters `moved`."""
+    if not spread:
+        return model
+    return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)
+
+
+def named(prefix: str, values: Any) -> Row:
+    """Name the channels x, y [m] and yaw [rad] of a figure."""
+    channels = ("x_m", "y_m", "yaw_rad")
+    return {f"{prefix}_{name}": float(v) for name, v in zip(channels, values, strict=True)}
+
+
+def flight_figures(flown: Tracked) -> Row:
+    """Sum up a flight to set points."""
+    results = flown.results
+    settled = [r.settling_time for r in results if r.settling_time is not None]
+    steady = np.abs([r.steady_state_error or (np.nan,) * 3 for r in results])
+    inexact = sum(count for status, count in flown.outcomes.items() if status != "exact")
+    return {
+        "not_settled": float(len(results) - len(settled)),
+        "settling_time_s": float(np.mean(settled)) if settled else np.nan,
+        **named("steady_state_error", steady.max(axis=0)),
+        **named("overshoot", np.max([r.overshoot for r in results], axis=0)),
+        "effort": float(np.mean([r.effort for r in results])),
+        "inexact": inexact / sum(flown.outcomes.values()),
+    }
+
+
+def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:
+    """Compare thrust curves: relative root mean square error over all speeds, of each propeller."""
+    speeds = np.tile(np.linspace(0.03, 1, 200), (len(truth.parameters.thrust), 1))
+    found, true = (thrust(m.dynamics.thrust, speeds) for m in (model, truth))
+    return np.sqrt(np.mean((found - true) ** 2, axis=1) / np.mean(true**2, axis=1))
+
+
+def recovery_errors(model: Model, truth: Model) -> Row:
+    """Compare an identified model with the truth.
+
+    Parameters
+    ----------
+    model, truth : Model
+        Of the same craft.
+
+    Returns
+    -------
+    dict
+        ``thrust`` (of the worst curve), ``motor_time_constant`` and ``inertia`` are relative
+        errors; ``angle_offset_rad`` and ``center_of_mass_m`` are differences.
+    """
+    found, true = model.parameters, truth.parameters
+    return {
+        "thrust": float(thrust_error(model, truth).max()),
+        "motor_time_constant": float(found.motor_time_constant / true.motor_time_constant - 1),
+        "inertia": float(found.inertia / true.inertia - 1),
+        "angle_offset_rad": float(found.angle_offset - true.angle_offset),
+        "center_of_mass_m": float(np.linalg.norm(found.center_of_mass - true.center_of_mass)),
+    }
+
+
+def _progress(fit: Fit) -> Row:
+    """Say how a fit ended."""
+    ended = {"iterations": float(fit.iterations), "converged": float(fit.converged)}
+    return {"loss": fit.loss, **ended}
+
+
+def _labelled(model: Model, parameters: Parameters) -> Row:
+    """Name the parameters."""
+    labels = parameters.labels(model.vehicle.propeller_names)
+    return dict(zip(labels, parameters.to_vector().tolist(), strict=True))

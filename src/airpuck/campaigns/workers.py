@@ -1,0 +1,190 @@
+"""Items to the workers of a Dask cluster, and results back, whatever becomes of the workers."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import signal
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import pydantic
+
+from airpuck import __version__
+from airpuck.boundary.errors import InputError
+from airpuck.campaigns.items import Item, Row
+from airpuck.campaigns.spec import Entry
+
+#: An item is given up when this many workers have died of it.
+DEADLY = 3
+#: How long a scheduler may take to answer, and then to have a worker [s].
+PATIENCE = 10.0
+#: Stands for Ctrl-C among finished items.
+_INTERRUPT = None
+_SETTINGS = {
+    # A worker's death is no failure of its item yet.
+    "distributed.scheduler.allowed-failures": DEADLY - 1,
+    # On a busy machine a worker takes long to start again: no reason to give it up.
+    "distributed.deploy.lost-worker-timeout": "1h",
+    "distributed.comm.timeouts.connect": "5m",
+    # Dask takes a busy loop in compiled code for a fault, and says so.
+    "distributed.admin.tick.limit": "1h",
+}
+
+
+class Result(pydantic.BaseModel):
+    """What became of an item; a figure that is not finite is null in its file, and then nan."""
+
+    rows: tuple[Row, ...]
+    #: Why it failed.
+    failure: str | None = None
+    #: Time it took, unless its workers died [s].
+    wall_s: float | None = None
+
+
+def dispatch(
+    entries: Iterable[Entry], *, scheduler: str | None = None, workers: int | None = None
+) -> Iterator[tuple[Entry, Result]]:
+    """Compute items on workers, and yield each with its result, in any order.
+
+    No more items are under way than workers have threads, so that one that kills its worker puts
+    no other under suspicion.
+    """
+    finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    waiting, under_way = iter(entries), {}
+    with _noting_interrupts(finished), _client(scheduler, workers) as client:
+        while True:
+            threads = max(1, sum(client.nthreads().values()))
+            while len(under_way) < threads and (entry := next(waiting, None)) is not None:
+                future = client.submit(compute, entry.item, key=f"item-{entry.key}", pure=False)
+                under_way[future.key] = entry
+                future.add_done_callback(finished.put)
+            if not under_way:
+                break
+            future = finished.get()
+            if future is _INTERRUPT:
+                raise KeyboardInterrupt
+            yield under_way.pop(future.key), _result(future)
+            future.release()
+        if not finished.empty():
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
+    """Put the first Ctrl-C in the queue; the second raises at once, as usual.
+
+    An exception that a signal raises is lost where it comes up in a destructor or in a callback of
+    the garbage collector, and Dask has both. A `SimpleQueue` may be put to there.
+    """
+    usual = signal.default_int_handler
+    here = threading.current_thread() is threading.main_thread()
+    if not here or signal.getsignal(signal.SIGINT) is not usual:
+        yield  # somebody else handles signals
+        return
+
+    def note(_number: int, _frame: Any) -> None:
+        signal.signal(signal.SIGINT, usual)
+        finished.put(_INTERRUPT)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
+def compute(item: Item) -> Result:
+    """Compute one item; runs on a worker."""
+    started, rows, failure = time.perf_counter(), (), None
+    try:
+        rows = tuple(item.run())
+    except Exception as error:
+        failure = _one_line(error)
+    return Result(rows=rows, failure=failure, wall_s=time.perf_counter() - started)
+
+
+def _one_line(error: BaseException) -> str:
+    """Describe an error, with its type where the message is not written for users."""
+    text = " ".join(str(error).split())
+    written = isinstance(error, (InputError, ArithmeticError))
+    return text if written else f"{type(error).__name__}: {text}"
+
+
+def _result(future: Any) -> Result:
+    """Take a result, or find out why there is none."""
+    from distributed.scheduler import KilledWorker
+
+    if future.status == "finished":
+        return future.result()
+    if future.status != "error":
+        raise InputError("the scheduler went away; run again for the rest", field="--scheduler")
+    error = future.exception()
+    if isinstance(error, KilledWorker):
+        why = f"its worker died {DEADLY} times (out of memory, a crash, a kill)"
+        return Result(rows=(), failure=why)
+    return Result(rows=(), failure=_one_line(error))
+
+
+@contextlib.contextmanager
+def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    """Connect to a cluster, or start one."""
+    try:
+        from dask import config
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            "campaigns need Dask: install airpuck with its extra, pip install 'airpuck[campaign]'"
+        ) from None
+    local = {
+        "n_workers": workers,
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": None,
+        "silence_logs": logging.CRITICAL,
+    }
+    with config.set(_SETTINGS):
+        if scheduler is None:
+            with Client(**local) as client:
+                client.register_worker_callbacks(setup=_ignore_interrupts)
+                yield client
+            return
+        try:
+            client = Client(scheduler, timeout=PATIENCE)
+        except (OSError, ValueError) as error:
+            raise _unusable(scheduler, f"no Dask scheduler answers there ({error})") from error
+        with client:
+            _check_workers(client, scheduler)
+            yield client
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent, which stops its workers: a terminal sends it to all."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _version() -> str:
+    return __version__
+
+
+def _check_workers(client: Any, scheduler: str) -> None:
+    """Refuse a cluster without workers, or with ones that would compute something else."""
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+        versions = set(client.run(_version).values())
+    except TimeoutError as error:
+        why = "has no workers; start some, dask worker ADDRESS"
+        raise _unusable(scheduler, why) from error
+    except ImportError as error:
+        raise _unusable(scheduler, f"its workers lack a package ({error})") from error
+    if versions - {__version__}:
+        others = ", ".join(sorted(versions))
+        raise _unusable(scheduler, f"its workers have airpuck {others}, here it is {__version__}")
+
+
+def _unusable(scheduler: str, why: str) -> InputError:
+    """Name the scheduler in what is refused."""
+    return InputError(why, file=scheduler, field="--scheduler")
