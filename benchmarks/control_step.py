@@ -14,7 +14,7 @@ from collections import Counter, deque
 
 import numpy as np
 
-from airpuck.compute.compiled import at_once
+from airpuck.compute.process import low_latency
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
     options = parser.parse_args()
 
-    at_once()
+    low_latency()
     tuning = default_tuning().with_estimator(options.estimator)
     allocation = tuning.allocation.model_copy(update={"solver": options.solver})
     tuning = tuning.model_copy(update={"allocation": allocation})

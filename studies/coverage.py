@@ -17,7 +17,7 @@ import numpy as np
 from recovery import true_delay, truth
 
 from airpuck import identify, preprocess
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 from airpuck.twin.experiments import excite

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from airpuck import drift, identify, preprocess
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.evaluation.drift import Drift
 from airpuck.model.model_file import Model, published_model
 from airpuck.twin.experiments import excite

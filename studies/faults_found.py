@@ -21,7 +21,7 @@ import numpy as np
 from recovery import truth
 
 from airpuck import Span, find_faults, identify, preprocess
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.control.excitation import Excitation
 from airpuck.data.trajectory import hold, runs
 from airpuck.flight.loop import fly

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.residuals import BODY_CHANNELS, resid
 from airpuck.evaluation.whiteness import LEVEL

@@ -1,7 +1,5 @@
 """Compiled programs: what they compute, and when one serves another function."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 
 from airpuck.compute import compiled
-from airpuck.compute.compiled import for_real_time, program
+from airpuck.compute.compiled import double_precision, for_batches, program
 from airpuck.model.model_file import published_model
 from airpuck.physics.rollout import step
 
@@ -21,13 +19,13 @@ DYNAMICS = published_model("M3").dynamics
 def moved(dynamics, duration):
     """A step of some length, of a function within a function."""
 
-    def advance(state, command):
-        return step(jnp, dynamics, state, command, duration)
+    def advance(xp, state, command):
+        return step(xp, dynamics, state, command, duration)
 
-    def program(state, command):
-        return advance(state, command), state[0]
+    def pair(xp, state, command):
+        return advance(xp, state, command), state[0]
 
-    return for_real_time(program, np.zeros(12), np.zeros(6))
+    return program(pair, np.zeros(12), np.zeros(6), compiled=True)
 
 
 def test_the_program_is_the_function_in_double_precision():
@@ -55,21 +53,26 @@ def test_what_computes_something_else_is_not():
     }
     assert len(programs) == 4
 
-    def twice(values):
+    def twice(xp, values):
         return (2 * values,)
 
-    def thrice(values):
+    def thrice(xp, values):
         return (3 * values,)
 
-    assert for_real_time(twice, np.zeros(2)) is not for_real_time(thrice, np.zeros(2))
-    assert for_real_time(twice, np.zeros(2)) is not for_real_time(twice, np.zeros(3))
-    np.testing.assert_array_equal(for_real_time(thrice, np.zeros(2))(np.ones(2))[0], [3, 3])
+    assert compiled_for(twice, 2) is not compiled_for(thrice, 2)
+    assert compiled_for(twice, 2) is not compiled_for(twice, 3)
+    np.testing.assert_array_equal(compiled_for(thrice, 2)(np.ones(2))[0], [3, 3])
+
+
+def compiled_for(function, size):
+    """A program of one vector."""
+    return program(function, np.zeros(size), compiled=True)
 
 
 def through(transform):
     """A program of a function that JAX transformed."""
     inner = transform(lambda values: jnp.sum(values**3))
-    return for_real_time(lambda values: (jnp.atleast_1d(inner(values)),), np.zeros(2))
+    return compiled_for(lambda xp, values: (jnp.atleast_1d(inner(values)),), 2)
 
 
 def test_a_transformed_function_is_another_one():
@@ -80,10 +83,7 @@ def test_a_transformed_function_is_another_one():
 
 def test_defaults_are_part_of_a_function():
     def times(factor):
-        def program(values, *, factor=factor):
-            return (factor * values,)
-
-        return for_real_time(program, np.zeros(1))
+        return compiled_for(lambda xp, values, *, factor=factor: (factor * values,), 1)
 
     assert times(1.0) is not times(2.0)
 
@@ -92,11 +92,11 @@ def test_what_cannot_be_compared_is_compiled_each_time():
     def add(values, other):
         return (values + other,)
 
-    def program():
+    def adds_one():
         inner = partial(add, other=1.0)
-        return for_real_time(lambda values: inner(values), np.zeros(1))
+        return compiled_for(lambda xp, values: inner(values), 1)
 
-    first, second = program(), program()
+    first, second = adds_one(), adds_one()
     assert first is not second
     np.testing.assert_array_equal(second(np.ones(1))[0], [2.0])
 
@@ -106,7 +106,7 @@ def test_the_oldest_is_let_go(monkeypatch):
     monkeypatch.setattr(compiled, "_MOST_KEPT", 2)
 
     def times(factor):
-        return for_real_time(lambda values: (factor * values,), np.zeros(1))
+        return compiled_for(lambda xp, values: (factor * values,), 1)
 
     first, second = times(1.0), times(2.0)
     assert times(1.0) is first  # and the second is now the oldest
@@ -151,38 +151,18 @@ def test_arguments_of_any_kind_and_layout_are_taken(given):
         np.testing.assert_allclose(run(given, scale)[0], expected, rtol=1e-15)
 
 
-#: Whether it was said in time, and how much of a program's time the thread spends that called it:
-#: the most of several runs, since others may want the cores.
-SHARE = """
-import sys, time
-import jax, numpy as np
-from airpuck.compute.compiled import at_once, for_real_time, runs_at_once
-
-if "late" in sys.argv:
-    jax.numpy.ones(3)
-said = "early" in sys.argv or "late" in sys.argv
-in_time = at_once() if said else False
-
-def long(vector):
-    matrix = vector.reshape(12, 12)
-    return (jax.lax.fori_loop(0, 20_000, lambda _, m: matrix @ m / 12, matrix),)
-
-run, ones = for_real_time(long, np.ones(144)), np.ones(144)
-run(ones)
-shares = []
-for _ in range(5):
-    begun, wall = time.thread_time(), time.perf_counter()
-    run(ones)
-    shares.append((time.thread_time() - begun) / (time.perf_counter() - wall))
-assert runs_at_once() == in_time
-print(in_time, max(shares))
-"""
+def test_batches_are_in_double_precision_and_nothing_else_is():
+    before = jax.config.read("jax_enable_x64")
+    assert for_batches(lambda x: x / 3)(np.ones(2)).dtype == np.float64
+    with double_precision():
+        assert jnp.ones(2).dtype == np.float64
+    assert jax.config.read("jax_enable_x64") == before
 
 
-@pytest.mark.parametrize("said", ["early", "late", "never"])
-def test_programs_run_where_they_are_called_if_told_so_in_time(said):
-    command = [sys.executable, "-c", SHARE, said]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    in_time, share = done.stdout.split()
-    assert in_time == str(said == "early")
-    assert (float(share) > 0.2) == (said == "early")
+def test_an_option_that_this_version_does_not_know_is_left_out(monkeypatch):
+    monkeypatch.setattr(compiled, "_OPTIONS", {"xla_cpu_no_such_thing": 1})
+    compiled._cpu_options.cache_clear()
+    try:
+        assert float(for_batches(lambda x: x + 1)(1.0)) == 2.0
+    finally:
+        compiled._cpu_options.cache_clear()

@@ -89,7 +89,7 @@ def test_compiled_and_numpy_give_the_same_commands():
 @pytest.mark.parametrize("compensate", [True, False])
 def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch, compensate):
     # Where JAX hands programs of any size to no other thread, the controller has one for both.
-    monkeypatch.setattr(tracking, "runs_at_once", lambda: True)
+    monkeypatch.setattr(tracking, "large_programs_are_fast", lambda: True)
     point, random = SetPoint(0.4, -0.2, 2.0), np.random.default_rng(1)
     pair = [controller(point, compiled=c, compensate_delay=compensate) for c in (True, False)]
     for k in range(60):

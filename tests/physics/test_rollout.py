@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import derivative
-from airpuck.physics.rollout import rollout, scan, step
+from airpuck.physics.rollout import rollout, step
 
 RNG = np.random.default_rng(0)
 STATE = np.concatenate([[0.1, -0.2, 0.4, 0.5, -0.3, 6.0], RNG.uniform(0.05, 0.6, 6)])
@@ -74,14 +74,3 @@ def test_numpy_and_jax_agree(dynamics):
     np.testing.assert_allclose(
         rollout(np, dynamics, state, commands, durations), traced, rtol=1e-11, atol=1e-12
     )
-
-
-def test_scan_is_jax_scan():
-    body = lambda carry, x: (carry + x[0] * x[1], carry * 2)  # noqa: E731
-    xs = (np.arange(5.0), np.arange(5.0)[::-1])
-    with jax.enable_x64(True):
-        total, steps = jax.lax.scan(body, 1.0, tuple(map(jnp.asarray, xs)))
-        expected = float(total), np.asarray(steps)
-    carry, outputs = scan(np, body, 1.0, xs)
-    assert carry == expected[0]
-    np.testing.assert_array_equal(outputs, expected[1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Annotated
 
@@ -21,12 +20,10 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; bad usage and bad input end with one line and status 2."""
     from airpuck.boundary.errors import InputError
+    from airpuck.compute.process import keep_compiled_programs, single_threaded_algebra
 
-    _keep_compiled_programs()
-    # Matrices here are small: threads of linear algebra would only wait for each other, and keep
-    # XLA's from working. Only before NumPy is imported does it help to say so.
-    for library in ("OPENBLAS", "OMP"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    keep_compiled_programs()
+    single_threaded_algebra()
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except InputError as error:
@@ -36,26 +33,6 @@ def main() -> None:
     except (typer.Abort, KeyboardInterrupt):
         code = _refuse("interrupted")
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _keep_compiled_programs() -> None:
-    """Let JAX keep what it compiles from process to process, in the user's cache folder.
-
-    Only here, since a process that imports airpuck has settings of its own; and these are JAX's own
-    variables, so that a user's come first.
-    """
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
-    from platformdirs import user_cache_path
-
-    folder = user_cache_path("airpuck", appauthor=False) / "compiled"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    if os.access(folder, os.W_OK):
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 
 def _refuse(message: str) -> int:

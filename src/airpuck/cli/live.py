@@ -145,7 +145,7 @@ def fly(
 ) -> None:
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
     from airpuck.boundary.errors import InputError
-    from airpuck.compute.compiled import at_once
+    from airpuck.compute.process import low_latency
     from airpuck.control.excitation import Excitation
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import default_tuning
@@ -186,7 +186,7 @@ def fly(
     points = _points(setpoints, dwell) if setpoints_file is None else read_setpoints(setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
-    at_once()
+    low_latency()
 
     def pilot() -> Pilot:
         if excite:

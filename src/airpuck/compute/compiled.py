@@ -1,57 +1,91 @@
-"""Compile small array functions for real time.
+"""Compiled programs, in double precision whatever the user's own JAX is set to.
 
-A NumPy call costs about a microsecond whatever the array's size, and a control step has hundreds of
-them; one call of a compiled program costs ten. The functions stay what they are, plain array
-operations over a namespace: compiled here for the controller, run by NumPy in tests.
+Two kinds. `program` is for real time: a NumPy call costs a microsecond whatever the size of its
+arrays, and a control step has hundreds of them; one call of a compiled program costs eight, most
+of it inside JAX. So a step makes few calls, and each takes one vector and gives one, since every
+further array costs a microsecond too. `for_batches` is for passes over many samples.
 
-Every array that goes in or comes out costs a microsecond, too, which is more than the arithmetic:
-a program takes one vector and gives one, laid out here.
+The functions stay plain array operations over a namespace; tests run them under NumPy. Programs are
+kept by code and content: a second controller of the same craft compiles nothing.
 
-Programs are kept: a controller for a craft that has one already is not compiled again.
+What XLA does on a CPU, as measured:
+
+* It gives the parts of a program with arrays above 512 bytes to several threads. That costs more
+  than the arithmetic of small programs, and takes cores from batches that run side by side. The
+  scheduler for least memory does not do so (`_OPTIONS`). Together with vectors of 512 bits it makes
+  a pass over windows a fifth faster.
+* JAX hands a program of a thousand operations or more to another thread: 10 µs on one core, 60 on
+  two. Only a setting of the whole process prevents it (`airpuck.compute.process.low_latency`).
+* JAX releases the interpreter lock while it computes, so a thread pool uses all cores. Several JAX
+  devices would do so too, but need a setting of the whole process before JAX starts.
+* A loop that joins arrays is not vectorised. In the identification's kernel the batch is therefore
+  the last axis throughout, and sensitivities are added in place, kind by kind.
+* It multiplies by zeros: Jacobians are taken by one argument at a time.
+* Tried on that kernel, and slower: one array for each kind of coordinate, the Runge-Kutta stages as
+  an inner loop, the Jacobian of a whole step, reverse mode, no fusion emitters.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import pickle
 from collections.abc import Callable, Hashable
+from functools import cache, wraps
 from itertools import accumulate, pairwise
 from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 
-from airpuck.compute.xla import cpu_options
-
 _DOUBLE = np.dtype(float)
+#: XLA's options on a CPU; see above.
+_OPTIONS: dict[str, Any] = {
+    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+    "xla_cpu_prefer_vector_width": 512,
+}
 #: Programs by what they compute, the last used last: those of a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
 
 
-def at_once() -> bool:
-    """Let JAX run programs on a CPU where they are called, in this process.
+def double_precision() -> contextlib.AbstractContextManager[Any]:
+    """Compute in double precision inside the block; a user's JAX stays as it was."""
+    import jax
 
-    By default it hands those of more than a thousand operations to another thread, which takes
-    10 µs. A setting of the whole process, so a command may change it, not a library.
+    return jax.enable_x64(True)
+
+
+def for_batches(function: Callable[..., Any], **settings: Any) -> Callable[..., Any]:
+    """Compile a function for passes over many samples; calls may run side by side in threads.
+
+    Parameters
+    ----------
+    function : callable
+        Takes and returns trees of arrays; pure.
+    **settings : dict
+        Of `jax.jit`.
+
+    Returns
+    -------
+    callable
+        The same, in double precision, on JAX's default device.
     """
     import jax
-    from jax._src import xla_bridge  # nothing public tells whether JAX has computed yet
 
-    if not runs_at_once() and not xla_bridge.backends_are_initialized():
-        jax.config.update("jax_cpu_enable_async_dispatch", False)
-    return runs_at_once()
+    options = _cpu_options() if jax.default_backend() == "cpu" else None
+    compiled = jax.jit(function, compiler_options=options, **settings)
 
+    @wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        with jax.enable_x64(True):
+            return compiled(*arguments, **named)
 
-def runs_at_once() -> bool:
-    """Say whether JAX runs programs of any size where they are called; see `at_once`."""
-    import jax
-
-    return not jax.config.read("jax_cpu_enable_async_dispatch")
+    return call
 
 
 def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Callable[..., Any]:
-    """Give a function of a namespace and arrays its namespace.
+    """Bind a function to its array namespace, compiled for real time or as plain NumPy.
 
     Parameters
     ----------
@@ -60,7 +94,7 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
     *examples : array or float
         Arrays of the shapes that it will be called with.
     compiled : bool
-        Whether the namespace is jax.numpy, and the function compiled (`for_real_time`), or numpy.
+        Whether to compile it over jax.numpy, or to run it over numpy.
 
     Returns
     -------
@@ -74,16 +108,16 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
     def bound(*arrays: Any) -> Any:
         return function(xp, *arrays)
 
-    return for_real_time(bound, *examples) if compiled else bound
+    return _kept_program(bound, *examples) if compiled else bound
 
 
-def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-    """Compile a pure function of arrays, in double precision, for the CPU."""
+def _kept_program(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
+    """Compile a function, unless one of the same content was compiled before."""
     try:
         key = _content(function), tuple(np.shape(example) for example in examples)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError, RecursionError):
-        return _compiled(function, *examples)  # takes something that has no content to compare
-    program = _kept.pop(key, None) or _compiled(function, *examples)
+        return _compile(function, *examples)  # it uses something that cannot be compared
+    program = _kept.pop(key, None) or _compile(function, *examples)
     _kept[key] = program
     if len(_kept) > _MOST_KEPT:
         _kept.pop(next(iter(_kept)), None)
@@ -91,7 +125,7 @@ def for_real_time(function: Callable[..., Any], *examples: Any) -> Callable[...,
 
 
 def _content(value: Any) -> Hashable:
-    """Tell what a value, or a function with what it takes from around it, consists of."""
+    """Return what identifies a value, or a function together with what it closes over."""
     if isinstance(value, FunctionType):
         around = tuple(_content(cell.cell_contents) for cell in value.__closure__ or ())
         defaults = _content(value.__defaults__), _content(value.__kwdefaults__)
@@ -101,8 +135,8 @@ def _content(value: Any) -> Hashable:
     return value.__name__ if isinstance(value, ModuleType) else pickle.dumps(value)
 
 
-def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-    """Compile for `for_real_time`."""
+def _compile(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
+    """Compile for the CPU, as a program of one vector that gives one vector."""
     import jax
     import jax.numpy as jnp
 
@@ -118,7 +152,7 @@ def _compiled(function: Callable[..., Any], *examples: Any) -> Callable[..., Any
     cpu = jax.local_devices(backend="cpu")[0]
     with double_precision(True), jax.default_device(cpu):
         lowered = jax.jit(on_vectors).lower(np.zeros(taken[-1][0].stop))
-        program = lowered.compile(cpu_options())
+        program = lowered.compile(_cpu_options())
     parts = [(part, shape if len(shape) != 1 else None) for part, shape in given]
 
     def call(*arguments: Any) -> list[np.ndarray]:
@@ -146,6 +180,26 @@ def _joined(arguments: tuple[Any, ...]) -> np.ndarray:
 
 
 def _places(shapes: list[tuple[int, ...]]) -> list[tuple[slice, tuple[int, ...]]]:
-    """Lay arrays out one after the other: place and shape of each."""
+    """Return place and shape of each of several arrays that are laid out one after the other."""
     edges = accumulate(map(math.prod, shapes), initial=0)
     return [(slice(a, b), shape) for (a, b), shape in zip(pairwise(edges), shapes, strict=True)]
+
+
+@cache
+def _cpu_options() -> dict[str, Any]:
+    """Return those of `_OPTIONS` that this version of XLA knows."""
+    import jax
+
+    with jax.default_device(jax.local_devices(backend="cpu")[0]):
+        nothing = jax.jit(lambda same: same).lower(0.0)
+
+    def known(options: dict[str, Any]) -> bool:
+        try:
+            nothing.compile(options)
+        except jax.errors.JaxRuntimeError:
+            return False
+        return True
+
+    if known(_OPTIONS):  # one program to compile instead of several
+        return dict(_OPTIONS)
+    return {name: value for name, value in _OPTIONS.items() if known({name: value})}

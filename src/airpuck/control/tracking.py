@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.compiled import program, runs_at_once
+from airpuck.compute.compiled import program
+from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import Outcome, ThrustAllocator, all_finite
 from airpuck.control.control_law import control_law
 from airpuck.control.lqr import regulator
@@ -139,8 +140,7 @@ class TrackingController:
         self._command = program(
             law.command, np.zeros(n + 2), bounds, bounds, motors, compiled=compiled
         )
-        # As one program it is too large to run where it is called, unless all of them do.
-        one = not compiled or runs_at_once()
+        one = not compiled or large_programs_are_fast()
         self._predict_and_plan = self.filter.composed(law.plan, *asked) if one else None
         #: Stamps of the last pose that was heard of, and of the last that was used.
         self._heard: float | None = None

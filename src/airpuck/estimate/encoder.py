@@ -7,10 +7,10 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from airpuck.compute.arrays import scan
 from airpuck.data.windows import Past
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics
-from airpuck.physics.rollout import scan
 
 
 @runtime_checkable

@@ -20,9 +20,8 @@ from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 
-#: Pieces of time with one command each that a call handles: few, since XLA gives programs above
-#: some size to several threads, which costs more than all the arithmetic. A command begins to act
-#: between two poses of 240 Hz nearly half of the time.
+#: Pieces of time with one command each that a call handles: few, so that programs stay small. A
+#: command begins to act between two poses of 240 Hz nearly half of the time.
 PIECES_TO_PREDICT, PIECES_TO_MEASURE = 3, 2
 #: How late a measurement may come where sensors have different latencies [s].
 _REMEMBERED = 0.1

@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
+from airpuck.compute.arrays import scan
+from airpuck.compute.compiled import for_batches
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.estimate.axis_filter import Noise, correct, spread
 from airpuck.evaluation.command_pieces import cut_at_commands, speed_before
@@ -164,16 +166,13 @@ class _Predictor:
         listening: bool = True,
     ) -> tuple[np.ndarray, ...]:
         """Return innovations, variances, what the model adds, estimates and motor speeds."""
-        import jax
-
         squares = [np.square(part) for part in (noise.pose, noise.acceleration, noise.disturbance)]
         start = initial_covariance(np, squares[0], squares[2], self._typical)
         if not listening:
             start = np.zeros_like(start)
         inputs = (self._pose, restart, begin, self.period, *self._pieces)
-        with jax.enable_x64(True):
-            found = self._program(*squares, start, self._speed, inputs)
-            return tuple(np.array(part) for part in found)
+        found = self._program(*squares, start, self._speed, inputs)
+        return tuple(np.array(part) for part in found)
 
 
 class _Identity:
@@ -192,7 +191,6 @@ class _Identity:
 @lru_cache(maxsize=8)
 def _compiled(identity: _Identity) -> Any:
     """Compile the filter for one model."""
-    import jax
     import jax.numpy as jnp
 
     dynamics = identity.dynamics
@@ -223,6 +221,6 @@ def _compiled(identity: _Identity) -> Any:
             return carry, (innovation, variance, known, *carry)
 
         first = jnp.zeros((3, 3)), start, speed
-        return jax.lax.scan(advance, first, inputs)[1]
+        return scan(jnp, advance, first, inputs)[1]
 
-    return jax.jit(program)
+    return for_batches(program)

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.compute.arrays import scan
+from airpuck.compute.compiled import for_batches
 from airpuck.estimate.axis_filter import Noise, correct, spread
 
 #: Ranges of log₁₀ λ₁ and λ₂; at the lower end a noise is none.
@@ -98,12 +100,9 @@ def _costs(
     candidates: Float[np.ndarray, "C 3 2"], typical: float, given: tuple[np.ndarray, ...]
 ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
     """Return minus the concentrated log-likelihood, up to a constant, and r."""
-    import jax
-
     ratios = _ratios(candidates).reshape(-1, 2) / typical ** np.array([3, 5])
-    with jax.enable_x64(True):
-        sums = _compiled()(ratios[:, 0], ratios[:, 1], typical, given)
-        squares, logs = (np.asarray(part).reshape(len(candidates), 3) for part in sums)
+    sums = _compiled()(ratios[:, 0], ratios[:, 1], typical, given)
+    squares, logs = (np.asarray(part).reshape(len(candidates), 3) for part in sums)
     count = given[-1].sum()
     variance = squares / count
     return 0.5 * (count * np.log(variance) + logs), variance
@@ -112,7 +111,6 @@ def _costs(
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
     """Compile the pass over the samples: sums of squares and of logarithms."""
-    import jax
     import jax.numpy as jnp
 
     def program(acceleration: Any, disturbance: Any, typical: Any, given: Any) -> Any:
@@ -138,9 +136,9 @@ def _compiled() -> Any:
             return (mean, covariance, squares, logs), None
 
         first = jnp.zeros((len(one), 3)), start, 0 * one, 0 * one
-        return jax.lax.scan(advance, first, given)[0][2:]
+        return scan(jnp, advance, first, given)[0][2:]
 
-    return jax.jit(program)
+    return for_batches(program)
 
 
 def initial_covariance(xp: Any, pose_variance: Any, disturbance: Any, period: Any) -> Any:

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from airpuck.compute.arrays import scan
+from airpuck.compute.compiled import for_batches
 from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.axis_filter import spread
 from airpuck.evaluation.command_pieces import cut_at_commands
@@ -22,7 +24,7 @@ from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.prediction import delay_for
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rollout import rollout, scan
+from airpuck.physics.rollout import rollout
 
 #: Samples before a start over which motor speeds are followed, for what they owe to the lag.
 _LEAD = 40
@@ -47,15 +49,14 @@ def predict_with_errors(
     ahead = starts[:, None] + np.arange(1, steps + 1)
     mean = known.mean[starts]
     densities = np.square([known.noise.acceleration, known.noise.disturbance])
-    with jax.enable_x64(True):
-        found = jax.jit(jax.vmap(_one_prediction(model, entries, densities)))(
-            np.concatenate([mean[:, :, 0], mean[:, :, 1]], axis=1),
-            mean[:, :, 2],
-            known.covariance[starts],
-            known.motor_speed[np.maximum(starts - _LEAD, 0)],
-            (commands[lead], durations[lead], later[lead]),
-            (commands[ahead], durations[ahead], later[ahead]),
-        )
+    found = for_batches(jax.vmap(_one_prediction(model, entries, densities)))(
+        np.concatenate([mean[:, :, 0], mean[:, :, 1]], axis=1),
+        mean[:, :, 2],
+        known.covariance[starts],
+        known.motor_speed[np.maximum(starts - _LEAD, 0)],
+        (commands[lead], durations[lead], later[lead]),
+        (commands[ahead], durations[ahead], later[ahead]),
+    )
     predicted, variance, sensitivity = (np.array(part) for part in found)
     return (
         np.moveaxis(predicted, 0, 2),
@@ -131,7 +132,7 @@ def _one_prediction(
         by_free = jax.jacfwd(follow)(free, speed, lead)
         slope = jnp.concatenate([jnp.zeros((6, count)), by_free])
         begin = state, slope, _joined(jnp, covariance)
-        return jax.lax.scan(advance, begin, ahead)[1]
+        return scan(jnp, advance, begin, ahead)[1]
 
     return predict
 

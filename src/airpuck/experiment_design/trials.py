@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.tuning import Tuning
 from airpuck.data.trajectory import Trajectory

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
+from airpuck.compute.compiled import double_precision
 from airpuck.data.windows import gather_past
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.monotone import monotone_penalty
@@ -73,7 +74,7 @@ class Adam:
         rates = np.where(free, rate, 0.0)
         rates[parameters.mask(frozenset({"inertia"}))] *= self.inertia_factor
 
-        with jax.enable_x64(True):
+        with double_precision():
             error = batch_loss(loss, parameters)
             lower, upper = map(jnp.asarray, parameters.bounds())
             optimizer = optax.scale_by_adam()

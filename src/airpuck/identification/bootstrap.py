@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.gauge import fix_gauge

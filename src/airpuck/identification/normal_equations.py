@@ -6,9 +6,9 @@ The equations of motion are not differentiated by hand: at each Runge-Kutta stag
 local Jacobian of the accelerations, in forward mode, by the thrusts instead of the many
 coefficients behind them, which the polynomials' powers add.
 
-How arrays are put together decides the time: XLA does not vectorise a loop that joins them. So
-the batch is the last axis of all, the sensitivities of yaw and velocities are kept apart, and what
-the local coordinates do directly is added in place, each kind to its own part.
+For speed (`airpuck.compute.compiled`) the batch is the last axis throughout, the sensitivities of
+yaw and of velocities are kept apart, and the direct effects of the local coordinates are added in
+place, each kind to its own part.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from airpuck.compute.xla import for_batches
+from airpuck.compute.compiled import for_batches
 from airpuck.data.windows import gather_past
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.physics.motor import motor_step
@@ -75,7 +75,6 @@ def normal_equations(
         along = jnp.eye(n)[..., None] * each, basis, jnp.eye(2), jnp.eye(4)[..., None] * each
 
         def slopes(k: int) -> Any:
-            # One argument at a time: XLA would multiply by the zeros of the others.
             _, push = jax.linearize(
                 lambda part: accelerate(*point[:k], part, *point[k + 1 :]), point[k]
             )

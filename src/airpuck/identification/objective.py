@@ -14,7 +14,8 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.compute.cores import usable_cores
+from airpuck.compute.compiled import double_precision
+from airpuck.compute.process import usable_cores
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.windows import Windows
 from airpuck.estimate.encoder import StateEncoder
@@ -210,7 +211,7 @@ class PredictionLoss:
             np.asarray(parameters.motor_time_constant, dtype=float),
         )
         samples = (windows.time, windows.state, windows.input, slope)
-        with jax.enable_x64(True):
+        with double_precision():
             # Put, not made by jax.numpy, which would compile a program for each shape.
             model, data, weights = jax.device_put(
                 ((dynamics, slopes), tuple(map(_lengthened, samples)), np.array(self.weights))
@@ -219,21 +220,18 @@ class PredictionLoss:
         normal_equations = compiled_normal_equations()
 
         def sums(batch: _Batch) -> Any:
-            with jax.enable_x64(True):
-                return jax.block_until_ready(
-                    normal_equations(
-                        *model,
-                        *data,
-                        *batch,
-                        weights,
-                        encoder=self.encoder,
-                        horizon=windows.prediction_length,
-                        frame=self.frame,
-                    )
+            return jax.block_until_ready(
+                normal_equations(
+                    *model,
+                    *data,
+                    *batch,
+                    weights,
+                    encoder=self.encoder,
+                    horizon=windows.prediction_length,
+                    frame=self.frame,
                 )
+            )
 
-        # JAX releases the interpreter lock while it computes: threads use all cores without the
-        # process-wide settings that several JAX devices would need.
         with ThreadPoolExecutor(usable_cores()) as pool:
             square, score, curvature = zip(*pool.map(sums, parts), strict=True)
         local = _local_coordinates(parameters, moved_by)

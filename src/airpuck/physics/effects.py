@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.compute.arrays import linear_map
 from airpuck.craft.vehicle import Vehicle
-from airpuck.physics.linear_map import linear_map
 
 #: Acceleration of free fall [m/s²].
 GRAVITY = 9.81

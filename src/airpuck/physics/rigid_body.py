@@ -11,9 +11,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from airpuck.compute.arrays import linear_map
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect
-from airpuck.physics.linear_map import linear_map
 from airpuck.physics.thrust import thrust
 
 #: In which frame the offset of the centre of mass is constant. Physically it is the body; the

@@ -6,11 +6,9 @@ the motors, which nothing feeds back to, by their exact solution at the stage ti
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
+from airpuck.compute.arrays import scan
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics, acceleration
 
@@ -63,25 +61,3 @@ def rollout(xp: Any, dynamics: Dynamics, state: Any, commands: Any, durations: A
         return state, state
 
     return scan(xp, advance, state, (commands, durations))[1]
-
-
-def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
-    """Loop over the leading axis: `jax.lax.scan` under JAX, a plain loop under NumPy."""
-    if xp is not np:
-        import jax
-
-        return jax.lax.scan(body, carry, inputs)
-    outputs = []
-    for values in zip(*inputs, strict=True):
-        carry, output = body(carry, values)
-        outputs.append(output)
-    return carry, np.stack(outputs)
-
-
-def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
-    """Apply a function if a condition holds for any of a batch: `jax.lax.cond` under JAX."""
-    if xp is not np:
-        import jax
-
-        return jax.lax.cond(condition.any(), function, lambda same: same, value)
-    return function(value) if condition.any() else value

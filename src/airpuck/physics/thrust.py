@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.compute.arrays import repeat_while
 
 #: A motor speed is found when the last pass has moved it by less than this. Rounding of a thrust
 #: moves a speed by more only where the slope is below 1e-4 N.
@@ -134,10 +135,4 @@ def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:
 
     guess = target / xp.maximum(top, 1e-300)
     bracket = xp.zeros_like(target), xp.ones_like(target), guess, 1.0, 0
-    if xp is np:
-        while unresolved(bracket):
-            bracket = better(bracket)
-        return bracket[2]
-    import jax
-
-    return jax.lax.while_loop(unresolved, better, bracket)[2]
+    return repeat_while(xp, unresolved, better, bracket)[2]

@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.cores import usable_cores
-from airpuck.compute.xla import for_batches
+from airpuck.compute.compiled import for_batches
+from airpuck.compute.process import usable_cores
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.pytrees import register_pytrees
@@ -374,8 +374,7 @@ def _integrate(
         part, place = batch
         # Times are double in any case.
         part = replace(_of_type(part, dtype), times=part.times)
-        with jax.enable_x64(True):
-            _fly_batch(program, part, frames, stride, int(steps.max()), state[:, place])
+        _fly_batch(program, part, frames, stride, int(steps.max()), state[:, place])
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(fly, fleet.batches(size)))

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.compute.compiled import for_real_time
+from airpuck.compute.arrays import if_any
+from airpuck.compute.compiled import program
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics
-from airpuck.physics.rollout import if_any, step
+from airpuck.physics.rollout import step
 
 #: Longest step of the integration [s]: below half the period of control.
 LONGEST_STEP = 1 / 240
@@ -61,16 +62,17 @@ class Plant:
 
         `met` says whether it met a rail.
         """
-        import jax.numpy as jnp
 
-        def advanced(state: Any, command: Any, duration: Any, scale: Any) -> tuple[Any, Any]:
+        def advanced(
+            xp: Any, state: Any, command: Any, duration: Any, scale: Any
+        ) -> tuple[Any, Any]:
             dynamics = scaled(self.dynamics, scale[:, None])
-            free = step(jnp, dynamics, state, command, duration)
-            state = rebound(jnp, dynamics, self.disc, self.table, free)
+            free = step(xp, dynamics, state, command, duration)
+            state = rebound(xp, dynamics, self.disc, self.table, free)
             return state, (state != free).any()
 
         n = self.model.vehicle.n_propellers
-        return for_real_time(advanced, np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n))
+        return program(advanced, np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n), compiled=True)
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:

@@ -1,0 +1,53 @@
+"""Array operations that JAX and NumPy write differently, over a namespace `xp`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+
+def linear_map(matrix: Any, vector: Any) -> Any:
+    """Apply a matrix, one for all or one for each of a batch, to vectors (batch as last axis)."""
+    if matrix.ndim == 2 and vector.ndim <= 2:
+        return matrix @ vector
+    if matrix.ndim == 2:
+        matrix = matrix.reshape(matrix.shape + (1,) * (vector.ndim - 1))
+    # A sum of arrays: XLA's reduction over an axis takes several times as long on a CPU.
+    return sum(matrix[:, i] * vector[i] for i in range(matrix.shape[1]))
+
+
+def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
+    """Loop over the leading axis, as `jax.lax.scan` does."""
+    if xp is not np:
+        import jax
+
+        return jax.lax.scan(body, carry, inputs)
+    outputs = []
+    for values in zip(*inputs, strict=True):
+        carry, output = body(carry, values)
+        outputs.append(output)
+    return carry, np.stack(outputs)
+
+
+def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
+    """Apply a function if a condition holds for any of a batch, else return the value as it is."""
+    if xp is not np:
+        import jax
+
+        return jax.lax.cond(condition.any(), function, lambda same: same, value)
+    return function(value) if condition.any() else value
+
+
+def repeat_while(
+    xp: Any, condition: Callable[[Any], Any], body: Callable[[Any], Any], value: Any
+) -> Any:
+    """Apply a function as long as a condition holds, as `jax.lax.while_loop` does."""
+    if xp is not np:
+        import jax
+
+        return jax.lax.while_loop(condition, body, value)
+    while condition(value):
+        value = body(value)
+    return value

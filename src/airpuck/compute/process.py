@@ -1,0 +1,71 @@
+"""Cores, threads and caches of the whole process; only commands change its settings."""
+
+from __future__ import annotations
+
+import os
+
+
+def usable_cores() -> int:
+    """Count the cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def single_threaded_algebra() -> None:
+    """Let linear algebra use one thread; it takes effect only before NumPy is imported.
+
+    Matrices here are small: its threads would wait for each other and keep those of JAX from
+    working.
+    """
+    for library in ("OPENBLAS", "OMP"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+
+def keep_compiled_programs() -> None:
+    """Let JAX keep what it compiles in the user's cache folder, unless the environment says where.
+
+    Only commands do so: a process that imports airpuck has its own settings of JAX.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    from platformdirs import user_cache_path
+
+    folder = user_cache_path("airpuck", appauthor=False) / "compiled"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    if os.access(folder, os.W_OK):
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+
+
+def low_latency() -> bool:
+    """Run programs of any size in the thread that calls them, before JAX first computes.
+
+    By default JAX hands large ones to another thread, which takes 10 µs or more. Returns whether
+    the setting came in time.
+    """
+    import jax
+
+    if not large_programs_are_fast() and not _has_computed():
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
+    return large_programs_are_fast()
+
+
+def large_programs_are_fast() -> bool:
+    """Return whether one large program is faster than two small ones; see `low_latency`."""
+    import jax
+
+    return not jax.config.read("jax_cpu_enable_async_dispatch")
+
+
+def _has_computed() -> bool:
+    """Return whether JAX has started its backends, after which the setting has no effect."""
+    try:
+        from jax._src import xla_bridge  # no public function answers this
+
+        return xla_bridge.backends_are_initialized()
+    except (ImportError, AttributeError):
+        return False  # commands call `low_latency` before anything is computed

@@ -1,0 +1,36 @@
+"""Array operations under NumPy do what they do under JAX."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from airpuck.compute.arrays import if_any, linear_map, repeat_while, scan
+
+
+def test_scan_is_jax_scan():
+    body = lambda carry, x: (carry + x[0] * x[1], carry * 2)  # noqa: E731
+    xs = (np.arange(5.0), np.arange(5.0)[::-1])
+    with jax.enable_x64(True):
+        total, steps = jax.lax.scan(body, 1.0, tuple(map(jnp.asarray, xs)))
+        expected = float(total), np.asarray(steps)
+    carry, outputs = scan(np, body, 1.0, xs)
+    assert carry == expected[0]
+    np.testing.assert_array_equal(outputs, expected[1])
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (4, 2)])
+def test_one_matrix_or_one_for_each(batch):
+    rng = np.random.default_rng(0)
+    matrix, vector = rng.normal(size=(3, 5)), rng.normal(size=(5, *batch))
+    expected = np.einsum("ij,j...->i...", matrix, vector)
+    np.testing.assert_allclose(linear_map(matrix, vector), expected)
+    each = np.broadcast_to(matrix.reshape(3, 5, *(1,) * len(batch)), (3, 5, *batch))
+    np.testing.assert_allclose(linear_map(each, vector), expected)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_branches_and_loops(xp):
+    assert if_any(xp, xp.array([False, True]), lambda x: x + 1, 1.0) == 2
+    assert if_any(xp, xp.array([False, False]), lambda x: x + 1, 1.0) == 1
+    assert repeat_while(xp, lambda x: x < 100, lambda x: 2 * x, 1.0) == 128
