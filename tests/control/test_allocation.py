@@ -1,6 +1,5 @@
 """Thrust allocation, against linear programming, Lawson and Hanson's least distance, and BVLS."""
 
-import copy
 from functools import cache
 from typing import Any, Literal
 
@@ -338,12 +337,3 @@ def test_an_answer_does_not_depend_on_the_question_before_it():
         first = ours.allocate(*one)
         ours.allocate(*other)
         np.testing.assert_array_equal(ours.allocate(*one).thrust, first.thrust)
-
-
-def test_a_copied_allocator_works_by_itself():
-    ours = allocator()
-    one, other = (problem for problem, _ in sample()[:2])
-    expected = ours.allocate(*one)
-    copied = copy.deepcopy(ours)
-    ours.allocate(*other)
-    np.testing.assert_array_equal(copied.allocate(*one).thrust, expected.thrust)

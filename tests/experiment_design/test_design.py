@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.designing import _print_errors, summary
-from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
+from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
 from airpuck.experiment_design.design import Candidate, Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
 from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial

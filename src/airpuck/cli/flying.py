@@ -116,7 +116,7 @@ def excite(
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
     from airpuck.boundary.errors import InputError
-    from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
+    from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
     from airpuck.model.model_file import nominal_model, read_model
     from airpuck.recording import write_bag, write_csv
     from airpuck.twin.experiments import fly_excitation

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import copy
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+import pydantic
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_toml, write_toml
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import Numbers, Step, TrackingController
 from airpuck.control.tuning import Tuning
@@ -20,6 +23,8 @@ from airpuck.model.model_file import Model
 
 #: Largest signal: of all, or of each.
 Amplitude = float | Sequence[float]
+_Share = Annotated[float, pydantic.Field(ge=0, le=1)]
+_Positive = Annotated[float, pydantic.Field(gt=0)]
 
 #: Least acceleration in any direction with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
@@ -27,6 +32,29 @@ _LEAST_PUSH = 1e-2
 _OPPOSED = -0.9
 #: Share of the greatest acceleration that a stop may need.
 _BRAKING = 0.5
+
+
+class ExcitationPlan(Section):
+    """An excitation experiment; what is left out is as the paper flew it."""
+
+    #: Largest signal, of all or of each: those of the pairs, then those of the propellers without a
+    #: partner.
+    amplitude: _Share | tuple[_Share, ...] = 1.0
+    #: Time between changes of the signals.
+    hold_s: _Positive = 0.2
+    #: Length.
+    duration_s: _Positive = 90.0
+    #: Distance to the rails at which the craft must be able to stop; else the signals pause.
+    margin_m: Annotated[float, pydantic.Field(ge=0)] = 0.05
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the plan as TOML."""
+        write_toml(path, self.model_dump(mode="json"), header="An airpuck excitation experiment.")
+
+
+def read_excitation_plan(path: str | os.PathLike[str]) -> ExcitationPlan:
+    """Read the plan of an excitation experiment."""
+    return read_toml(path, ExcitationPlan, base=ExcitationPlan())
 
 
 class Excitation:
@@ -39,8 +67,8 @@ class Excitation:
     command plus a signal of its own. Where the craft could not stop before the rails, the signals
     pause until it can.
 
-    The controller believes that motors have no lag. One that compensates it would undo the signals:
-    it knows what they will do to the motors, and inverts the lag against it.
+    The controller believes that motors have no lag. One that knew the lag would compensate the
+    signals, since it is told what was sent.
 
     Parameters
     ----------
@@ -61,9 +89,6 @@ class Excitation:
         Where the rails are; by default the paper's table.
     margin : float, default 0.05
         Distance to the rails at which the craft must be able to stop [m].
-    controller : TrackingController, optional
-        From `excitation_controller` of the same model, reference and tuning, to compile only once.
-        It is copied.
 
     Raises
     ------
@@ -83,12 +108,15 @@ class Excitation:
         seed: int = 0,
         table: Table | None = None,
         margin: float = 0.05,
-        controller: TrackingController | None = None,
     ) -> None:
-        if controller is None:
-            controller = excitation_controller(model, reference, tuning)
-        # A flight leaves its traces in a controller; copies share the compiled programs.
-        self.controller = controller = copy.deepcopy(controller)
+        # It believes that motors have no lag; see above.
+        self.controller = controller = TrackingController(
+            replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
+            reference or SetPoint(0.0, 0.0, 0.0),
+            tuning,
+            reject_disturbance=False,
+            compensate_delay=False,
+        )
         if not hold >= controller.tuning.period_s:
             raise InputError(
                 f"must be at least the controller's period, {controller.tuning.period_s:g} s",
@@ -185,23 +213,10 @@ class Excitation:
         self._changes = due
 
     def _can_stop(self, estimate: Estimate) -> bool:
-        """Say whether the craft could brake before the rails."""
+        """Return whether the craft can brake before the rails."""
         position, velocity = estimate.state[:2], estimate.state[3:5]
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
-
-
-def excitation_controller(
-    model: Model, reference: Reference | None = None, tuning: Tuning | None = None
-) -> TrackingController:
-    """Build the controller of an excitation."""
-    return TrackingController(
-        replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
-        reference or SetPoint(0.0, 0.0, 0.0),
-        tuning,
-        reject_disturbance=False,
-        compensate_delay=False,
-    )
 
 
 def _amplitudes(amplitude: Amplitude, signals: int) -> Float[np.ndarray, " signals"]:
@@ -221,7 +236,7 @@ def _amplitudes(amplitude: Amplitude, signals: int) -> Float[np.ndarray, " signa
 
 
 def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n signals"]]:
-    """Say how the controller's commands and the signals mix.
+    """Return how the controller's commands and the signals are mixed.
 
     The first matrix turns the commands of a pair into ± their difference, and leaves single
     propellers as they are; the second gives plus and minus its signal to a pair, plus to a single

@@ -104,7 +104,6 @@ class Daqp(Solver):
         import daqp
 
         m = len(cost)
-        self._made_of = cost, ties
         self._solve_anew = daqp.solve
         self._ties, self._no_rows = np.diag(ties), np.zeros((0, m))
         self._bounds = np.zeros(m, dtype=np.intc)
@@ -121,10 +120,6 @@ class Daqp(Solver):
             self._with_equality,
         )
         self._constrained.settings = {"sing_tol": self._SINGULAR, "primal_tol": self._FEASIBLE}
-
-    def __reduce__(self) -> tuple[type[Daqp], tuple[np.ndarray, np.ndarray]]:
-        """Make a copy anew: DAQP's memory cannot be copied, and nothing in it is missed."""
-        return Daqp, self._made_of
 
     def constrained(
         self,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.excitation_plan import ExcitationPlan
+from airpuck.control.excitation import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.experiment_design.forecast import (
     HELD,

@@ -104,12 +104,8 @@ def fly_excitation(
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     plant: Plant | None = None,
-    controller: TrackingController | None = None,
 ) -> Excited:
-    """Fly the excitation experiment and say how near to the rails it came; see `excite`.
-
-    A controller from `excitation_controller` of the nominal model need not be compiled again.
-    """
+    """Fly the excitation experiment, and log how near to the rails it came; see `excite`."""
     _check_duration(duration, tuning)
     settings = settings or default_twin_settings()
     twin = Twin(model, settings, seed=seed, plant=plant)
@@ -121,7 +117,6 @@ def fly_excitation(
         seed=seed,
         table=settings.table,
         margin=margin,
-        controller=controller,
     )
     period = pilot.controller.tuning.period_s
     fly(pilot, twin, duration, period)

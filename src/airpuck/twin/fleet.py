@@ -26,8 +26,8 @@ from airpuck.model.model_file import Model
 from airpuck.physics.pytrees import register_pytrees
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.recording.stream import Recording
-from airpuck.twin.fleet_radio import heard_commands
 from airpuck.twin.plant import LONGEST_STEP, Disc, advance, scaled
+from airpuck.twin.radio import heard_commands
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import EPOCH_NS, build_plant, check_seed, command_stream, pose_sensor
 
