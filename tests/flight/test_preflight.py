@@ -20,7 +20,7 @@ from airpuck.flight.preflight import (
 )
 from airpuck.flight.pulse_response import find_pulses, pulse_responses
 from airpuck.flight.pulses import PulsePlan, PulseTest
-from airpuck.live.preflight import ANYWHERE
+from airpuck.live.fly import ANYWHERE
 from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
@@ -195,7 +195,7 @@ def preflight_live_like(pose, start) -> Preflight:
     """A test on the twin behind the guard that a test on the graph has."""
     pilot = PulseTest(MODEL.vehicle)
     guard = Guard(ANYWHERE)
-    guarded = GuardedPilot(pilot, guard, IDLE, MODEL.vehicle.n_propellers, lambda *_: None)
+    guarded = GuardedPilot(pilot, guard, np.full(len(NAMES), IDLE), lambda *_: None)
     fly(guarded, Changed(Twin(MODEL, seed=3, pose=start, plant=PLANT), pose=pose), 6.0)
     return judge_test(pilot, MODEL)
 

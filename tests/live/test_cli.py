@@ -27,7 +27,7 @@ def run(*arguments: str) -> None:
             "--dwell: must be a number of seconds above 0",
         ),
         ((*MODEL, "--dwell", "2"), "--dwell: is the time at each --setpoint; none is given"),
-        ((*MODEL, "--seed", "1"), "--seed: is that of --excite"),
+        ((*MODEL, "--seed", "1"), "--seed: is the seed of --excite"),
         ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be two finite distances above 0"),
         ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be two finite distances above 0"),
         ((*MODEL, "--geofence", "inf", "1"), "--geofence: must be two finite distances above 0"),

@@ -44,7 +44,7 @@ def test_what_toggles_is_counted_and_the_last_is_told_last(clock):
     log = EventLog(graph, "fly", quiet=True)
     for k in range(50):
         clock.now += 0.01
-        log.tell("info", "flying") if k % 2 else log.tell("error", "motors idle: no pose")
+        log.log("info", "flying") if k % 2 else log.log("error", "motors idle: no pose")
     assert graph.said == ["motors idle: no pose", "flying"]
     log.heartbeat("info", "exact", {})
     assert graph.said[2:] == ["motors idle: no pose (24 times)", "flying (24 times)"]
@@ -56,22 +56,22 @@ def test_what_toggles_is_counted_and_the_last_is_told_last(clock):
 def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(clock):
     graph = Paper()
     log = EventLog(graph, "fly", quiet=True)
-    log.tell("info", "flying")
-    log.tell("info", "flying")
-    log.tell_held()
+    log.log("info", "flying")
+    log.log("info", "flying")
+    log.flush()
     assert graph.said == ["flying", "flying"]
     clock.now += 1.01
-    log.tell("info", "flying")
+    log.log("info", "flying")
     assert graph.said == ["flying"] * 3
 
 
 def test_numbers_make_no_other_event_but_other_kinds_do(clock):
     graph = Paper()
     log = EventLog(graph, "fly", quiet=True)
-    log.tell("error", "pose jumped by 0.21 m and 0.00 rad")
-    log.tell("error", "pose jumped by 1.5 m and 12 rad")
-    log.tell("warning", "no message 1", kind="1")
-    log.tell("warning", "no message 2", kind="2")
+    log.log("error", "pose jumped by 0.21 m and 0.00 rad")
+    log.log("error", "pose jumped by 1.5 m and 12 rad")
+    log.log("warning", "no message 1", kind="1")
+    log.log("warning", "no message 2", kind="2")
     assert graph.said == [
         "pose jumped by 0.21 m and 0.00 rad",
         "pose jumped by 1.5 m and 12 rad",  # it happened before those that follow
@@ -85,8 +85,8 @@ def test_no_cause_is_told_more_than_twice_a_second_however_long_it_goes_on(clock
     log = EventLog(graph, "fly", quiet=True)
     for k in range(1000):
         clock.now += 0.01
-        log.tell("error", "motors idle: no pose")
-        log.tell("info", "flying")
+        log.log("error", "motors idle: no pose")
+        log.log("info", "flying")
         if k % 100 == 99:
             log.heartbeat("info", "exact", {})
     assert len(graph.said) <= 2 * 2 * 10

@@ -7,7 +7,9 @@ import numpy as np
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
+from airpuck.live.clock import Clock
 from airpuck.live.graph import SENSOR, Graph
+from airpuck.live.process import LiveSettings
 from airpuck.live.safety import Limits
 
 from .processes import CODECS, COMMANDS, POSES
@@ -33,10 +35,10 @@ def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):
     table, rival = Graph("table", domain=domain), Graph("joystick", domain=domain)
     pose, command = CODECS[POSES], CODECS[COMMANDS]
     poses = table.publisher(POSES, pose.msgtype, pose.types, SENSOR)
-    clock, came = fly.Clock(), []
+    clock, came = Clock(), []
 
     def over(time: float) -> bool:
-        poses.send(pose.encode(clock.now_ns, rng.normal(0, 5e-5, 3)))
+        poses.send(pose.encode(clock.stamp_ns(clock.now), rng.normal(0, 5e-5, 3)))
         # Long before the next heartbeat, which is at a second.
         if pilot.asked and not came and time - pilot.asked[0] > 0.1:
             came.append(time)
@@ -48,10 +50,8 @@ def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):
             lambda: pilot,
             VEHICLE,
             Limits(geofence=(1.0, 1.0)),
-            domain=domain,
-            duration=10.0,
+            LiveSettings(domain=domain, duration=10.0, quiet=True),
             over=over,
-            quiet=True,
             warm_up=False,
         )
     finally:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from threading import Event, Thread
 
@@ -9,16 +10,30 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.live import process
-from airpuck.live.graph import SENSOR
-from airpuck.live.process import refuse_second, unhurried
+from airpuck.live.graph import SENSOR, Graph
+from airpuck.live.process import LiveSettings, Process, unhurried
 
 from .processes import CODECS, COMMANDS
 
 COMMAND = CODECS[COMMANDS]
 
 
-def test_who_sends_is_refused_for_within_a_second(pair):
-    first, second = pair
+@pytest.fixture
+def first(domain):
+    """Who is on the graph already."""
+    made = Graph("first", domain=domain)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def second(domain, first):
+    """A process that comes later."""
+    with Process("second", LiveSettings(domain=domain, quiet=True)) as made:
+        yield made
+
+
+def test_who_sends_is_refused_for_within_a_second(first, second):
     commands = first.publisher(COMMANDS, COMMAND.msgtype, COMMAND.types, SENSOR)
     end = Event()
 
@@ -31,29 +46,29 @@ def test_who_sends_is_refused_for_within_a_second(pair):
     try:
         began = time.monotonic()
         with pytest.raises(InputError, match=r"another controller already: first \(process"):
-            refuse_second(second, COMMANDS, COMMAND, "controller")
+            second.refuse_second("command", COMMAND.columns, "controller")
         assert time.monotonic() - began < 1.0
     finally:
         end.set()
         sender.join()
 
 
-def test_who_is_silent_is_waited_for_as_long_as_one_who_was_killed(pair, monkeypatch):
-    first, second = pair
+def test_who_is_silent_is_waited_for_as_long_as_one_who_was_killed(first, second, monkeypatch):
     monkeypatch.setattr(process, "LEASE", -0.2)
     first.publisher(COMMANDS, COMMAND.msgtype, COMMAND.types, SENSOR)
     began = time.monotonic()
     with pytest.raises(InputError, match="another controller already: first"):
-        refuse_second(second, COMMANDS, COMMAND, "controller")
+        second.refuse_second("command", COMMAND.columns, "controller")
     assert 0.8 < time.monotonic() - began < 2.0
 
 
-def test_nobody_is_there(pair):
-    _, second = pair
-    refuse_second(second, COMMANDS, COMMAND, "controller")
-    assert second.age >= 0.6
+def test_nobody_is_there(second):
+    second.refuse_second("command", COMMAND.columns, "controller")
+    assert second.graph.age >= 0.6
     began = time.monotonic()
-    refuse_second(second, COMMANDS, COMMAND, "controller")  # who has looked around need not again
+    second.refuse_second(
+        "command", COMMAND.columns, "controller"
+    )  # who has looked around need not again
     assert time.monotonic() - began < 0.3
 
 
@@ -62,3 +77,27 @@ def test_priority_is_given_back():
     with unhurried():
         assert os.sched_getscheduler(0) == os.SCHED_OTHER
     assert os.sched_getscheduler(0) == before
+
+
+def test_a_signal_ends_the_loop_and_not_the_process(second):
+    before = signal.getsignal(signal.SIGINT)
+    with Process("third", LiveSettings(domain=second.settings.domain, quiet=True)) as third:
+        third.start("")
+        assert third.goes_on
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        assert not third.goes_on
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"domain": 233}, "domain"),
+        ({"interface": "wifi7"}, "interface"),
+        ({"duration": 0}, "duration"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(wrong, field):
+    with pytest.raises(InputError, match=f"--{field}"):
+        LiveSettings(**wrong)

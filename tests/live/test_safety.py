@@ -128,7 +128,7 @@ def test_whatever_comes_motors_run_only_on_a_fresh_pose_inside_the_fence(entries
 
 
 class Pilot:
-    """Gives the commands it is told to."""
+    """Gives the command that a test sets."""
 
     reference = SetPoint(0.0, 0.0, 0.0)
 
@@ -148,9 +148,11 @@ class Pilot:
 
 @pytest.fixture
 def guarded():
-    told = []
-    made = GuardedPilot(Pilot(), Guard(LIMITS), 0.03, 2, lambda bad, text: told.append((bad, text)))
-    made.told = told
+    logged = []
+    made = GuardedPilot(
+        Pilot(), Guard(LIMITS), np.full(2, 0.03), lambda level, text: logged.append((level, text))
+    )
+    made.logged = logged
     poses(made, 0.0, 0.5)
     return made
 
@@ -158,7 +160,7 @@ def guarded():
 def test_commands_are_kept_between_idle_and_full(guarded):
     guarded.pilot.command = np.array([-1.0, 7.0])
     np.testing.assert_array_equal(guarded.step(0.5).command, [0.03, 1.0])
-    assert guarded.told == [(False, "flying")]
+    assert guarded.logged == [("info", "flying")]
 
 
 @pytest.mark.parametrize(
@@ -178,11 +180,11 @@ def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, comma
     assert guarded.step(0.51).status == "unsafe"
     last = poses(guarded, 0.52, 0.9)
     assert guarded.step(last).status == "exact"
-    assert guarded.told == [(True, f"motors idle: {reason}"), (False, "flying")]
+    assert guarded.logged == [("error", f"motors idle: {reason}"), ("info", "flying")]
 
 
-def test_a_change_is_told_once(guarded):
+def test_a_change_is_logged_once(guarded):
     guarded.step(0.5)
     for k in range(5):
         guarded.step(1.0 + k / 100)
-    assert guarded.told == [(False, "flying"), (True, "motors idle: no pose for 50 ms")]
+    assert guarded.logged == [("info", "flying"), ("error", "motors idle: no pose for 50 ms")]

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airpuck.live.marker import on_table
-from airpuck.live.scene import EYE, FIELD_OF_VIEW, LOOKS_AT
+from airpuck.live.scene import EYE, FIELD_OF_VIEW, LOOKS_AT, on_table
 from airpuck.live.view import Wishes
 
 from .processes import POSES, REFERENCES, Process, Watch

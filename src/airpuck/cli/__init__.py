@@ -2,7 +2,7 @@
 
 # In the order in which the help lists their commands.
 from airpuck.cli import learning, faults, judging, flying, designing  # isort: skip
-from airpuck.cli import live, readiness, watching, many, study  # isort: skip
+from airpuck.cli import live, many, study  # isort: skip
 from airpuck.cli.app import main
 
 __all__ = [
@@ -14,7 +14,5 @@ __all__ = [
     "live",
     "main",
     "many",
-    "readiness",
     "study",
-    "watching",
 ]

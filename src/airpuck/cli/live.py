@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,17 +11,18 @@ import typer
 from typer.core import TyperCommand
 
 from airpuck.cli.app import app
-from airpuck.cli.inputs import read_belief, read_controls, read_craft
+from airpuck.cli.inputs import read_belief, read_controls, read_craft, read_flight
 from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile, VehicleFile
 from airpuck.cli.output import check_destinations, is_stdout, write_json
 
 if TYPE_CHECKING:
     from airpuck.control.reference import SetPoints
-    from airpuck.recording.topics import Topics
+    from airpuck.live.process import LiveSettings
+    from airpuck.model.model_file import Model
 
 SETPOINT = "--setpoint"
 _DWELL = 3.0
-PANEL = "Live, on a ROS 2 graph"
+_PANEL = "Live, on a ROS 2 graph"
 
 Domain = Annotated[
     int | None,
@@ -38,9 +40,12 @@ Duration = Annotated[
     float | None,
     typer.Option("--duration", metavar="S", help=r"Length \[s]; by default until Ctrl-C."),
 ]
+Belief = Annotated[
+    str, typer.Option("--model", metavar="MODEL", help="What the craft is believed to be.")
+]
 
 
-@app.command(rich_help_panel=PANEL)
+@app.command(rich_help_panel=_PANEL)
 def twin(
     model: Annotated[
         str, typer.Option(metavar="MODEL", help="Truth of the simulated craft.")
@@ -64,24 +69,16 @@ def twin(
     from airpuck.twin.settings import read_twin_settings
 
     check_destinations(json=json_file)
-    check_network(domain, interface)
-    report = serve_twin(
-        read_model(model),
-        None if settings is None else read_twin_settings(settings),
-        topics=topic_names(topics),
-        domain=domain,
-        interface=interface,
-        duration=run_length(duration),
-        seed=seed,
-        pose=pose,
-        quiet=quiet,
+    live = live_settings(domain, interface, topics, duration, quiet)
+    twin_settings = None if settings is None else read_twin_settings(settings)
+    figures = serve_twin(read_model(model), live, twin_settings, seed=seed, pose=pose)
+    report(
+        figures,
+        json_file,
+        quiet,
+        f"{figures['duration_s']:.1f} s: {figures['poses']} poses sent, {figures['commands']} "
+        f"commands received, motors stopped {figures['stops']} times for lack of commands",
     )
-    write_json(json_file, report.to_json())
-    if not quiet and not is_stdout(json_file):
-        print(
-            f"{report.duration:.1f} s: {report.poses} poses sent, {report.commands} commands "
-            f"received, motors stopped {report.stops} times for want of them"
-        )
 
 
 class _Triples(TyperCommand):
@@ -98,7 +95,7 @@ class _Triples(TyperCommand):
         return super().parse_args(ctx, joined)
 
 
-@app.command(rich_help_panel=PANEL, cls=_Triples)
+@app.command(rich_help_panel=_PANEL, cls=_Triples)
 def fly(
     model: Annotated[
         str | None,
@@ -149,75 +146,49 @@ def fly(
     from airpuck.control.excitation import Excitation
     from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import default_tuning
-    from airpuck.craft.table import Table
-    from airpuck.craft.vehicle import default_vehicle
     from airpuck.flight.loop import Pilot
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import Limits
-    from airpuck.live.setpoints import (
-        FollowedSetPoint,
-        PlannedSetPoints,
-        check_inside,
-        read_setpoints,
-    )
-    from airpuck.model.model_file import nominal_model
+    from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints, check_inside
 
-    ways = [bool(setpoints), setpoints_file is not None, topic, excite]
-    if sum(ways) > 1:
+    if sum([bool(setpoints), setpoints_file is not None, topic, excite]) > 1:
         raise InputError("give one of --setpoint, --setpoints, --topic, --excite", field="fly")
-    if model is not None and vehicle is not None:
-        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
     if dwell is not None and not setpoints:
         raise InputError("is the time at each --setpoint; none is given", field="--dwell")
     if seed is not None and not excite:
-        raise InputError("is that of --excite; nothing else is random", field="--seed")
+        raise InputError("is the seed of --excite; nothing else is random", field="--seed")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     check_destinations(json=json_file)
-    check_network(domain, interface)
-    length = run_length(duration)
-    craft = None if model is None else read_belief(model)
-    if craft is None:
-        craft = nominal_model(read_craft(vehicle) or default_vehicle())
-    fence = geofence or _rails(Table().reach(craft.vehicle.radius_m))
-    if not all(0 < distance < float("inf") for distance in fence):
-        raise InputError("must be two finite distances above 0", field="--geofence")
-    settings = read_controls(tuning) or default_tuning()
-    points = _points(setpoints, dwell) if setpoints_file is None else read_setpoints(setpoints_file)
+    live = live_settings(domain, interface, topics, duration, quiet)
+    craft = read_model_or_vehicle(model, vehicle)
+    fence = _fence(geofence, craft)
+    controls = read_controls(tuning) or default_tuning()
+    points = _set_points(setpoints, dwell, setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
     low_latency()
 
     def pilot() -> Pilot:
         if excite:
-            return Excitation(craft, tuning=settings, seed=seed or 0)
-        return TrackingController(craft, reference, settings)
+            return Excitation(craft, tuning=controls, seed=seed or 0)
+        return TrackingController(craft, reference, controls)
 
-    report = fly_live(
-        pilot,
-        craft.vehicle,
-        Limits(geofence=fence),
-        period=settings.period_s,
-        reference=reference,
-        topics=topic_names(topics),
-        domain=domain,
-        interface=interface,
-        duration=length,
-        quiet=quiet,
+    limits = Limits(geofence=fence)
+    figures = fly_live(pilot, craft.vehicle, limits, live, period=controls.period_s)
+    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
+    jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
+    report(
+        figures,
+        json_file,
+        quiet,
+        f"{figures['duration_s']:.1f} s, periods: {outcomes}\n"
+        f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
+        f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
     )
-    figures = report.to_json()
-    write_json(json_file, figures)
-    if not quiet and not is_stdout(json_file):
-        outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
-        jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
-        print(
-            f"{report.duration:.1f} s, periods: {outcomes}\n"
-            f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
-            f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines"
-        )
 
 
-@app.command(rich_help_panel=PANEL)
+@app.command(rich_help_panel=_PANEL)
 def record(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")
@@ -234,52 +205,151 @@ def record(
 
     check_destinations(output=output, json=json_file)
     craft = read_craft(vehicle)
-    report = record(
-        output,
-        motors=() if craft is None else craft.propeller_names,
-        domain=domain,
-        interface=interface,
-        duration=run_length(duration),
-        quiet=quiet,
-    )
-    write_json(json_file, report.to_json())
-    if not quiet and not is_stdout(json_file):
-        for topic, count in report.messages.items():
-            print(f"{count:8d}  {topic}")
-        print(output)
+    motors = () if craft is None else craft.propeller_names
+    live = live_settings(domain, interface, None, duration, quiet)
+    figures = record(output, live, motors=motors)
+    counts = [f"{count:8d}  {topic}" for topic, count in figures["messages"].items()]
+    report(figures, json_file, quiet, "\n".join([*counts, str(output)]))
 
 
-def check_network(domain: int | None, interface: str | None) -> None:
-    """Refuse a domain or an interface that is not there, before anything is compiled."""
-    from airpuck.live.domain import domain_config, domain_id
-
-    domain_id(domain)
-    domain_config(interface)
-
-
-def topic_names(topics: Path | None) -> Topics | None:
-    """Read the names of topics, if a file is given."""
-    if topics is None:
-        return None
-    from airpuck.recording.topics import read_topics
-
-    return read_topics(topics)
-
-
-def run_length(duration: float | None) -> float:
-    """Return how long to go on."""
+@app.command(rich_help_panel=_PANEL)
+def preflight(
+    model: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="What the craft is believed to be."),
+    ] = None,
+    vehicle: VehicleFile = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
+    ] = None,
+    level: Annotated[
+        float | None,
+        typer.Option(help="Command of the motor whose turn it is; by default 0.25."),
+    ] = None,
+    rounds: Annotated[
+        int | None, typer.Option(help="How often each motor has its turn; by default 2.")
+    ] = None,
+    domain: Domain = None,
+    interface: Interface = None,
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
     from airpuck.boundary.errors import InputError
+    from airpuck.flight.preflight import judge_recording
+    from airpuck.flight.pulses import PulsePlan
+    from airpuck.live.fly import preflight_live
 
-    if duration is not None and not 0 < duration < float("inf"):
-        raise InputError("must be a number of seconds above 0", field="--duration")
-    return float("inf") if duration is None else duration
+    pulses = {"level": level, "rounds": rounds}
+    given = {k: v for k, v in pulses.items() if v is not None}
+    if recording is not None:
+        for name, value in {**pulses, "domain": domain, "interface": interface}.items():
+            if value is not None:
+                raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
+    check_destinations(json=json_file)
+    craft = read_model_or_vehicle(model, vehicle)
+    if recording is not None:
+        found = judge_recording(craft, read_flight(recording, topics))
+    else:
+        live = live_settings(domain, interface, topics, None, quiet)
+        found = preflight_live(craft, replace(PulsePlan(), **given), live)
+    checks = [f"{check.verdict:6s}{check.name:17s}{check.words}" for check in found.checks]
+    report(found.to_json(), json_file, False, "\n".join(checks))
+    if not found.ready:
+        wrong = [check.name for check in found.checks if check.verdict == "wrong"]
+        raise InputError(f"not ready to fly: mend {', '.join(wrong)}, then check again")
 
 
-def _points(texts: list[str] | None, dwell: float | None) -> SetPoints:
-    """Return set points one after the other; by default the middle of the table."""
+@app.command(rich_help_panel=_PANEL)
+def watch(
+    model: Belief,
+    domain: Domain = None,
+    interface: Interface = None,
+    topics: TopicsFile = None,
+    duration: Duration = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
+    from airpuck.live.watch import watch_live
+
+    check_destinations(json=json_file)
+    live = live_settings(domain, interface, topics, duration, quiet)
+    silent = quiet or is_stdout(json_file)
+    show = (lambda line: None) if silent else (lambda line: print(line, flush=True))
+    write_json(json_file, watch_live(read_belief(model), show, live))
+
+
+@app.command(rich_help_panel=_PANEL)
+def view(
+    model: Belief,
+    port: Annotated[
+        int, typer.Option(metavar="N", help="Port of the page.", min=1, max=65535)
+    ] = 8080,
+    host: Annotated[
+        str,
+        typer.Option(metavar="ADDRESS", help="Who may see it; by default this machine alone."),
+    ] = "127.0.0.1",
+    domain: Domain = None,
+    interface: Interface = None,
+    topics: TopicsFile = None,
+    duration: Duration = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
+    from airpuck.live.view import view_live
+
+    check_destinations(json=json_file)
+    live = live_settings(domain, interface, topics, duration, quiet)
+    write_json(json_file, view_live(read_belief(model), live, host=host, port=port))
+
+
+def live_settings(
+    domain: int | None,
+    interface: str | None,
+    topics: Path | None,
+    duration: float | None,
+    quiet: bool,
+) -> LiveSettings:
+    """Return how to join the graph; refuse what is not there before anything is compiled."""
+    from airpuck.live.process import LiveSettings
+    from airpuck.recording.topics import Topics, read_topics
+
+    names = Topics() if topics is None else read_topics(topics)
+    return LiveSettings(names, domain, interface, duration, quiet)
+
+
+def read_model_or_vehicle(model: str | None, vehicle: Path | None) -> Model:
+    """Read a model, or make the nominal one of a vehicle, by default the paper's."""
+    from airpuck.boundary.errors import InputError
+    from airpuck.craft.vehicle import default_vehicle
+    from airpuck.model.model_file import nominal_model
+
+    if model is None:
+        return nominal_model(read_craft(vehicle) or default_vehicle())
+    if vehicle is not None:
+        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+    return read_belief(model)
+
+
+def report(figures: Any, json_file: Path | None, quiet: bool, text: str) -> None:
+    """Write figures where --json says, and print text unless it would be in the way."""
+    write_json(json_file, figures)
+    if not quiet and not is_stdout(json_file):
+        print(text)
+
+
+def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None) -> SetPoints:
+    """Return set points from a file, or one after the other; by default the table's middle."""
     from airpuck.boundary.errors import InputError
     from airpuck.control.reference import SetPoints
+    from airpuck.live.setpoints import read_setpoints
 
+    if file is not None:
+        return read_setpoints(file)
     dwell = _DWELL if dwell is None else dwell
     if not 0 < dwell < float("inf"):
         raise InputError("must be a number of seconds above 0", field="--dwell")
@@ -292,6 +362,15 @@ def _points(texts: list[str] | None, dwell: float | None) -> SetPoints:
     return SetPoints([k * dwell for k in range(len(poses))], poses)
 
 
-def _rails(reach: tuple[float, float]) -> tuple[float, float]:
-    """Return the geofence at the rails: noise of a craft that leans on one is inside."""
-    return reach[0] + 0.01, reach[1] + 0.01
+def _fence(given: tuple[float, float] | None, craft: Model) -> tuple[float, float]:
+    """Return the geofence ±x, ±y [m]; by default the rails."""
+    from airpuck.boundary.errors import InputError
+    from airpuck.craft.table import Table
+
+    if given is None:
+        x, y = Table().reach(craft.vehicle.radius_m)
+        # Noise of a craft that leans on a rail is inside.
+        return x + 0.01, y + 0.01
+    if not all(0 < distance < float("inf") for distance in given):
+        raise InputError("must be two finite distances above 0", field="--geofence")
+    return given

@@ -7,9 +7,9 @@ import re
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+from airpuck.live.clock import SECOND_NS
 from airpuck.live.graph import LOG, STATE, Graph
 from airpuck.recording.message import MessageCodec
 from airpuck.recording.message_types import definitions
@@ -17,31 +17,21 @@ from airpuck.recording.message_types import definitions
 #: ROS 2's own topics for events and for heartbeats; tools know them by name.
 EVENTS, HEARTBEAT = "/rosout", "/diagnostics"
 EVENT_TYPE, HEARTBEAT_TYPE = "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray"
-#: Of both kinds of message, by name.
 Level = Literal["info", "warning", "error"]
-_LOG_LEVELS = {"info": 20, "warning": 30, "error": 40}
-_STATUS_LEVELS = {"info": 0, "warning": 1, "error": 2}
-#: What happens again within this time is held back [s].
-_AGAIN_AFTER = 1.0
-_SECOND_NS = 10**9
+#: ROS's numbers of the levels of an event, and of a heartbeat.
+EVENT_LEVELS: dict[Level, int] = {"info": 20, "warning": 30, "error": 40}
+_HEARTBEAT_LEVELS: dict[Level, int] = {"info": 0, "warning": 1, "error": 2}
+#: An event that repeats within this time is held back [s].
+_REPEATS = 1.0
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
-@dataclass(frozen=True)
-class _Held:
-    """An event that was told less than a second ago, and has happened again since."""
-
-    level: Level
-    text: str
-    count: int
-
-
 class EventLog:
-    """Tells events and heartbeats on the graph, and events on standard error.
+    """Publishes events and heartbeats, and prints events on standard error.
 
-    An event that repeats is told at once the first time; its repetitions within a second are
-    counted, and told as one with the next heartbeat, in the order in which they last happened. So
-    what is told last is what is so.
+    An event is published at once the first time. Its repetitions within a second are counted, and
+    published as one with the next heartbeat, in the order in which they last happened: the last
+    event published is the present state.
     """
 
     def __init__(self, graph: Graph, name: str, *, quiet: bool = False) -> None:
@@ -51,47 +41,37 @@ class EventLog:
         self._heartbeat = MessageCodec(HEARTBEAT_TYPE, types)
         self._events = graph.publisher(EVENTS, EVENT_TYPE, types, LOG)
         self._heartbeats = graph.publisher(HEARTBEAT, HEARTBEAT_TYPE, types, STATE)
-        self._told: dict[str, float] = {}
-        self._held: dict[str, _Held] = {}
+        #: When each kind of event was last published [s].
+        self._published: dict[str, float] = {}
+        #: Events held back by kind: level, text of the last, and their number.
+        self._held: dict[str, tuple[Level, str, int]] = {}
         #: How many events of each level there were, repetitions included.
-        self.counts: dict[str, int] = dict.fromkeys(_LOG_LEVELS, 0)
+        self.counts: dict[str, int] = dict.fromkeys(EVENT_LEVELS, 0)
 
-    def tell(self, level: Level, text: str, *, kind: str | None = None) -> None:
-        """Tell an event."""
+    def log(self, level: Level, text: str, *, kind: str | None = None) -> None:
+        """Publish an event; texts that differ only in numbers are of the same kind by default."""
         self.counts[level] += 1
         kind = _NUMBER.sub("#", text) if kind is None else kind
-        if time.monotonic() - self._told.get(kind, -math.inf) < _AGAIN_AFTER:
-            before = self._held.pop(kind, None)
-            self._held[kind] = _Held(level, text, 1 if before is None else before.count + 1)
+        if time.monotonic() - self._published.get(kind, -math.inf) < _REPEATS:
+            # Last in order again, if it was held before.
+            _, _, count = self._held.pop(kind, (level, text, 0))
+            self._held[kind] = level, text, count + 1
             return
-        # Those held back that happened before come first.
-        self.tell_held()
-        self._tell_now(level, text, kind)
+        # Those held back happened before.
+        self.flush()
+        self._publish(level, text, kind)
 
-    def tell_held(self) -> None:
-        """Tell the repetitions that were held back; `heartbeat` does."""
+    def flush(self) -> None:
+        """Publish the repetitions that were held back; `heartbeat` does."""
         held, self._held = self._held, {}
-        for kind, event in held.items():
-            often = f" ({event.count} times)" if event.count > 1 else ""
-            self._tell_now(event.level, event.text + often, kind)
-
-    def _tell_now(self, level: Level, text: str, kind: str) -> None:
-        """Tell an event, and note when."""
-        now = time.monotonic()
-        self._told = {k: told for k, told in self._told.items() if now - told < _AGAIN_AFTER}
-        self._told[kind] = now
-        event = self._event.blank()
-        event.stamp.sec, event.stamp.nanosec = divmod(time.time_ns(), _SECOND_NS)
-        event.level, event.name, event.msg = _LOG_LEVELS[level], self._name, text
-        self._events.send(self._event.encode(event))
-        if not self._quiet:
-            print(f"{self._name}: {text}", file=sys.stderr, flush=True)
+        for kind, (level, text, count) in held.items():
+            self._publish(level, f"{text} ({count} times)" if count > 1 else text, kind)
 
     def heartbeat(self, level: Level, text: str, values: Mapping[str, object]) -> None:
-        """Say that the process is alive, and how it fares; once a second."""
-        self.tell_held()
+        """Publish that the process is alive, its state, and some figures; once a second."""
+        self.flush()
         message = self._heartbeat.blank()
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), _SECOND_NS)
+        _set_to_now(message.header.stamp)
         pairs = [
             self._heartbeat.message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
             for key, value in values.items()
@@ -99,10 +79,27 @@ class EventLog:
         message.status = [
             self._heartbeat.message(
                 "diagnostic_msgs/msg/DiagnosticStatus",
-                level=_STATUS_LEVELS[level],
+                level=_HEARTBEAT_LEVELS[level],
                 name=self._name,
                 message=text,
                 values=pairs,
             )
         ]
         self._heartbeats.send(self._heartbeat.encode(message))
+
+    def _publish(self, level: Level, text: str, kind: str) -> None:
+        """Publish an event, and note when."""
+        now = time.monotonic()
+        self._published = {k: t for k, t in self._published.items() if now - t < _REPEATS}
+        self._published[kind] = now
+        event = self._event.blank()
+        _set_to_now(event.stamp)
+        event.level, event.name, event.msg = EVENT_LEVELS[level], self._name, text
+        self._events.send(self._event.encode(event))
+        if not self._quiet:
+            print(f"{self._name}: {text}", file=sys.stderr, flush=True)
+
+
+def _set_to_now(stamp: Any) -> None:
+    """Set a message's stamp to the system's time."""
+    stamp.sec, stamp.nanosec = divmod(time.time_ns(), SECOND_NS)

@@ -1,231 +1,250 @@
-"""Flying on the graph: the loop, the guard around it, and what it says."""
+"""Flying on the graph: the loop, the guard around it, the operator's keys, the preflight check."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import contextlib
+import math
+import os
+import select
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+from airpuck.flight.link import Measurement
 from airpuck.flight.loop import Action, Pilot, control
-from airpuck.live.clock import Clock
-from airpuck.live.events import EventLog
-from airpuck.live.graph import STATE, Graph
-from airpuck.live.inbox import Inbox
-from airpuck.live.keyboard import Keyboard, keyboard
-from airpuck.live.link import GraphLink
-from airpuck.live.monitor import LoopTiming
-from airpuck.live.process import (
-    Ending,
-    hurry,
-    orderly,
-    refuse_second,
-    settle_memory,
-    unhurried,
-)
+from airpuck.flight.preflight import Preflight, judge_test
+from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.live.process import LiveSettings, Process, hurry, unhurried
 from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
-from airpuck.recording.message import StreamCodec
-from airpuck.recording.topics import Topics
+from airpuck.live.timing import LoopTiming
+from airpuck.model.model_file import Model
 
 NAME = "airpuck fly"
 #: Idle commands at the end, since one may be lost.
 _LAST_COMMANDS = 5
-_HEARTBEAT = 1.0
 #: Steps before the flight, and how many of them are left out, for the pilot to forget the others.
 _WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
 #: Poses that came until then are taken in before a command is due [s].
 _EARLY = 0.002
 _GO, _QUIT = "g", "q"
-
-
-@dataclass(frozen=True)
-class FlightReport:
-    """What a flight was like."""
-
-    #: How long it took [s].
-    duration: float
-    #: How many periods ended how.
-    outcomes: Mapping[str, int]
-    #: Jitter and latency.
-    timing: LoopTiming
-    #: Poses that were used, and messages on their topic that were not.
-    poses: int
-    refused: int
-    #: Events told, by level.
-    events: Mapping[str, int]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        return {
-            "duration_s": self.duration,
-            "outcomes": dict(self.outcomes),
-            **self.timing.to_json(),
-            "poses": self.poses,
-            "refused": self.refused,
-            "events": dict(self.events),
-        }
+#: In the preflight check the frame may be wrong, and the units: what ends the test near a rail is
+#: the pilot, and where the poses jump its pulses remain what they are.
+ANYWHERE = Limits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
+#: For the check to find the graph, and for the guard to believe the poses [s].
+_PATIENCE = 3.0
 
 
 def fly_live(
     make_pilot: Callable[[], Pilot],
     vehicle: Vehicle,
     limits: Limits,
+    settings: LiveSettings | None = None,
     *,
     period: float = 0.01,
-    reference: PlannedSetPoints | FollowedSetPoint | None = None,
-    topics: Topics | None = None,
-    domain: int | None = None,
-    interface: str | None = None,
-    duration: float = float("inf"),
     over: Callable[[float], bool] = lambda time: False,
-    on_board: bool = False,
-    quiet: bool = False,
     name: str = NAME,
     warm_up: bool = True,
-) -> FlightReport:
-    """Fly a craft on the graph, until SIGINT or SIGTERM."""
-    topics = topics or Topics()
-    motors = StreamCodec("command", vehicle.propeller_names)
+) -> dict[str, Any]:
+    """Fly a craft on the graph, until its time is over, SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    make_pilot : callable
+        Makes what computes the commands; called once no other controller is on the graph.
+    vehicle : Vehicle
+        The craft.
+    limits : Limits
+        What the guard lets through.
+    settings : LiveSettings, optional
+        How to join the graph, and for how long.
+    period : float, default 0.01
+        Time between commands [s].
+    over : callable, optional
+        From the time of a command [s] to whether the flight is over.
+    name : str, default "airpuck fly"
+        What others see as its name.
+    warm_up : bool, default True
+        Whether the pilot flies some steps before, so that everything is compiled.
+
+    Returns
+    -------
+    dict
+        Figures for ``--json``.
+
+    Raises
+    ------
+    InputError
+        If the graph cannot be joined, or another process publishes commands.
+    """
     hurry()
-    graph = Graph(name, domain=domain, interface=interface)
-    try:
-        refuse_second(graph, topics.command, motors, "controller")
+    with Process(name, settings or LiveSettings()) as process:
+        process.refuse_second("command", vehicle.propeller_names, "controller")
         with unhurried():
             pilot = make_pilot()
             if warm_up:
                 _warm_up(pilot, period)
-        # Somebody else may have begun meanwhile.
-        refuse_second(graph, topics.command, motors, "controller")
-        with orderly() as ending, keyboard() as keys:
-            events = EventLog(graph, name, quiet=quiet)
-            flight = _Flight(
-                graph, topics, vehicle, limits, period, reference, keys, events, on_board
-            )
-            return flight.run(pilot, duration, over, ending)
-    finally:
-        graph.close()
+        # Another one may have begun meanwhile.
+        process.refuse_second("command", vehicle.propeller_names, "controller")
+        with keyboard() as keys:
+            return _Flight(process, pilot, vehicle, limits, period, keys).run(over)
+
+
+def preflight_live(
+    model: Model,
+    plan: PulsePlan | None = None,
+    settings: LiveSettings | None = None,
+    *,
+    table: Table | None = None,
+) -> Preflight:
+    """Give each motor of a craft on the graph short pulses, and judge what it does."""
+    pilot = PulseTest(model.vehicle, plan, table)
+    settings = replace(settings or LiveSettings(), duration=pilot.duration + _PATIENCE)
+    fly_live(
+        lambda: pilot,
+        model.vehicle,
+        ANYWHERE,
+        settings,
+        over=lambda time: pilot.over or (not pilot.poses and time > _PATIENCE),
+        name="airpuck preflight",
+        warm_up=False,
+    )
+    return judge_test(pilot, model)
+
+
+class GraphLink:
+    """Poses from the graph, commands to the graph; a `Link`."""
+
+    def __init__(self, process: Process, motors: tuple[str, ...], *, announces: bool) -> None:
+        self._clock = process.clock
+        self.poses = process.inbox("pose")
+        self.commands = process.outbox("command", motors)
+        self._references = process.outbox("reference") if announces else None
+        #: When the newest pose was measured [s].
+        self.newest: float | None = None
+
+    @property
+    def now(self) -> float:
+        """The present, on this process's clock [s]."""
+        return self._clock.now
+
+    def wait_until(self, time: float) -> list[Measurement]:
+        """Sleep; then take what has come; see `airpuck.flight.link.Link`."""
+        self._clock.sleep_until(time)
+        arrived = [Measurement("pose", stamp, pose) for stamp, pose in self.poses.take()]
+        if arrived:
+            self.newest = arrived[-1].stamp
+        if self._references is not None:
+            self._references.remind()
+        return arrived
+
+    def send(self, command: Float[np.ndarray, " n"]) -> None:
+        """Publish a command; see `airpuck.flight.link.Link`."""
+        self.commands.send(command)
+
+    def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
+        """Publish what the craft is asked to do; see `airpuck.flight.link.Link`."""
+        if self._references is not None:
+            self._references.send(reference)
 
 
 class _Flight:
-    """One flight: the guard, the link, and what others are told."""
+    """One flight: the guard, the link, and what others hear of it."""
 
     def __init__(
         self,
-        graph: Graph,
-        topics: Topics,
+        process: Process,
+        pilot: Pilot,
         vehicle: Vehicle,
         limits: Limits,
         period: float,
-        reference: PlannedSetPoints | FollowedSetPoint | None,
         keys: Keyboard,
-        events: EventLog,
-        on_board: bool,
     ) -> None:
-        self._graph, self._topics, self._vehicle = graph, topics, vehicle
-        self._period, self._keys, self._events = period, keys, events
-        self._on_board, self._reference = on_board, reference
-        self._followed = reference if isinstance(reference, FollowedSetPoint) else None
-        self._clock = Clock()
-        self._link = GraphLink(
-            graph,
-            topics,
-            vehicle.propeller_names,
-            self._clock,
-            events,
-            on_board=on_board,
-            announces=self._followed is None,
-        )
-        self._inboxes = list(self._link.inboxes.values())
-        if self._followed is not None:
-            codec = StreamCodec("reference")
-            self._wishes = Inbox(graph, topics.reference, codec, STATE, self._clock, events)
-            self._inboxes.append(self._wishes)
+        self._process, self._period, self._keys = process, period, keys
+        self._reference = pilot.reference
+        follows = isinstance(self._reference, FollowedSetPoint)
+        self._wishes = process.inbox("reference") if follows else None
+        self._link = GraphLink(process, vehicle.propeller_names, announces=not follows)
+        self._inboxes = [self._link.poses] + ([self._wishes] if self._wishes else [])
+        self._estimates = process.outbox("estimate")
         self._guard = Guard(limits)
+        self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
+        self._pilot = GuardedPilot(pilot, self._guard, self._idle, process.events.log)
         self._timing, self._recent = LoopTiming(period), LoopTiming(period)
-        self._outcomes: dict[str, int] = {}
-        self._beat = 0.0
+        self._outcomes: Counter[str] = Counter()
         self._quit = False
 
-    def run(
-        self, pilot: Pilot, duration: float, over: Callable[[float], bool], ending: Ending
-    ) -> FlightReport:
-        """Fly."""
-        guarded = GuardedPilot(
-            pilot,
-            self._guard,
-            self._vehicle.command_min,
-            self._vehicle.n_propellers,
-            lambda severe, text: self._events.tell("error" if severe else "info", text),
-        )
-        self._events.tell("info", f"on domain {self._graph.domain}{self._usage()}")
+    def run(self, over: Callable[[float], bool]) -> dict[str, Any]:
+        """Fly; return the figures for ``--json``."""
+        process, link = self._process, self._link
+        usage = f"; any key stops the motors, {_GO} lets them run, {_QUIT} ends"
+        process.start(usage if self._keys.file is not None else "")
         # What takes long the first time is done before the motors may run; the poses that have
         # come meanwhile are old.
         self._give_way()
-        self._look_around("starting")
-        settle_memory()
+        self._report("starting")
         for inbox in self._inboxes:
             inbox.discard()
-        start = self._clock.now
+        start = link.now
+        duration = process.settings.duration or math.inf
         try:
-            for action in control(
-                guarded,
-                self._link,
-                duration,
-                self._period,
-                on_board=self._on_board,
-                early=_EARLY,
-            ):
+            for action in control(self._pilot, link, duration, self._period, early=_EARLY):
                 self._after(action)
-                if ending.asked or self._quit or over(action.time):
+                if process.interrupted or self._quit or over(action.time):
                     break
         finally:
-            self._idle()
-        inbox = self._link.inboxes["pose"]
-        self._events.tell_held()
-        self._events.tell("info", "landed: motors idle")
-        return FlightReport(
-            self._clock.now - start,
-            self._outcomes,
-            self._timing,
-            inbox.good,
-            inbox.bad,
-            self._events.counts,
-        )
+            for _ in range(_LAST_COMMANDS):
+                link.send(self._idle)
+                process.clock.sleep_until(link.now + self._period)
+        process.events.flush()
+        process.events.log("info", "landed: motors idle")
+        return {
+            "duration_s": link.now - start,
+            "outcomes": dict(self._outcomes),
+            **self._timing.to_json(),
+            "poses": link.poses.good,
+            "refused": link.poses.bad,
+            "events": process.events.counts,
+        }
 
     def _after(self, action: Action) -> None:
         """Do what can wait until the command is sent."""
-        done = self._link.sent
+        done, step = self._link.commands.sent, action.step
         for timing in (self._timing, self._recent):
             timing.add(action.due, done, self._link.newest)
-        status = action.step.status
-        self._outcomes[status] = self._outcomes.get(status, 0) + 1
-        if action.step.estimate is not None:
-            self._link.tell_estimate(action.step.estimate.state)
-        if self._followed is not None:
-            self._follow(self._followed)
-        elif isinstance(self._reference, PlannedSetPoints) and action.step.flies:
+        self._outcomes[step.status] += 1
+        if step.estimate is not None:
+            self._estimates.send(step.estimate.state)
+        if isinstance(self._reference, PlannedSetPoints) and step.flies:
             self._reference.begin(action.time)
+        self._follow_wishes()
         for key in self._keys.pressed():
             self._obey(key)
         self._give_way()
-        if done >= self._beat:
-            self._beat = done + _HEARTBEAT
-            self._look_around(status)
+        if self._process.beat.begins(done):
+            self._report(step.status)
 
-    def _follow(self, followed: FollowedSetPoint) -> None:
+    def _follow_wishes(self) -> None:
         """Move the set point to where the graph wants it; at first, to where the craft is."""
-        if not followed.known and self._guard.position is not None:
+        followed = self._reference
+        if self._wishes is None or not isinstance(followed, FollowedSetPoint):
+            return
+        if not followed.placed and self._guard.position is not None:
             followed.move(self._guard.position)
         for _, wish in self._wishes.take():
             refusal = followed.move(wish)
             if refusal is not None:
-                self._events.tell("warning", f"refused: {refusal}", kind="set point")
+                self._process.events.log("warning", f"refused: {refusal}", kind="set point")
 
     def _obey(self, key: str) -> None:
-        """Do what the operator says: any key stops."""
+        """Do what the operator asks for: any other key stops the motors."""
         if key == _GO:
             self._guard.release("operator")
         elif key == _QUIT:
@@ -235,40 +254,27 @@ class _Flight:
 
     def _give_way(self) -> None:
         """Leave the motors to another controller, as long as there is one."""
-        rivals = self._graph.publishers(self._topics.command)
+        graph = self._process.graph
+        rivals = graph.publishers(self._process.settings.topics.command)
         if rivals:
-            whose = self._graph.describe(rivals[0])
+            whose = graph.describe(rivals[0])
             self._guard.stop("rival", f"another controller is on the graph: {whose}")
         else:
             self._guard.release("rival")
 
-    def _look_around(self, status: str) -> None:
-        """Once a second: who cannot be heard, and how the loop fares."""
+    def _report(self, status: str) -> None:
+        """Report who cannot be heard, and how the loop keeps its time; once a second."""
         for inbox in self._inboxes:
-            inbox.tell_strangers()
+            inbox.report_strangers()
         warning = self._recent.warning()
         if warning is not None:
-            self._events.tell("warning", warning, kind="timing")
-        figures = self._recent.to_json()
+            self._process.events.log("warning", warning, kind="timing")
         figures = {
             name: f"{value['p99']:.2f} (p99)" if isinstance(value, dict) else value
-            for name, value in figures.items()
+            for name, value in self._recent.to_json().items()
         }
-        self._events.heartbeat("warning" if warning else "info", status, figures)
+        self._process.events.heartbeat("warning" if warning else "info", status, figures)
         self._recent = LoopTiming(self._period)
-
-    def _idle(self) -> None:
-        """Leave the motors idle, whatever happened."""
-        idle = np.full(self._vehicle.n_propellers, self._vehicle.command_min)
-        for _ in range(_LAST_COMMANDS):
-            self._link.send(idle)
-            self._clock.sleep_until(self._clock.now + self._period)
-
-    def _usage(self) -> str:
-        """Say which keys do what."""
-        if not self._keys.listens:
-            return ""
-        return f"; any key stops the motors, {_GO} lets them run, {_QUIT} ends"
 
 
 def _warm_up(pilot: Pilot, period: float) -> None:
@@ -278,3 +284,39 @@ def _warm_up(pilot: Pilot, period: float) -> None:
         now = k * period
         pilot.pose(now, pose)
         pilot.sent(now, pilot.step(now).command)
+
+
+class Keyboard:
+    """Keys pressed on a terminal, read without waiting."""
+
+    def __init__(self, file: int | None) -> None:
+        #: The terminal; None where standard input is none.
+        self.file = file
+
+    def pressed(self) -> str:
+        """Return the keys pressed since the last call."""
+        if self.file is None or not select.select([self.file], [], [], 0)[0]:
+            return ""
+        keys = os.read(self.file, 64).decode(errors="replace")
+        if not keys:
+            self.file = None
+        return keys
+
+
+@contextlib.contextmanager
+def keyboard() -> Iterator[Keyboard]:
+    """Let keys through as they are pressed, if standard input is a terminal."""
+    # A process in the background would be stopped for reading.
+    if not sys.stdin or not sys.stdin.isatty() or os.tcgetpgrp(0) != os.getpgrp():
+        yield Keyboard(None)
+        return
+    import termios
+    import tty
+
+    file = sys.stdin.fileno()
+    before = termios.tcgetattr(file)
+    try:
+        tty.setcbreak(file)
+        yield Keyboard(file)
+    finally:
+        termios.tcsetattr(file, termios.TCSADRAIN, before)

@@ -9,15 +9,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.live.discovery import Discovery, Endpoint
-from airpuck.live.domain import domain_config, domain_id
-from airpuck.live.idl import dds_topic, idl_struct, raw_type
+from airpuck.live.clock import SECOND_NS
+from airpuck.live.dds import (
+    dds_topic,
+    domain_config,
+    domain_id,
+    idl_struct,
+    raw_type,
+    ros_topic,
+    ros_type,
+)
 from airpuck.recording.cdr import Types
 
 if TYPE_CHECKING:
     from uuid import UUID
 
-_SECOND_NS = 10**9
 #: Samples taken at once; more wait for the next call.
 _BATCH = 256
 
@@ -28,15 +34,15 @@ class Quality:
 
     #: Whether lost packets are sent again.
     reliable: bool = True
-    #: Whether those that come later are sent what was said before.
+    #: Whether latecomers are sent earlier messages.
     transient_local: bool = False
     #: Messages kept.
     depth: int = 64
-    #: For how long a message is worth being sent [s].
+    #: A message is worth sending for this long [s]; None is forever.
     lifespan: float | None = None
 
 
-#: As the table's recordings have them: sensors and commands do not send again.
+#: As in the table's recordings: sensors and commands do not send again.
 SENSOR = Quality(reliable=False)
 STATE = Quality()
 #: That of ``/rosout``.
@@ -53,19 +59,29 @@ class Sample:
     data: bytes
 
 
+@dataclass(frozen=True)
+class Endpoint:
+    """A publisher somewhere on the graph."""
+
+    #: DDS keys of the publisher and of its process.
+    key: UUID
+    participant: UUID
+    #: ROS names.
+    topic: str
+    msgtype: str
+    #: What it offers.
+    reliable: bool
+    transient_local: bool
+
+
 class Publisher:
     """Sends messages on a topic; from `Graph.publisher`."""
 
     def __init__(self, writer: Any, kind: Any) -> None:
         self._writer, self._kind = writer, kind
 
-    @property
-    def key(self) -> UUID:
-        """Its key in discovery."""
-        return self._writer.get_guid()
-
     def send(self, data: bytes) -> None:
-        """Send a message."""
+        """Send a message, as CDR."""
         self._writer.write(self._kind(data))
 
 
@@ -74,15 +90,14 @@ class Subscription:
 
     def __init__(self, reader: Any, kind: Any, condition: Any = None) -> None:
         self._reader, self._kind = reader, kind
-        #: Ends `Graph.wait`, where something comes.
+        #: Ends `Graph.wait` when a message comes; None if it need not.
         self._condition = condition
 
     def take(self) -> list[Sample]:
         """Take what has come since the last call."""
-        taken = self._reader.take(_BATCH)
         return [
             Sample(item.sample_info.source_timestamp, item.data)
-            for item in taken
+            for item in self._reader.take(_BATCH)
             if isinstance(item, self._kind)
         ]
 
@@ -93,7 +108,7 @@ class Graph:
     Parameters
     ----------
     name : str
-        What others are told that it is.
+        What others see as its name.
     domain : int, optional
         DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
     interface : str, optional
@@ -102,8 +117,8 @@ class Graph:
     Raises
     ------
     InputError
-        If Cyclone DDS is not installed, the domain or the interface do not exist, or this process
-        is in the domain over another interface already.
+        If Cyclone DDS is not installed, the domain or the interface does not exist, or this
+        process is in the domain over another interface already.
     """
 
     #: Cyclone configures a domain once in a process.
@@ -141,8 +156,9 @@ class Graph:
         self._kinds: dict[str, Any] = {}
         self._structs: dict[str, Any] = {}
         self._topics: dict[str, tuple[str, Any]] = {}
-        self._kept: list[Any] = []
-        self._discovery = Discovery(self._participant)
+        # Cyclone deletes a writer that nobody refers to.
+        self._writers: list[Any] = []
+        self._discovery = _Discovery(self._participant)
 
     def publisher(self, topic: str, msgtype: str, types: Types, quality: Quality) -> Publisher:
         """Publish on a topic.
@@ -166,7 +182,7 @@ class Graph:
         writer = DataWriter(
             self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
         )
-        self._kept.append(writer)
+        self._writers.append(writer)
         return Publisher(writer, self._kinds[msgtype])
 
     def subscription(
@@ -183,7 +199,7 @@ class Graph:
         quality : Quality
             What is asked for; senders that offer less are not heard.
         wakes : bool, default False
-            Whether `wait` returns when something comes.
+            Whether `wait` returns when a message comes.
 
         Returns
         -------
@@ -209,7 +225,7 @@ class Graph:
         return Subscription(reader, self._kinds[msgtype], condition)
 
     def unsubscribe(self, subscription: Subscription) -> None:
-        """End a subscription: `wait` would go on to wake for what nobody takes.
+        """End a subscription, so that `wait` no longer wakes for it.
 
         Parameters
         ----------
@@ -220,7 +236,7 @@ class Graph:
             self._waitset.detach(subscription._condition)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something comes on a subscription that wakes, or a time has passed.
+        """Sleep until a message comes on a subscription that wakes, or a time has passed.
 
         Parameters
         ----------
@@ -228,22 +244,22 @@ class Graph:
             The longest time [s].
         """
         if seconds > 0:
-            self._waitset.wait(int(seconds * _SECOND_NS))
+            self._waitset.wait(int(seconds * SECOND_NS))
 
     def publishers(self, topic: str | None = None, *, own: bool = False) -> list[Endpoint]:
-        """Return who publishes, as far as discovery has got.
+        """Return the publishers that discovery has found.
 
         Parameters
         ----------
         topic : str, optional
             Only those of this ROS topic.
         own : bool, default False
-            Whether this one counts, too.
+            Whether to include those of this process.
 
         Returns
         -------
         list of Endpoint
-            Alive ones.
+            Those alive.
         """
         left_out = None if own else self._participant.get_guid()
         return [
@@ -254,11 +270,11 @@ class Graph:
 
     @property
     def age(self) -> float:
-        """For how long it has been looking for others [s]."""
+        """How long it has been looking for others [s]."""
         return time.monotonic() - self._entered
 
     def describe(self, endpoint: Endpoint) -> str:
-        """Say whose an endpoint is.
+        """Name the process of an endpoint.
 
         Parameters
         ----------
@@ -268,13 +284,13 @@ class Graph:
         Returns
         -------
         str
-            Name, process and machine, as far as the other side tells them.
+            Name, process and machine, as far as the other side says.
         """
         return self._discovery.owner(endpoint.participant)
 
     def close(self) -> None:
         """Leave the graph; others see it at once."""
-        self._kept.clear()
+        self._writers.clear()
         # Cyclone's Python deletes an entity when nobody refers to it, and there is no other way.
         participant: Any = self._participant
         participant._delete(participant._ref)
@@ -284,9 +300,9 @@ class Graph:
         from cyclonedds.topic import Topic
 
         if topic in self._topics:
-            known, made = self._topics[topic]
-            if known != msgtype:
-                raise InputError(f"is {known} already, not {msgtype}", field=topic)
+            present, made = self._topics[topic]
+            if present != msgtype:
+                raise InputError(f"is {present} already, not {msgtype}", field=topic)
             return made
         if msgtype not in self._kinds:
             self._kinds[msgtype] = raw_type(idl_struct(types, msgtype, self._structs))
@@ -295,24 +311,70 @@ class Graph:
         return made
 
 
+class _Discovery:
+    """What DDS knows of other participants and their writers, kept up to date."""
+
+    def __init__(self, participant: Any) -> None:
+        from cyclonedds.builtin import (
+            BuiltinDataReader,
+            BuiltinTopicDcpsParticipant,
+            BuiltinTopicDcpsPublication,
+        )
+
+        self._participants = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant)
+        self._publications = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+        self._owners: dict[UUID, str] = {}
+        self._endpoints: dict[UUID, Endpoint] = {}
+
+    def publishers(self) -> list[Endpoint]:
+        """Return the publishers on ROS topics now."""
+        from cyclonedds.core import InstanceState, Policy
+
+        for item in self._publications.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                self._endpoints.pop(item.key, None)
+                continue
+            topic = ros_topic(item.topic_name)
+            if topic is not None:
+                self._endpoints[item.key] = Endpoint(
+                    item.key,
+                    item.participant_key,
+                    topic,
+                    ros_type(item.type_name),
+                    isinstance(item.qos[Policy.Reliability], Policy.Reliability.Reliable),
+                    item.qos[Policy.Durability] != Policy.Durability.Volatile,
+                )
+        return list(self._endpoints.values())
+
+    def owner(self, participant: UUID) -> str:
+        """Name the process of a participant."""
+        from cyclonedds.core import InstanceState, Policy
+
+        for item in self._participants.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                continue
+            properties = {p.key: p.value for p in item.qos if type(p).__name__ == "Property"}
+            name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
+            # Not one of our processes: what Cyclone says of it, if it runs Cyclone.
+            self._owners[item.key] = name or (
+                f"{properties.get('__ProcessName', 'an unknown program')} (process "
+                f"{properties.get('__Pid', '?')} on {properties.get('__Hostname', '?')})"
+            )
+        return self._owners.get(participant, f"an unknown program (participant {participant})")
+
+
 def _qos(quality: Quality) -> Any:
     """Return Cyclone's settings; ROS 2 speaks the first version of CDR."""
     from cyclonedds.core import Policy, Qos
 
-    reliability = (
-        Policy.Reliability.Reliable(max_blocking_time=_SECOND_NS // 10)
-        if quality.reliable
-        else Policy.Reliability.BestEffort
-    )
-    durability = (
-        Policy.Durability.TransientLocal if quality.transient_local else Policy.Durability.Volatile
-    )
+    reliable = Policy.Reliability.Reliable(max_blocking_time=SECOND_NS // 10)
+    durable = Policy.Durability
     policies = [
-        reliability,
-        durability,
+        reliable if quality.reliable else Policy.Reliability.BestEffort,
+        durable.TransientLocal if quality.transient_local else durable.Volatile,
         Policy.History.KeepLast(quality.depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     ]
     if quality.lifespan is not None:
-        policies.append(Policy.Lifespan(int(quality.lifespan * _SECOND_NS)))
+        policies.append(Policy.Lifespan(int(quality.lifespan * SECOND_NS)))
     return Qos(*policies)

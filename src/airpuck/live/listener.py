@@ -1,4 +1,4 @@
-"""Listening to a graph: every topic whose messages are known, as bytes; nothing is published."""
+"""Listening to a graph: every topic whose message type is known, as bytes; nothing is published."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from airpuck.live.discovery import Endpoint
-from airpuck.live.graph import Graph, Quality, Sample, Subscription
+from airpuck.live.clock import Every
+from airpuck.live.graph import Endpoint, Graph, Quality, Sample, Subscription
 from airpuck.recording.cdr import Types, flatten
 from airpuck.recording.message_types import command_type, definitions
 
 #: How often to look for new topics [s].
 _LOOK = 0.1
-#: As many messages may wait for the listener.
+#: How many messages of a topic may wait for the listener.
 _DEPTH = 2000
 
 
 @dataclass
 class _Topic:
-    """What is listened to: who was the first, and what is asked of all."""
+    """A topic that is listened to."""
 
+    #: Who published on it first.
     first: Endpoint
     quality: Quality
     subscription: Subscription
-    #: Taken from the subscription before this one, and not yet heard.
+    #: Taken from an earlier subscription, and not yet handed out.
     waiting: list[Sample]
 
 
@@ -43,48 +44,50 @@ class Heard:
 
 
 class Listener:
-    """Subscribes to whatever others publish, as they begin to."""
+    """Subscribes to whatever others publish, as they begin to; with `own`, to our own, too.
+
+    `motors` are the propellers of a craft whose commands are not the authors' message.
+    """
 
     def __init__(self, graph: Graph, motors: tuple[str, ...] = (), *, own: bool = False) -> None:
         self._graph, self._own = graph, own
         self.types: Types = command_type(motors)[1] if motors else definitions("")
+        #: What is not heard and why; the user empties it.
         self.notes: list[str] = []
         self._topics: dict[str, _Topic] = {}
         self._refused: set[tuple[str, str]] = set()
-        self._looked = -_LOOK
+        self._look = Every(_LOOK)
 
     def topic(self, name: str) -> Endpoint:
-        """Return who was the first to publish on a topic that is listened to."""
+        """Return the first publisher on a topic that is listened to."""
         return self._topics[name].first
 
     def listen(self, seconds: float) -> Iterator[Heard]:
-        """Wait for messages, and take them."""
-        now = time.monotonic()
-        if now - self._looked >= _LOOK:
-            self._looked = now
+        """Wait for messages, at most this long [s], and take them."""
+        if self._look.begins(time.monotonic()):
             self._subscribe()
         self._graph.wait(min(seconds, _LOOK))
         for name, topic in self._topics.items():
-            taken, before = topic.subscription.take(), topic.waiting
-            if before:
-                # While there were two subscriptions, both were told.
-                taken, topic.waiting = before + [one for one in taken if one not in before], []
-            # After they were taken: nothing is received before it was sent, whatever takes long.
+            taken, earlier = topic.subscription.take(), topic.waiting
+            if earlier:
+                # While there were two subscriptions, both received.
+                taken, topic.waiting = earlier + [one for one in taken if one not in earlier], []
+            # Read after taking: nothing is received before it was sent, however slow the caller.
             received = time.time_ns()
             for sample in taken:
                 yield Heard(name, topic.first.msgtype, received, sample.sent_ns, sample.data)
 
     def _subscribe(self) -> None:
-        """Subscribe to topics that are new, and ask for less where somebody offers less."""
+        """Subscribe to new topics, and ask for less where a publisher offers less."""
         for endpoint in self._graph.publishers(own=self._own):
             name, msgtype = endpoint.topic, endpoint.msgtype
-            known = self._topics.get(name)
-            if known is not None and known.first.msgtype == msgtype:
-                self._ask_less(known, endpoint)
+            topic = self._topics.get(name)
+            if topic is not None and topic.first.msgtype == msgtype:
+                self._ask_less(topic, endpoint)
                 continue
             if (name, msgtype) in self._refused:
                 continue
-            problem = f"it is {known.first.msgtype} already" if known else self._problem(msgtype)
+            problem = f"it is {topic.first.msgtype} already" if topic else self._problem(msgtype)
             if problem:
                 self._refused.add((name, msgtype))
                 whose = self._graph.describe(endpoint)
@@ -116,7 +119,7 @@ class Listener:
         self._graph.unsubscribe(before)
 
     def _problem(self, msgtype: str) -> str | None:
-        """Say why a type cannot be listened to."""
+        """Return why a type cannot be listened to; None if it can."""
         try:
             flatten(self.types, msgtype)
         except ValueError as error:

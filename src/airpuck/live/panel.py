@@ -1,30 +1,41 @@
-"""Gauges, set point and events beside the table in the browser."""
+"""What stands beside the table in the browser: set point, gauges of loop and craft, events."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from html import escape
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.flight.health import Health
 from airpuck.live.fly import NAME as FLY
-from airpuck.live.gauges import Gauge, gauges_html, health_html, paragraph, timing_gauges
-from airpuck.live.observer import Event, Observer
+from airpuck.live.timing import DEADLINE, JITTER_P99, LATENCY_P99
+from airpuck.live.watch import Observer
 
 if TYPE_CHECKING:
     import viser
 
 _COLORS = {"info": "inherit", "warning": "#b35900", "error": "#c00000"}
+_BAR, _BAR_TOO_LONG, _BAR_GROUND = "#0072b2", "#d55e00", "#e3e7ea"
+#: Newest events that are shown.
 _SHOWN = 12
-#: What is older counts as gone [s].
+#: A controller whose last heartbeat is older counts as gone [s].
 _GONE = 2.5
+#: Figures of the controller's heartbeat, their names here, and their limits [ms].
+_TIMES = {
+    "pose_to_command_ms": ("pose to command", 1e3 * LATENCY_P99),
+    "pose_age_ms": ("age of the pose", 1e3 * DEADLINE),
+    "period_jitter_ms": ("period jitter", 1e3 * JITTER_P99),
+}
+#: Prediction error of a full bar: that of the simplest model, M0, on the real table [m, m, rad].
+_FULL_ERROR = (0.016, 0.016, 0.5)
 
 
 class Panel:
-    """What is written beside the table."""
+    """Set point, gauges and events; `wish` takes the x, y [m], yaw [rad] that the user enters."""
 
     def __init__(
         self,
@@ -54,44 +65,116 @@ class Panel:
             self._health = gui.add_html("")
         with gui.add_folder("Events"):
             self._events = gui.add_html("")
-
         self._shown = [0.0, 0.0, 0.0]
 
         async def entered(event: Any) -> None:
-            if event.client is not None:  # not by us
-                x, y, yaw = (float(number.value) for number in self._numbers)
-                wish(x, y, yaw)
+            if event.client is not None:  # entered by a user, not set by `show_set_point`
+                wish(*(float(number.value) for number in self._numbers))
 
         for number in self._numbers:
             number.on_update(entered)
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Write the set point."""
-        yaw = math.remainder(float(pose[2]), 2 * math.pi)
-        rounded = [round(value, 3) for value in (float(pose[0]), float(pose[1]), yaw)]
-        # What the user is entering is left alone until the set point follows.
-        for k, number in enumerate(self._numbers):
-            if rounded[k] != self._shown[k]:
-                number.value = self._shown[k] = rounded[k]
+        """Write x, y, yaw of the set point."""
+        x, y, yaw = map(float, pose[:3])
+        # A number that the user is entering stays until the set point changes.
+        for k, value in enumerate((x, y, math.remainder(yaw, 2 * math.pi))):
+            rounded = round(value, 3)
+            if rounded != self._shown[k]:
+                self._numbers[k].value = self._shown[k] = rounded
 
-    def show(self, observer: Observer, health: Health, hint: str) -> None:
+    def show(self, observer: Observer, hint: str) -> None:
         """Write gauges and events."""
-        sight, now = observer.sight, observer.clock.now
+        now = observer.clock.now
         self._hint.content = paragraph(hint)
-        rates = [f"{sight.rates.get(kind, 0.0):.0f}" for kind in ("pose", "command")]
-        gauges = [Gauge("poses, commands", f"{rates[0]} Hz, {rates[1]} Hz")]
-        beat = sight.beats.get(FLY)
-        if beat is not None and now - beat[0] < _GONE:
-            gauges += [Gauge("controller", beat[1]), *timing_gauges(beat[2])]
+        rates = [f"{observer.rates.get(stream, 0.0):.0f} Hz" for stream in ("pose", "command")]
+        gauges = [Gauge("poses, commands", ", ".join(rates))]
+        came, status, figures = observer.beats.get(FLY, (-math.inf, "", {}))
+        if now - came < _GONE:
+            gauges += [Gauge("controller", status), *timing_gauges(figures)]
         else:
             gauges.append(Gauge("controller", "none"))
         self._flight.content = gauges_html(gauges)
-        self._health.content = health_html(health)
-        newest = list(sight.events)[: -_SHOWN - 1 : -1]
-        told = [paragraph(_words(event, now), _COLORS[event.level]) for event in newest]
-        self._events.content = "".join(told) or paragraph("none yet")
+        self._health.content = health_html(observer.health)
+        newest = [
+            paragraph(f"{now - e.time:.0f} s ago, {e.name}: {e.text}", _COLORS[e.level])
+            for e in list(observer.events)[: -_SHOWN - 1 : -1]
+        ]
+        self._events.content = "".join(newest) or paragraph("none yet")
 
 
-def _words(event: Event, now: float) -> str:
-    """Say when who said what."""
-    return f"{now - event.time:.0f} s ago, {event.name}: {event.text}"
+class Gauge(NamedTuple):
+    """A line with a name, a value in words, and a bar."""
+
+    name: str
+    value: str
+    #: Length of the bar: 1 is a full one, more is drawn as too much, None is no bar.
+    share: float | None = None
+
+
+def gauges_html(gauges: list[Gauge]) -> str:
+    """Lay gauges out, one a line."""
+    style = (
+        "width:100%;font-size:0.8em;line-height:1.35;padding:0 0.4em;border-spacing:0;"
+        "font-variant-numeric:tabular-nums"
+    )
+    lines = "".join(
+        f'<tr><td>{escape(name)}</td><td style="width:32%">{_bar(share)}</td>'
+        f'<td style="text-align:right;white-space:nowrap">{escape(value)}</td></tr>'
+        for name, value, share in gauges
+    )
+    return f'<table style="{style}">{lines}</table>'
+
+
+def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
+    """Return gauges of a controller's heartbeat: how it keeps its time."""
+    gauges = []
+    for key, (name, limit) in _TIMES.items():
+        try:
+            value = float(figures[key].split()[0])
+        except (KeyError, ValueError, IndexError):
+            continue
+        gauges.append(Gauge(name, f"{value:.2f} of {limit:g} ms", value / limit))
+    if "missed_deadlines" in figures:
+        gauges.append(Gauge("missed deadlines", figures["missed_deadlines"]))
+    return gauges
+
+
+def health_html(health: Health) -> str:
+    """Lay out errors by channel, and what propellers and delay contribute to them."""
+    found = health.found
+    if not health.flying or not found.predictions:
+        return paragraph(str(health))
+    x, y, yaw = found.error.tolist()
+    words = f"{1e3 * x:.1f} mm", f"{1e3 * y:.1f} mm", f"{yaw:.3f} rad"
+    lengths = (x, y, yaw) / np.array(_FULL_ERROR)
+    errors = map(Gauge, ("x", "y", "yaw"), words, lengths.tolist())
+    thrusts = 100 * np.column_stack([found.effectiveness, found.deviation])
+    words = [f"{percent:.0f} ± {deviation:.0f} %" for percent, deviation in thrusts.tolist()]
+    words.append(f"{1e3 * found.delay:+.1f} ± {1e3 * found.delay_deviation:.1f} ms")
+    causes = map(Gauge, (*health.motors, "delay"), words, found.share.tolist())
+    findings = "".join(paragraph(finding, _COLORS["warning"]) for finding in health.findings)
+    return (
+        paragraph(f"Errors after {health.horizon:g} s (bar: of 16 mm, 0.5 rad)")
+        + gauges_html(list(errors))
+        + paragraph("Thrust and delay against the model's (bar: of the squared error)")
+        + gauges_html(list(causes))
+        + (findings or paragraph("as the model says"))
+    )
+
+
+def paragraph(text: str, color: str = "inherit") -> str:
+    """Lay out a line of text."""
+    style = f"margin:0.15em 0.5em;font-size:0.8em;color:{color}"
+    return f'<p style="{style}">{escape(text)}</p>'
+
+
+def _bar(share: float | None) -> str:
+    """Lay out a bar, if there is one."""
+    if share is None or not math.isfinite(share):
+        return ""
+    color, percent = _BAR if share <= 1 else _BAR_TOO_LONG, 100 * min(max(share, 0.0), 1.0)
+    return (
+        f'<div style="background:{_BAR_GROUND};height:0.6em">'
+        f'<div style="background:{color};height:100%;width:{percent:.0f}%"></div></div>'
+    )

@@ -1,10 +1,11 @@
-"""When motors must idle, whatever the controller would like; no network in here."""
+"""When motors must idle, whatever the controller asks for; independent of any network."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -20,21 +21,20 @@ class Limits:
 
     #: Greatest distance of the craft's centre from the middle of the table along x and y [m].
     geofence: tuple[float, float]
-    #: Poses have stopped when none came for this long [s].
+    #: Motors idle when no pose came for this long [s].
     pose_timeout: float = 0.05
-    #: As many equal poses in a row are no measurement: every real one has noise.
+    #: This many equal poses in a row are no measurement: every real one has noise.
     frozen: int = 12
-    #: Two poses in a row further apart than this, beyond what `fastest` explains, are a jump [m,
-    #: rad].
+    #: Two poses in a row that are this far apart, beyond what `fastest` explains, jumped [m, rad].
     jump: tuple[float, float] = (0.05, 0.5)
     #: Speed and spin that the craft never reaches [m/s, rad/s].
     fastest: tuple[float, float] = (3.0, 40.0)
-    #: After any fault, poses must be good for this long before motors may run again [s].
+    #: After a fault, poses must be good for this long before motors may run again [s].
     settle: float = 0.3
 
 
 class Guard:
-    """Watches the poses and says whether the craft may be steered."""
+    """Watches the poses and decides whether the motors may run."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -47,12 +47,12 @@ class Guard:
         self._stopped: dict[str, str] = {}
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Judge a pose."""
+        """Judge a pose, measured at a time [s]."""
         before, self._last = self._last, (time, pose)
         fault = self._fault_of(time, pose, before)
         if fault is not None:
             self.fault(fault)
-            # What comes after a pose that is none is compared with the next one.
+            # A pose that is not finite cannot be compared with the next one.
             if not np.isfinite(pose).all():
                 self._last = None
             return
@@ -61,18 +61,17 @@ class Guard:
             self._good_since = time
 
     def fault(self, reason: str) -> None:
-        """Note that something is wrong; poses must be good for a while before motors run again."""
+        """Note a fault; poses must be good for a while before motors run again."""
         self._good_since = None
         self._reason = reason
 
     @property
     def position(self) -> Float[np.ndarray, " 3"] | None:
-        """The last pose, if there was a good one."""
-        good = self._last is not None and self._good_since is not None
-        return self._last[1] if good and self._last is not None else None
+        """The last pose, while poses are good."""
+        return None if self._last is None or self._good_since is None else self._last[1]
 
     def stop(self, who: str, reason: str) -> None:
-        """Idle the motors until `release`."""
+        """Idle the motors until `release` by the same name."""
         self._stopped[who] = reason
 
     def release(self, who: str) -> None:
@@ -81,7 +80,7 @@ class Guard:
             self.fault("after a stop")
 
     def refusal(self, time: float) -> str | None:
-        """Say why motors must idle."""
+        """Return why motors must idle at a time [s]; None if they may run."""
         if self._stopped:
             return next(iter(self._stopped.values()))
         if self._good_since is None:
@@ -99,7 +98,7 @@ class Guard:
         pose: Float[np.ndarray, " 3"],
         before: tuple[float, Float[np.ndarray, " 3"]] | None,
     ) -> str | None:
-        """Say what is wrong with a pose, if anything is."""
+        """Return what is wrong with a pose, given the one before; None if nothing is."""
         if not np.isfinite(pose).all():
             return "pose is not finite"
         x, y, yaw = pose.tolist()
@@ -120,20 +119,22 @@ class Guard:
 
 
 class GuardedPilot:
-    """A pilot whose commands a guard lets through, or not; itself a `Pilot`."""
+    """A pilot whose commands pass a guard; itself a `Pilot`.
+
+    `idle` is the command of motors that idle, and the least one that is sent.
+    """
 
     def __init__(
         self,
         pilot: Pilot,
         guard: Guard,
-        lowest: float,
-        n_propellers: int,
-        tell: Callable[[bool, str], None],
+        idle: Float[np.ndarray, " n"],
+        log: Callable[[Literal["info", "error"], str], object],
     ) -> None:
         self.pilot, self.guard = pilot, guard
-        self._lowest, self._tell = lowest, tell
-        self._idle = np.full(n_propellers, lowest)
-        self._told: str | None = ""
+        self._idle, self._log = idle, log
+        #: Why the motors idle, as last logged; None while they run.
+        self._logged: str | None = ""
 
     @property
     def reference(self) -> Reference:
@@ -169,17 +170,20 @@ class GuardedPilot:
                 self.guard.fault(reason)
             else:
                 if np.isfinite(step.command).all():
-                    self._say(None if step.flies else step.status)
-                    np.clip(step.command, self._lowest, 1.0, out=step.command)
+                    self._log_change(None if step.flies else step.status)
+                    np.clip(step.command, self._idle, 1.0, out=step.command)
                     return step
                 reason = "the controller's command is not finite"
                 self.guard.fault(reason)
-        self._say(reason)
+        self._log_change(reason)
         return Step(self._idle.copy(), "unsafe", np.zeros(3), None)
 
-    def _say(self, reason: str | None) -> None:
-        """Tell a change of the reason why motors idle."""
-        if reason == self._told:
+    def _log_change(self, reason: str | None) -> None:
+        """Log the reason why motors idle, or that they run, when it changes."""
+        if reason == self._logged:
             return
-        self._told = reason
-        self._tell(reason is not None, f"motors idle: {reason}" if reason else "flying")
+        self._logged = reason
+        if reason is None:
+            self._log("info", "flying")
+        else:
+            self._log("error", f"motors idle: {reason}")

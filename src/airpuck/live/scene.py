@@ -1,4 +1,4 @@
-"""The table in the browser: what is drawn, and the handle of the set point; viser's part."""
+"""Table and craft in the browser, drawn with viser: thrusts, trail, set point to drag."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.craft.table import Table
-from airpuck.live.marker import SetPointMarker, turned
+from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 
@@ -20,23 +20,38 @@ if TYPE_CHECKING:
 
 #: Colours that the colour-blind can tell apart (Okabe and Ito), one for each pair of propellers.
 _PAIRS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0))
-_TABLE, _RAIL, _CRAFT, _NOSE, _TRAIL = (
-    (236, 239, 241),
-    (84, 98, 111),
-    (120, 130, 140),
-    (40, 40, 40),
-    (20, 110, 190),
-)
-#: Where the page's camera is at first, what it looks at [m], and its vertical field of view [rad].
+_TABLE, _RAIL = (236, 239, 241), (84, 98, 111)
+_CRAFT, _NOSE, _TRAIL = (120, 130, 140), (40, 40, 40), (20, 110, 190)
+_SET_POINT, _SET_POINT_EDGE = (240, 200, 20), (150, 115, 0)
+#: The camera at first: where it is, what it looks at [m], and its vertical field of view [rad].
 EYE, LOOKS_AT, FIELD_OF_VIEW = (0.0, -1.75, 2.25), (0.0, -0.03, 0.0), math.radians(40)
-#: Sizes [m]; an arrow's length for a newton of thrust [m/N].
-_THICK, _RAIL_HEIGHT, _RAIL_WIDTH, _PROPELLER, _PER_NEWTON = 0.02, 0.03, 0.03, 0.014, 0.8
-#: Points of the trail, and the least distance between them [m].
-_TRAIL_POINTS, _TRAIL_STEP = 200, 0.005
+#: Thickness of table and craft, rails, and propellers [m].
+_THICK, _RAIL_HEIGHT, _RAIL_WIDTH, _PROPELLER, _PROPELLER_HEIGHT = 0.02, 0.03, 0.03, 0.014, 0.012
+#: Length of an arrow per newton of thrust [m/N].
+_PER_NEWTON = 0.8
+#: Points of the trail, the least distance between them, and their height [m].
+_TRAIL_POINTS, _TRAIL_STEP, _TRAIL_HEIGHT = 200, 0.005, 0.004
+#: Radius of the set point's ring and distance of its knob, in radii of the craft: both show around
+#: a craft that has arrived. Then the ring's height, and the knob's radius [m].
+_RING, _KNOB, _RING_HEIGHT, _BALL = 1.45, 1.95, 0.004, 0.018
 
 
 class Scene:
-    """Table, craft, trail, thrusts and set point on a viser page."""
+    """Table, craft, trail, thrusts and set point on a viser page.
+
+    Where the user drags the set point, `wish` is called with x, y [m] and yaw [rad].
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Serves the page.
+    model : Model
+        Of the craft: its shape, and its thrusts.
+    table : Table
+        The table.
+    wish : callable
+        Takes x, y [m], yaw [rad] that the user drags the set point to.
+    """
 
     def __init__(
         self,
@@ -45,116 +60,223 @@ class Scene:
         table: Table,
         wish: Callable[[float, float, float], Any],
     ) -> None:
-        self._model, self._scene = model, server.scene
-        self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_POINTS)
+        self._model, scene = model, server.scene
         server.initial_camera.position = EYE
         server.initial_camera.look_at = LOOKS_AT
         server.initial_camera.fov = FIELD_OF_VIEW
         # viser's default surroundings would be fetched from elsewhere.
-        self._scene.configure_environment_map(None)
+        scene.configure_environment_map(None)
         # Shadows would cost a browser without a graphics card most of its time.
-        self._scene.configure_default_lights(cast_shadow=False)
-        self._scene.add_light_hemisphere("/light", intensity=1.5)
-        self._draw_table(table)
-        self._craft = self._scene.add_frame("/craft", show_axes=False, visible=False)
-        self._draw_craft()
-        n = model.vehicle.n_propellers
-        self._colors = np.array([_PAIRS[k % len(_PAIRS)] for k in self._pair_of()], np.uint8)
-        self._arrows = self._scene.add_arrows(
-            "/craft/thrusts",
-            np.zeros((n, 2, 3)),
-            self._colors,
-            shaft_radius=0.006,
-            head_radius=0.014,
-            head_length=0.024,
-        )
-        points = np.zeros((_TRAIL_POINTS - 1, 2, 3))
+        scene.configure_default_lights(cast_shadow=False)
+        scene.add_light_hemisphere("/light", intensity=1.5)
+        _draw_table(scene, table)
+        self._craft, self._arrows = _draw_craft(scene, model.vehicle)
+        self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_POINTS)
         # The trail fades into the table.
-        fade = np.linspace(_TABLE, _TRAIL, _TRAIL_POINTS)
-        self._line = self._scene.add_line_segments(
+        fade = np.linspace(_TABLE, _TRAIL, _TRAIL_POINTS).astype(np.uint8)
+        self._line = scene.add_line_segments(
             "/trail",
-            points,
-            np.stack([fade[:-1], fade[1:]], axis=1).astype(np.uint8),
+            _segments(np.zeros((_TRAIL_POINTS, 3))),
+            _segments(fade),
             thickness=3.0,
             thickness_units="screen",
         )
-        self._marker = SetPointMarker(self._scene, model.vehicle.radius_m, wish)
+        self._marker = _SetPointMarker(scene, model.vehicle.radius_m, wish)
 
     def add_pose(self, pose: Float[np.ndarray, " 3"]) -> None:
-        """Lengthen the trail."""
-        point = np.array([pose[0], pose[1], 0.004])
+        """Lengthen the trail.
+
+        Parameters
+        ----------
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
+        point = np.array([pose[0], pose[1], _TRAIL_HEIGHT])
         if not self._trail or np.hypot(*(point - self._trail[-1])[:2]) > _TRAIL_STEP:
             self._trail.append(point)
 
-    def show(
-        self,
-        pose: Float[np.ndarray, " 3"],
-        command: Float[np.ndarray, " n"] | None,
-    ) -> None:
-        """Move the craft."""
-        self._craft.position = (float(pose[0]), float(pose[1]), 0.0)
-        self._craft.wxyz = turned(float(pose[2]))
-        self._craft.visible = True
+    def show(self, pose: Float[np.ndarray, " 3"], command: Float[np.ndarray, " n"] | None) -> None:
+        """Move the craft, and draw its thrusts and its trail.
+
+        Parameters
+        ----------
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        command : array, shape (n,), optional
+            Motor commands; None draws no thrusts.
+        """
+        _place(self._craft, pose)
         vehicle = self._model.vehicle
         forces = np.zeros(vehicle.n_propellers)
         if command is not None:
             forces = thrust(self._model.dynamics.thrust, np.clip(command, 0.0, 1.0))
-        begin = np.column_stack([vehicle.positions, np.full(len(forces), _THICK + 0.012)])
+        begin = np.column_stack(
+            [vehicle.positions, np.full(len(forces), _THICK + _PROPELLER_HEIGHT)]
+        )
         # An arrow of no length has no direction.
         lengths = np.maximum(_PER_NEWTON * forces, 1e-3)[:, None]
         along = np.column_stack([vehicle.directions, np.zeros(len(forces))])
         self._arrows.points = np.stack([begin, begin + lengths * along], axis=1).astype(np.float32)
         if len(self._trail) > 1:
             trail = np.array(self._trail)
-            filled = np.vstack([np.repeat(trail[:1], _TRAIL_POINTS - len(trail), axis=0), trail])
-            self._line.points = np.stack([filled[:-1], filled[1:]], axis=1).astype(np.float32)
+            missing = np.repeat(trail[:1], _TRAIL_POINTS - len(trail), axis=0)
+            self._line.points = _segments(np.vstack([missing, trail]))
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Move the set point."""
+        """Move the set point.
+
+        Parameters
+        ----------
+        pose : array, shape (3,) or longer
+            x, y [m], yaw [rad]; what follows is ignored.
+        """
         self._marker.show(pose)
 
-    def _draw_table(self, table: Table) -> None:
-        """Draw table and rails."""
-        length, width = table.length_m, table.width_m
-        self._scene.add_box("/table", _TABLE, (length, width, _THICK), position=(0, 0, -_THICK / 2))
-        long, short = length + 2 * _RAIL_WIDTH, width
-        x, y, z = (length + _RAIL_WIDTH) / 2, (width + _RAIL_WIDTH) / 2, _RAIL_HEIGHT / 2
-        for name, size, at in (
-            ("left", (_RAIL_WIDTH, short, _RAIL_HEIGHT), (-x, 0, z)),
-            ("right", (_RAIL_WIDTH, short, _RAIL_HEIGHT), (x, 0, z)),
-            ("near", (long, _RAIL_WIDTH, _RAIL_HEIGHT), (0, -y, z)),
-            ("far", (long, _RAIL_WIDTH, _RAIL_HEIGHT), (0, y, z)),
-        ):
-            self._scene.add_box(f"/rails/{name}", _RAIL, size, position=at)
-        self._scene.add_frame("/origin", axes_length=0.1, axes_radius=0.003)
-        for axis, at in (("x", (0.12, 0, 0)), ("y", (0, 0.12, 0))):
-            self._scene.add_label(f"/origin/{axis}", axis, position=at, anchor="center-center")
 
-    def _draw_craft(self) -> None:
-        """Draw a disc with its propellers and its nose."""
-        vehicle = self._model.vehicle
-        self._scene.add_cylinder(
-            "/craft/disc", vehicle.radius_m, _THICK, _CRAFT, position=(0, 0, _THICK / 2)
-        )
-        self._scene.add_box(
-            "/craft/nose",
-            _NOSE,
-            (0.4 * vehicle.radius_m, 0.008, 0.006),
-            position=(0.8 * vehicle.radius_m, 0, _THICK + 0.003),
-        )
-        for name, at, pair in zip(
-            vehicle.propeller_names, vehicle.positions, self._pair_of(), strict=True
-        ):
-            self._scene.add_cylinder(
-                f"/craft/{name}",
-                _PROPELLER,
-                0.012,
-                _PAIRS[pair % len(_PAIRS)],
-                position=(float(at[0]), float(at[1]), _THICK + 0.006),
-            )
+class _SetPointMarker:
+    """A ring where the craft should be: dragging it moves the set point, its knob turns it.
 
-    def _pair_of(self) -> list[int]:
-        """Return the pair of each propeller; those without one have a number of their own."""
-        vehicle = self._model.vehicle
-        pairs = {i: k for k, pair in enumerate(vehicle.pair_indices) for i in pair}
-        return [pairs.get(i, len(vehicle.pair_indices) + i) for i in range(vehicle.n_propellers)]
+    It stays where it is until `show` moves it: the wish may not be granted.
+    """
+
+    def __init__(
+        self, scene: viser.SceneApi, radius: float, wish: Callable[[float, float, float], Any]
+    ) -> None:
+        self._wish = wish
+        self._pose = np.zeros(3)
+        #: From the point that is dragged to the middle of the ring.
+        self._grip = np.zeros(2)
+        self._frame = scene.add_frame("/setpoint", show_axes=False, visible=False)
+        ring, knob = _RING * radius, _KNOB * radius
+        disc = scene.add_cylinder(
+            "/setpoint/disc",
+            ring,
+            _RING_HEIGHT,
+            _SET_POINT,
+            position=(0, 0, _RING_HEIGHT / 2),
+            opacity=0.4,
+        )
+        angle = np.linspace(0, 2 * np.pi, 49)
+        scene.add_line_segments(
+            "/setpoint/edge",
+            _segments(
+                np.column_stack(
+                    [ring * np.cos(angle), ring * np.sin(angle), np.full(len(angle), _RING_HEIGHT)]
+                )
+            ),
+            _SET_POINT_EDGE,
+            thickness=2.0,
+            thickness_units="screen",
+        )
+        scene.add_box(
+            "/setpoint/stalk",
+            _SET_POINT_EDGE,
+            (knob - ring, 0.006, _RING_HEIGHT),
+            position=((knob + ring) / 2, 0, _RING_HEIGHT),
+        )
+        ball = scene.add_icosphere("/setpoint/knob", _BALL, _SET_POINT, position=(knob, 0, _BALL))
+        disc.on_drag(self._move)
+        ball.on_drag(self._turn)
+
+    def show(self, pose: Float[np.ndarray, " k"]) -> None:
+        """Move it to x, y, yaw."""
+        self._pose = np.array(pose[:3], dtype=float)
+        _place(self._frame, self._pose)
+
+    # viser keeps the order of drag events for coroutines only.
+    async def _move(self, event: Any) -> None:
+        """Wish for the place that the ring is dragged to."""
+        eye = event.client.camera.position
+        if event.phase == "start":
+            grabbed = on_table(eye, event.start_position)
+            self._grip = np.zeros(2) if grabbed is None else self._pose[:2] - grabbed
+        point = on_table(eye, event.end_position)
+        if point is not None:
+            x, y = (point + self._grip).tolist()
+            self._wish(x, y, float(self._pose[2]))
+
+    async def _turn(self, event: Any) -> None:
+        """Wish for the direction that the knob is dragged to."""
+        point = on_table(event.client.camera.position, event.end_position)
+        if point is not None:
+            x, y, _ = self._pose.tolist()
+            self._wish(x, y, math.atan2(point[1] - y, point[0] - x))
+
+
+def on_table(eye: Any, through: Any) -> Float[np.ndarray, " 2"] | None:
+    """Return where the line of sight from an eye through a point meets the table, if it does."""
+    eye, through = np.asarray(eye, dtype=float), np.asarray(through, dtype=float)
+    down = eye[2] - through[2]
+    if down <= 1e-9 or eye[2] <= 0:
+        return None
+    return (eye + (through - eye) * eye[2] / down)[:2]
+
+
+def _place(frame: viser.FrameHandle, pose: Float[np.ndarray, " k"]) -> None:
+    """Show a frame on the table, turned about the vertical."""
+    x, y, yaw = map(float, pose[:3])
+    frame.position = (x, y, 0.0)
+    frame.wxyz = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+    frame.visible = True
+
+
+def _segments(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1 2 3"]:
+    """Return the segments of a line through points."""
+    segments = np.stack([points[:-1], points[1:]], axis=1)
+    return segments if segments.dtype == np.uint8 else segments.astype(np.float32)
+
+
+def _draw_table(scene: viser.SceneApi, table: Table) -> None:
+    """Draw table, rails and the origin's axes."""
+    length, width = table.length_m, table.width_m
+    scene.add_box("/table", _TABLE, (length, width, _THICK), position=(0, 0, -_THICK / 2))
+    x, y = (length + _RAIL_WIDTH) / 2, (width + _RAIL_WIDTH) / 2
+    for name, at, size in (
+        ("left", (-x, 0), (_RAIL_WIDTH, width)),
+        ("right", (x, 0), (_RAIL_WIDTH, width)),
+        ("near", (0, -y), (length + 2 * _RAIL_WIDTH, _RAIL_WIDTH)),
+        ("far", (0, y), (length + 2 * _RAIL_WIDTH, _RAIL_WIDTH)),
+    ):
+        scene.add_box(
+            f"/rails/{name}", _RAIL, (*size, _RAIL_HEIGHT), position=(*at, _RAIL_HEIGHT / 2)
+        )
+    scene.add_frame("/origin", axes_length=0.1, axes_radius=0.003)
+    for axis, at in (("x", (0.12, 0, 0)), ("y", (0, 0.12, 0))):
+        scene.add_label(f"/origin/{axis}", axis, position=at, anchor="center-center")
+
+
+def _draw_craft(
+    scene: viser.SceneApi, vehicle: Vehicle
+) -> tuple[viser.FrameHandle, viser.ArrowsHandle]:
+    """Draw a disc with nose, propellers and arrows of thrust; return its frame and its arrows."""
+    frame, radius = scene.add_frame("/craft", show_axes=False, visible=False), vehicle.radius_m
+    scene.add_cylinder("/craft/disc", radius, _THICK, _CRAFT, position=(0, 0, _THICK / 2))
+    scene.add_box(
+        "/craft/nose",
+        _NOSE,
+        (0.4 * radius, 0.008, 0.006),
+        position=(0.8 * radius, 0, _THICK + 0.003),
+    )
+    pairs = {i: k for k, pair in enumerate(vehicle.pair_indices) for i in pair}
+    # Propellers without a partner have colours of their own.
+    numbers = [pairs.get(i, len(vehicle.pair_indices) + i) for i in range(vehicle.n_propellers)]
+    colors = [_PAIRS[k % len(_PAIRS)] for k in numbers]
+    for name, (x, y), color in zip(
+        vehicle.propeller_names, vehicle.positions.tolist(), colors, strict=True
+    ):
+        scene.add_cylinder(
+            f"/craft/{name}",
+            _PROPELLER,
+            _PROPELLER_HEIGHT,
+            color,
+            position=(x, y, _THICK + _PROPELLER_HEIGHT / 2),
+        )
+    arrows = scene.add_arrows(
+        "/craft/thrusts",
+        np.zeros((vehicle.n_propellers, 2, 3)),
+        np.array(colors, np.uint8),
+        shaft_radius=0.006,
+        head_radius=0.014,
+        head_length=0.024,
+    )
+    return frame, arrows

@@ -33,7 +33,7 @@ def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
 
 
 def check_inside(points: SetPoints, geofence: tuple[float, float]) -> None:
-    """Refuse set points that the craft may not fly to."""
+    """Refuse set points outside the geofence, ±x, ±y [m]."""
     for x, y, _ in points.poses.tolist():
         if abs(x) > geofence[0] or abs(y) > geofence[1]:
             raise InputError(
@@ -43,14 +43,14 @@ def check_inside(points: SetPoints, geofence: tuple[float, float]) -> None:
 
 
 class PlannedSetPoints:
-    """Set points whose times count from when the craft first flies; a `Reference`."""
+    """Set points whose times [s] count from when the craft first flies; a `Reference`."""
 
     def __init__(self, points: SetPoints) -> None:
         self._points = points
         self._start: float | None = None
 
     def begin(self, start: float) -> None:
-        """Let time count; the first call does."""
+        """Start the time of the set points; later calls do nothing."""
         if self._start is None:
             self._start = start
 
@@ -60,18 +60,15 @@ class PlannedSetPoints:
 
 
 class FollowedSetPoint:
-    """A set point that others may move while the craft flies; a `Reference`.
-
-    It begins where the craft is seen first.
-    """
+    """A set point that others may move while the craft flies; a `Reference`."""
 
     def __init__(self, geofence: tuple[float, float]) -> None:
         self._geofence = geofence
         self._point: SetPoint | None = None
 
     @property
-    def known(self) -> bool:
-        """Whether there is a set point."""
+    def placed(self) -> bool:
+        """Whether it has been moved to its first place."""
         return self._point is not None
 
     def at(self, now: float, ahead: float) -> Target:
@@ -79,7 +76,7 @@ class FollowedSetPoint:
         return (self._point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
 
     def move(self, pose: Float[np.ndarray, " k"]) -> str | None:
-        """Move the set point."""
+        """Move it to x, y, yaw, at rest; return why not, if it may not go there."""
         if not np.isfinite(pose[:3]).all():
             return "a set point that is not finite"
         x, y, yaw = pose[:3].tolist()

@@ -7,7 +7,6 @@ import io
 import os
 from collections.abc import Iterator
 from importlib.util import find_spec
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -15,152 +14,142 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.live.events import EventLog
-from airpuck.live.graph import STATE, Graph
-from airpuck.live.observer import Observer
+from airpuck.live.clock import Every
 from airpuck.live.panel import Panel
-from airpuck.live.process import Ending, orderly, settle_memory
+from airpuck.live.process import LiveSettings, Process
 from airpuck.live.scene import Scene
+from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
-from airpuck.recording.message import StreamCodec
-from airpuck.recording.topics import Topics
 
 NAME = "airpuck view"
-#: Time between pictures, gauges, and reminders of the set point for those that come late [s].
-_PICTURE, _GAUGES, _REMIND = 0.04, 0.5, 1.0
+#: Time between pictures, and between gauges [s].
+_PICTURE, _GAUGES = 0.04, 0.5
+#: Thrusts are drawn while commands are no older than this [s].
+_COMMANDED = 0.5
 #: The controller's process comes first.
 _NICE = 5
+
+
+def view_live(
+    model: Model,
+    settings: LiveSettings | None = None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    table: Table | None = None,
+) -> dict[str, Any]:
+    """Serve a page that shows the craft as it flies, until its time is over, SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    model : Model
+        What the craft is believed to be.
+    settings : LiveSettings, optional
+        How to join the graph, and for how long.
+    host : str, default "127.0.0.1"
+        Address to serve at.
+    port : int, default 8080
+        Port to serve at.
+    table : Table, optional
+        By default the authors'.
+
+    Returns
+    -------
+    dict
+        Figures for ``--json``.
+
+    Raises
+    ------
+    InputError
+        If viser is not installed, the address is not free, or the graph cannot be joined.
+    """
+    if find_spec("viser") is None:
+        raise InputError("the live view needs viser: pip install 'airpuck[view]'")
+    _check_free(host, port)
+    with Process(NAME, settings or LiveSettings()) as process:
+        os.nice(_NICE)
+        with _served(host, port) as server:
+            page = _Page(server, process, model, table or Table())
+            process.start(f", at http://{host}:{port}")
+            return page.run()
 
 
 class Wishes:
     """The set point that the user wants; written by the page's threads, read by the loop."""
 
     def __init__(self, reach: tuple[float, float]) -> None:
-        self._reach, self._lock = reach, Lock()
-        self._wish: Float[np.ndarray, " 6"] | None = None
-        self._new = False
+        self._reach = np.array(reach)
+        #: The last wish: x, y, yaw, at rest; None before the first. It is replaced, never changed.
+        self.newest: Float[np.ndarray, " 6"] | None = None
+        self._taken: Float[np.ndarray, " 6"] | None = None
 
     def put(self, x: float, y: float, yaw: float) -> None:
-        """Take note of a wish."""
-        if not np.isfinite([x, y, yaw]).all():
-            return
-        place = np.clip([x, y], -np.array(self._reach), self._reach)
-        with self._lock:
-            self._wish, self._new = np.array([*place, yaw, 0.0, 0.0, 0.0]), True
-
-    @property
-    def newest(self) -> Float[np.ndarray, " 6"] | None:
-        """The last wish: x, y, yaw, at rest; None before the first."""
-        return self._wish
+        """Take note of a wish, moved inside the rails."""
+        if np.isfinite([x, y, yaw]).all():
+            place = np.clip([x, y], -self._reach, self._reach)
+            self.newest = np.array([*place, yaw, 0.0, 0.0, 0.0])
 
     def take(self) -> Float[np.ndarray, " 6"] | None:
-        """Return the wish if it came since the last call."""
-        with self._lock:
-            new, self._new = self._new, False
-            return self._wish if new else None
-
-
-def view_live(
-    model: Model,
-    *,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    table: Table | None = None,
-    topics: Topics | None = None,
-    domain: int | None = None,
-    interface: str | None = None,
-    duration: float = float("inf"),
-    quiet: bool = False,
-) -> dict[str, Any]:
-    """Serve a page that shows the craft as it flies, until SIGINT or SIGTERM."""
-    if find_spec("viser") is None:
-        raise InputError("the live view needs viser: pip install 'airpuck[view]'")
-    _check_free(host, port)
-    graph = Graph(NAME, domain=domain, interface=interface)
-    try:
-        with orderly() as ending:
-            os.nice(_NICE)
-            events = EventLog(graph, NAME, quiet=quiet)
-            with _served(host, port) as server:
-                page = _Page(server, graph, model, table or Table(), topics or Topics())
-                settle_memory()
-                events.tell("info", f"on domain {graph.domain}, at http://{host}:{port}")
-                return page.run(duration, ending)
-    finally:
-        graph.close()
+        """Return the newest wish, once."""
+        newest = self.newest
+        if newest is self._taken:
+            return None
+        self._taken = newest
+        return newest
 
 
 class _Page:
     """One page, and what moves on it."""
 
-    def __init__(
-        self,
-        server: Any,
-        graph: Graph,
-        model: Model,
-        table: Table,
-        topics: Topics,
-    ) -> None:
+    def __init__(self, server: Any, process: Process, model: Model, table: Table) -> None:
         reach = table.reach(model.vehicle.radius_m)
-        self._server, self._graph, self._topics = server, graph, topics
+        self._server, self._process = server, process
         self._wishes = Wishes(reach)
-        self._codec = StreamCodec("reference")
-        self._references = graph.publisher(
-            topics.reference, self._codec.msgtype, self._codec.types, STATE
-        )
-        self._observer = Observer(graph, model, topics)
+        self._references = process.outbox("reference")
+        self._observer = Observer(process, model)
         self._scene = Scene(server, model, table, self._wishes.put)
         self._panel = Panel(server, reach, self._wishes.put)
-        self._said = self._told = 0.0
+        self._gauges = Every(_GAUGES)
 
-    def run(self, duration: float, ending: Ending) -> dict[str, Any]:
-        """Show what is, until the end; return the last figures."""
-        clock = self._observer.clock
-        while not ending.asked and clock.now < duration:
+    def run(self) -> dict[str, Any]:
+        """Show what happens, until the end; return the figures for ``--json``."""
+        clock = self._process.clock
+        while self._process.goes_on:
             clock.sleep_until(clock.now + _PICTURE)
             for pose in self._observer.look():
                 self._scene.add_pose(pose)
-            self._speak(clock.now)
+            wish = self._wishes.take()
+            if wish is not None:
+                self._references.send(wish)
+            self._references.remind()
             self._draw(clock.now)
         return self._observer.to_json()
 
-    def _speak(self, now: float) -> None:
-        """Publish what the user wants."""
-        wish = self._wishes.take()
-        if wish is None and now - self._said > _REMIND:
-            wish = self._wishes.newest
-        if wish is None:
-            return
-        self._said = now
-        self._references.send(self._codec.encode(self._observer.clock.now_ns, wish))
-
     def _draw(self, now: float) -> None:
         """Bring the page up to date."""
-        sight = self._observer.sight
+        newest = self._observer.newest
+        pose = newest.get("pose")
+        planned = bool(self._process.graph.publishers(self._process.settings.topics.reference))
         # The user's own wish is newer than what has come back of it.
-        wanted = self._wishes.newest
-        planned = bool(self._graph.publishers(self._topics.reference))
-        if planned or wanted is None:
-            wanted = sight.reference
+        wanted = None if planned else self._wishes.newest
         if wanted is None:
-            wanted = sight.pose
+            wanted = newest.get("reference", pose)
         with self._server.atomic():
-            if sight.pose is not None:
-                commanded = self._observer.age("command") < 0.5
-                self._scene.show(sight.pose, sight.command if commanded else None)
+            if pose is not None:
+                commanded = self._observer.age("command") < _COMMANDED
+                self._scene.show(pose, newest.get("command") if commanded else None)
             if wanted is not None:
                 self._scene.show_set_point(wanted)
-            if now - self._told >= _GAUGES:
-                self._told = now
-                # No more often: a slow browser would write over what is being entered.
+            # Not more often: a slow browser would write over what is being entered.
+            if self._gauges.begins(now):
                 if wanted is not None:
                     self._panel.show_set_point(wanted)
-                self._panel.show(self._observer, self._observer.health, _hint(planned))
+                self._panel.show(self._observer, _hint(planned))
 
 
 @contextlib.contextmanager
 def _served(host: str, port: int) -> Iterator[Any]:
-    """Serve a page; what viser would say on standard output has no place among figures."""
+    """Serve a page; what viser prints must not mix with figures on standard output."""
     import viser
 
     with contextlib.redirect_stdout(io.StringIO()):
@@ -173,7 +162,7 @@ def _served(host: str, port: int) -> Iterator[Any]:
 
 
 def _hint(planned: bool) -> str:
-    """Say whether dragging helps."""
+    """Explain how to move the set point, or why that is of no use."""
     if planned:
         return "The controller follows a plan of its own; airpuck fly --topic follows this one."
     return "Drag the yellow ring, turn it by its knob, or enter numbers."

@@ -1,57 +1,176 @@
-"""How the craft fares, a line a second."""
+"""Watching the graph: the newest of everything, and how the craft compares with its model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
-from airpuck.live.events import EventLog
-from airpuck.live.graph import Graph
-from airpuck.live.observer import Observer
-from airpuck.live.process import orderly, settle_memory
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.flight.health import Health, HealthMonitor
+from airpuck.live.events import EVENT_LEVELS, EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
+from airpuck.live.graph import LOG, STATE, Quality
+from airpuck.live.process import LiveSettings, Process
 from airpuck.model.model_file import Model
-from airpuck.recording.topics import Topics
+from airpuck.recording.message import MessageCodec
+from airpuck.recording.message_types import definitions
 
 NAME = "airpuck watch"
-_PERIOD = 0.02
-_LINE = 1.0
+#: How often to look [s].
+_LOOK = 0.02
+#: Rates are counted over this long [s].
+_COUNTED = 1.0
+#: Events kept.
+_EVENTS = 200
+
+
+@dataclass(frozen=True)
+class Event:
+    """What a process said on ``/rosout``."""
+
+    #: When it came [s].
+    time: float
+    #: ``info``, ``warning`` or ``error``.
+    level: str
+    #: Who said it, and what.
+    name: str
+    text: str
+
+
+class Observer:
+    """Keeps the newest of what a craft and its controller publish, and judges the craft."""
+
+    def __init__(self, process: Process, model: Model) -> None:
+        self._monitor = HealthMonitor(model)
+        self.clock = process.clock
+        # Commands before poses: a pose may show the effect of a command that came with it.
+        self._inboxes = {
+            "command": process.inbox("command", model.vehicle.propeller_names, quiet=True),
+            **{k: process.inbox(k, quiet=True) for k in ("pose", "reference", "estimate")},
+        }
+        #: Newest numbers of each stream, and when they came [s].
+        self.newest: dict[str, Float[np.ndarray, " k"]] = {}
+        self.heard: dict[str, float] = {}
+        #: How often each stream comes [Hz].
+        self.rates: dict[str, float] = {}
+        #: Newest heartbeat of each process: when it came [s], its state, its figures.
+        self.beats: dict[str, tuple[float, str, Mapping[str, str]]] = {}
+        self.events: deque[Event] = deque(maxlen=_EVENTS)
+        self._take_events = _messages(process, EVENTS, EVENT_TYPE, LOG)
+        self._take_beats = _messages(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
+        self._counts: Counter[str] = Counter()
+        self._counted = 0.0
+
+    @property
+    def health(self) -> Health:
+        """How the craft compares with its model."""
+        return self._monitor.health()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        return {"duration_s": self.clock.now, **self.health.to_json()}
+
+    def look(self) -> list[Float[np.ndarray, " 3"]]:
+        """Take in what has come; return the poses."""
+        now, poses = self.clock.now, []
+        for stream, inbox in self._inboxes.items():
+            for stamp, values in inbox.take():
+                if not np.isfinite(values).all():
+                    continue
+                if stream == "command":
+                    self._monitor.command(stamp, values)
+                elif stream == "pose":
+                    self._monitor.pose(stamp, values)
+                    poses.append(values)
+                self.newest[stream], self.heard[stream] = values, now
+                self._counts[stream] += 1
+        self._listen(now)
+        elapsed = now - self._counted
+        if elapsed >= _COUNTED:
+            self.rates = {stream: count / elapsed for stream, count in self._counts.items()}
+            self._counts.clear()
+            self._counted = now
+        return poses
+
+    def age(self, stream: str) -> float:
+        """Return how long ago a stream's newest numbers came [s]."""
+        return self.clock.now - self.heard.get(stream, -math.inf)
+
+    def _listen(self, now: float) -> None:
+        """Take in events and heartbeats."""
+        for event in self._take_events():
+            level = next((k for k, n in reversed(EVENT_LEVELS.items()) if event.level >= n), "info")
+            self.events.append(Event(now, level, event.name, event.msg))
+        for message in self._take_beats():
+            for status in message.status:
+                figures = {pair.key: pair.value for pair in status.values}
+                self.beats[status.name] = now, status.message, figures
+
+
+def _messages(
+    process: Process, topic: str, msgtype: str, quality: Quality
+) -> Callable[[], list[Any]]:
+    """Subscribe to a topic that is no stream; the result takes its messages, without garbage."""
+    types = definitions("")
+    codec = MessageCodec(msgtype, types)
+    subscription = process.graph.subscription(topic, msgtype, types, quality)
+
+    def take() -> list[Any]:
+        messages = []
+        for sample in subscription.take():
+            try:
+                messages.append(codec.decode(sample.data))
+            except ValueError:
+                continue
+        return messages
+
+    return take
 
 
 def watch_live(
-    model: Model,
-    tell: Callable[[str], Any],
-    *,
-    topics: Topics | None = None,
-    domain: int | None = None,
-    interface: str | None = None,
-    duration: float = float("inf"),
+    model: Model, report: Callable[[str], Any], settings: LiveSettings | None = None
 ) -> dict[str, Any]:
-    """Compare a craft in flight with its model, until SIGINT or SIGTERM; nothing is commanded.
+    """Compare a craft in flight with its model; nothing is commanded.
 
-    What differs beyond doubt is told on the graph, too, when it changes.
+    What differs beyond doubt is published as an event, too, when it changes.
+
+    Parameters
+    ----------
+    model : Model
+        What the craft is believed to be.
+    report : callable
+        Takes a line a second.
+    settings : LiveSettings, optional
+        How to join the graph, and for how long.
+
+    Returns
+    -------
+    dict
+        Figures for ``--json``.
     """
-    graph = Graph(NAME, domain=domain, interface=interface)
-    try:
-        with orderly() as ending:
-            events = EventLog(graph, NAME, quiet=True)
-            observer = Observer(graph, model, topics or Topics())
-            settle_memory()
-            clock, known = observer.clock, ()
-            due = clock.now + _LINE
-            while not ending.asked and clock.now < duration:
-                clock.sleep_until(clock.now + _PERIOD)
-                observer.look()
-                if clock.now < due:
-                    continue
-                due += _LINE
-                health = observer.health
-                tell(str(health))
-                named = tuple(finding.split(" at ")[0] for finding in health.findings)
-                if named != known:
-                    known = named
-                    text = ", ".join(health.findings) or "motors and delay as the model says"
-                    events.tell("warning" if named else "info", text)
-                events.heartbeat("warning" if named else "info", str(health), {})
-            return observer.to_json()
-    finally:
-        graph.close()
+    # Its lines say what its events would.
+    settings = replace(settings or LiveSettings(), quiet=True)
+    with Process(NAME, settings) as process:
+        observer, events, clock = Observer(process, model), process.events, process.clock
+        findings = ()
+        process.start("")
+        process.beat.begins(clock.now)
+        while process.goes_on:
+            clock.sleep_until(clock.now + _LOOK)
+            observer.look()
+            if not process.beat.begins(clock.now):
+                continue
+            health = observer.health
+            report(str(health))
+            level = "warning" if health.findings else "info"
+            named = tuple(finding.split(" at ")[0] for finding in health.findings)
+            if named != findings:
+                findings = named
+                text = ", ".join(health.findings) or "motors and delay as the model says"
+                events.log(level, text)
+            events.heartbeat(level, str(health), {})
+        return observer.to_json()

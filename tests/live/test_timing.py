@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.live.monitor import Histogram, LoopTiming
+from airpuck.live.timing import Histogram, LoopTiming
 
 DURATIONS = st.lists(st.floats(0, 0.049), min_size=1, max_size=50)
 

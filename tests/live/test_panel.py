@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.flight.deviations import Deviations
 from airpuck.flight.health import Health
-from airpuck.live.gauges import Gauge, gauges_html, health_html, timing_gauges
+from airpuck.live.panel import Gauge, gauges_html, health_html, timing_gauges
 
 
 class Balanced(HTMLParser):
