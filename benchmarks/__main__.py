@@ -26,7 +26,7 @@ from pathlib import Path
 
 from airpuck import InputError
 from airpuck.compute.process import usable_cores
-from airpuck.recording import dataset_folder
+from airpuck.recording.dataset import dataset_folder
 
 from . import authors
 from .process import AIRPUCK, Run, run, workload

@@ -21,7 +21,7 @@ VALIDATION = "experiments/2023_11_22-11_57_44_sysid_h1_old"
 #: What `reproduce` computes, without its figures: a program.
 STUDY = f"""
 from airpuck import evaluate, identify, load_trajectory
-from airpuck.recording import dataset_folder
+from airpuck.recording.dataset import dataset_folder
 
 folder = dataset_folder()
 training, validation = (load_trajectory(folder / n) for n in ({TRAINING!r}, {VALIDATION!r}))
@@ -35,7 +35,7 @@ def training(copies: int = 1):
     from dataclasses import replace
 
     from airpuck import load_trajectory
-    from airpuck.recording import dataset_folder
+    from airpuck.recording.dataset import dataset_folder
 
     whole = load_trajectory(dataset_folder() / TRAINING)
     # The same recording twice is refused by its hashes.

@@ -24,7 +24,7 @@ from airpuck.evaluation.evaluate import PROTOCOLS
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.rollout import rollout
-from airpuck.recording import dataset_folder
+from airpuck.recording.dataset import dataset_folder
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import Twin, build_plant
 

@@ -16,7 +16,7 @@ from recovery import truth
 
 from airpuck import compare, identify, load_trajectory, preprocess
 from airpuck.data.trajectory import Trajectory
-from airpuck.recording import dataset_folder
+from airpuck.recording.dataset import dataset_folder
 from airpuck.report.likeness import likeness_figure
 from airpuck.report.style import png
 from airpuck.twin.experiments import excite

@@ -21,7 +21,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import ENCODERS
 from airpuck.model.parameters import QUANTITIES
 from airpuck.model.rungs import TERMS, named_rung
-from airpuck.recording import dataset_folder
+from airpuck.recording.dataset import dataset_folder
 
 MODELS = ("M3", *(f"M3+{term}" for term in TERMS), "M5", "M5+drag", "M5+drag+sag")
 

@@ -17,7 +17,7 @@ from airpuck import excite, identify, load_trajectory, preprocess
 from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.recording import dataset_folder
+from airpuck.recording.dataset import dataset_folder
 
 TRAINING = "experiments/2023_10_18-11_28_12_sysid_h1_old"
 STRIDES = (4, 7, 14, 28)

@@ -11,9 +11,9 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import airpuck as package
+from airpuck import write_bag, write_csv
 from airpuck.cli.app import app
 from airpuck.model.model_file import read_model
-from airpuck.recording import write_bag, write_csv
 from airpuck.report import demo
 
 from .command_line import airpuck, airpuck_process, refused

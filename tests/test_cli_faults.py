@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from airpuck.recording import write_bag
+from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import Recording, Stream
 
 from .command_line import airpuck, refused

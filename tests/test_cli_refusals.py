@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.recording import write_bag
+from airpuck.recording.bag_writer import write_bag
 
 from .command_line import airpuck, airpuck_process, refused
 from .synthetic import record

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from airpuck.model.model_file import read_model
-from airpuck.recording import write_bag
+from airpuck.recording.bag_writer import write_bag
 
 from .command_line import airpuck, refused
 from .synthetic import record

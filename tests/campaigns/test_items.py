@@ -8,7 +8,7 @@ import pytest
 from airpuck import identify, load_trajectory, tracking_study
 from airpuck.campaigns.items import Fitting, Fleet, Tracking, recovery_errors, varied
 from airpuck.model.model_file import published_model
-from airpuck.recording import write_csv
+from airpuck.recording.csv_folder import write_csv
 
 from ..synthetic import record
 

@@ -112,7 +112,7 @@ def test_the_delay_is_found(flight):
 
 @pytest.mark.data
 def test_the_real_craft_agrees_with_its_vehicle_file(experiments):
-    from airpuck.recording import read_recording
+    from airpuck.recording.read import read_recording
 
     check = check_layout(preprocess(read_recording(experiments / BLUE / BLUE)), default_vehicle())
     assert check.agrees

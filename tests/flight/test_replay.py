@@ -336,7 +336,7 @@ def test_a_model_of_another_craft_is_refused(recording):
 
 @pytest.mark.data
 def test_the_commands_of_the_papers_flight_come_back(data):
-    from airpuck.recording import read_recording
+    from airpuck.recording.read import read_recording
 
     flight = read_recording(data / "control_experiment" / "data_M4")
     found = replay(flight, M4, fit_gains=True, span=(0.0, 0.84))

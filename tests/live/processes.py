@@ -13,8 +13,7 @@ from collections import defaultdict
 from airpuck.live.events import EVENT_TYPE, EVENTS
 from airpuck.live.graph import Graph
 from airpuck.live.listener import Heard, Listener
-from airpuck.recording.message import MessageCodec, StreamCodec
-from airpuck.recording.message_types import HOLOHOVER_MOTORS
+from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec
 
 POSES, COMMANDS, REFERENCES = "/optitrack/drone/pose", "/drone/control", "/control/state_ref"
 CODECS = {

@@ -20,7 +20,7 @@ from airpuck.live.dds import (
     ros_topic,
     ros_type,
 )
-from airpuck.recording.message_types import HOLOHOVER_CONTROL, command_type, definitions
+from airpuck.recording.message import HOLOHOVER_CONTROL, command_type, definitions
 
 pytest.importorskip("cyclonedds")
 

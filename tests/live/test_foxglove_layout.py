@@ -10,10 +10,9 @@ import pytest
 from mcap.reader import make_reader
 
 from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
-from airpuck.recording.bag_file import BagFile
-from airpuck.recording.message import MessageCodec, StreamCodec
-from airpuck.recording.message_types import HOLOHOVER_MOTORS, definitions
-from airpuck.recording.topics import Topics
+from airpuck.recording.bag_writer import BagFile
+from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec, definitions
+from airpuck.recording.stream import Topics
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove_layout.json"
 STREAMS = {

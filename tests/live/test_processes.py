@@ -19,8 +19,7 @@ from airpuck import identify, preprocess, read_recording
 from airpuck.flight.track import Track
 from airpuck.live.graph import SENSOR, STATE, Graph
 from airpuck.model.model_file import published_model
-from airpuck.recording.message import MessageCodec, StreamCodec
-from airpuck.recording.message_types import definitions
+from airpuck.recording.message import MessageCodec, StreamCodec, definitions
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings

@@ -14,8 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import COLUMNS
-from airpuck.recording.topics import Topics
+from airpuck.recording.stream import COLUMNS, Topics
 
 from .bags import (
     COMMAND_TEXT,
@@ -449,7 +448,7 @@ def test_a_minute_of_flight_among_other_topics_reads_in_time(tmp_path: Path):
     }
     path = write_mcap(tmp_path / "a.mcap", topics)
     code = (
-        "import sys; from airpuck.recording import read_recording;"
+        "import sys; from airpuck import read_recording;"
         "print(len(read_recording(sys.argv[1])['pose']))"
     )
     spent = []

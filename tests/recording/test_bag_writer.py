@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 import struct
 from pathlib import Path
 
@@ -10,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-import airpuck.recording.bag_writer as module
 from airpuck.boundary.errors import InputError
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag_writer import BagFile, write_bag
+from airpuck.recording.message import HOLOHOVER_MOTORS, StreamCodec
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Stream
-from airpuck.recording.topics import Topics
+from airpuck.recording.stream import Recording, Stream, Topics
 
 from .bags import SIX, flight, stream
 
@@ -59,7 +59,7 @@ def test_what_is_written_is_read_back_equal(tmp_path: Path):
 
 @given(yaw=st.floats(-np.pi, np.pi, exclude_min=True))
 def test_yaw_survives_the_quaternion(yaw: float):
-    from airpuck.recording.message_types import yaw_of
+    from airpuck.recording.message import yaw_of
 
     half, none = np.array([yaw / 2]), np.zeros(1)
     back = yaw_of(none, none, np.sin(half), np.cos(half))
@@ -252,12 +252,10 @@ def test_nothing_that_exists_is_overwritten(tmp_path: Path, kind: str):
 
 
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def write_half(prepared, folder: Path) -> None:
-        folder.mkdir()
-        (folder / "bag_0.mcap").write_bytes(b"half")
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "_write", write_half)
+    monkeypatch.setattr(BagFile, "add", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_bag(flight(), tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []
@@ -276,3 +274,46 @@ def test_the_authors_recording_through_a_bag(tmp_path: Path, experiments: Path):
     assert_equal(first, in_order(made))
     write_bag(first, tmp_path / "again")
     assert_equal(read_recording(tmp_path / "again"), first)
+
+
+SECOND = 10**9
+START = 1_700_000_000 * SECOND
+POSE, COMMAND = StreamCodec("pose"), StreamCodec("command", HOLOHOVER_MOTORS)
+
+
+def begun(folder, n=100):
+    """A bag in the middle of a flight."""
+    bag = BagFile(folder)
+    places = {
+        codec: bag.add_topic(name, codec.msgtype, codec.types, best_effort=True)
+        for codec, name in ((POSE, "/optitrack/drone/pose"), (COMMAND, "/drone/control"))
+    }
+    for k in range(n):
+        stamp = START + k * SECOND // 240
+        bag.add(places[POSE], stamp + 10**6, stamp, POSE.encode(stamp, (k / n, 0.0, 0.5)))
+        bag.add(places[COMMAND], stamp + 10**6, stamp, COMMAND.encode(stamp, np.full(6, k / n)))
+    return bag, places
+
+
+def test_a_bag_that_was_closed_reads_back_whole(tmp_path):
+    bag, _ = begun(tmp_path / "bag")
+    assert bag.counts == {"/optitrack/drone/pose": 100, "/drone/control": 100}
+    bag.close()
+    recording = read_recording(tmp_path / "bag")
+    assert recording.warnings == ()
+    assert recording["command"].columns == HOLOHOVER_MOTORS
+    np.testing.assert_allclose(recording["pose"].values[:, 0], np.arange(100) / 100)
+    np.testing.assert_array_equal(recording["pose"].received_ns - recording["pose"].stamp_ns, 10**6)
+
+
+def test_what_was_flushed_is_there_whatever_happens_to_the_writer(tmp_path):
+    bag, places = begun(tmp_path / "bag")
+    bag.flush()
+    stamp = START + SECOND
+    bag.add(places[POSE], stamp, stamp, POSE.encode(stamp, (0.0, 0.0, 0.0)))  # not flushed
+    shutil.copytree(tmp_path / "bag", tmp_path / "killed")
+    recording = read_recording(tmp_path / "killed")
+    assert len(recording["pose"]) == len(recording["command"]) == 100
+    assert "cut short" in recording.warnings[0]
+    bag.close()
+    assert len(read_recording(tmp_path / "bag")["pose"]) == 101

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from airpuck.recording.cdr import Field, decode, encode, flatten
+from airpuck.recording.cdr import Field, decode, encode, flatten, layout_of
 
 from .bags import pose_message, stamped
 
@@ -50,7 +50,7 @@ def test_leaves_come_in_the_order_of_the_wire():
         "pose.position.x",
     ]
     covariance = flatten(STORE.fielddefs, "nav_msgs/msg/Odometry")[-1]
-    assert covariance == Field("twist.covariance", "float64", 36)
+    assert covariance == Field("twist.covariance", "36<f8")
 
 
 def test_a_missing_or_recursive_definition_is_a_value_error():
@@ -172,17 +172,17 @@ def test_no_messages_are_empty_columns():
 
 @given(frame=st.text(alphabet="abcäö", max_size=9))
 def test_what_is_encoded_is_what_rosbags_serialises(frame: str):
-    x = np.array([0.1, -0.2])
-    values = {"header.stamp.sec": np.array([1, 2]), "pose.position.x": x}
-    messages = encode(STORE.fielddefs, POSE, values, {"header.frame_id": frame})
-    expected = [
+    template, *expected = (
         serialise(
             POSE,
             {
-                "header": {"stamp": {"sec": i + 1}, "frame_id": frame},
-                "pose": {"position": {"x": x[i]}},
+                "header": {"stamp": {"sec": sec}, "frame_id": frame},
+                "pose": {"position": {"x": x}},
             },
         )
-        for i in range(2)
-    ]
-    assert messages == expected
+        for sec, x in ((7, 8.0), (1, 0.1), (2, -0.2))
+    )
+    layout = layout_of(flatten(STORE.fielddefs, POSE), template)
+    values = {"header.stamp.sec": np.array([1, 2]), "pose.position.x": np.array([0.1, -0.2])}
+    assert layout is not None
+    assert encode(template, layout, values) == expected

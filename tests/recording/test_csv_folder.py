@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.csv_folder import write_csv
-from airpuck.recording.message_types import yaw_of
+from airpuck.recording.message import yaw_of
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Stream
-from airpuck.recording.topics import Topics
+from airpuck.recording.stream import Recording, Stream, Topics
 
 from .bags import SIX, flight
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airpuck.recording.cdr import encode
-from airpuck.recording.message import MessageCodec, StreamCodec
-from airpuck.recording.message_types import HOLOHOVER_CONTROL, HOLOHOVER_MOTORS
+from airpuck.recording.message import HOLOHOVER_CONTROL, HOLOHOVER_MOTORS, MessageCodec, StreamCodec
+
+from .bags import stamped
 
 NUMBERS = st.floats(-1e3, 1e3)
 CODECS = {name: StreamCodec(name) for name in ("pose", "reference", "estimate", "imu", "mouse")}
@@ -27,17 +27,17 @@ def test_streams_come_back(stream, data):
     np.testing.assert_allclose(decoded, values, rtol=0, atol=1e-14)
 
 
-def test_one_command_is_written_like_thousands():
+def test_a_command_on_the_wire():
     codec = StreamCodec("command", HOLOHOVER_MOTORS)
     assert codec.msgtype == HOLOHOVER_CONTROL
     command = np.array([0.03, 0.5, 1.0, 0.25, 0.0, 0.75])
-    paths = dict(zip(HOLOHOVER_MOTORS, command[:, None], strict=True))
-    stamps = {"header.stamp.sec": np.array([12]), "header.stamp.nanosec": np.array([345])}
-    (bulk,) = encode(codec.types, codec.msgtype, {**stamps, **paths}, {"header.frame_id": "body"})
-    assert codec.encode(12_000_000_345, command) == bulk
+    expected = stamped(12_000_000_345, "body", command)
+    assert codec.encode(12_000_000_345, command) == expected
     # Nothing of the message before is left.
     codec.encode(99, np.ones(6))
-    assert codec.encode(12_000_000_345, command) == bulk
+    assert codec.encode(12_000_000_345, command) == expected
+    both = codec.encode_all(np.array([99, 12_000_000_345]), np.stack([np.ones(6), command]))
+    assert both == [stamped(99, "body", np.ones(6)), expected]
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import os
 import pickle
 import struct
+import tempfile
+import time
+import tracemalloc
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.torch_archive import read_authors_experiment
+from airpuck.recording.torch_archive import Refused, read_authors_experiment, read_inert
 
 NAME = "experiments/sysid_h1"
 
@@ -185,14 +189,15 @@ def with_value(value: float):
         ({"tensors": {"X": tensor("1", 2**62, (50, 6))}}, "wrong length"),
         ({"tensors": {"X": tensor("1", 300, (50, 6), (6, 2))}}, "beyond its storage"),
         ({"tensors": {"X": tensor("1", 300, (50, 6), (2**60, 1))}}, "beyond its storage"),
-        ({"tensors": {"X": tensor("1", 300, (50, 6), (-6, 1))}}, "wrong shape or stride"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), (-6, 1))}}, "wrong offset, shape or stride"),
         ({"tensors": {"X": tensor("1", 300, (50, 6), offset=1)}}, "beyond its storage"),
-        ({"tensors": {"X": tensor("1", 300, (50, 6), offset=-1)}}, "has no storage"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), offset=-1)}}, "wrong offset"),
         ({"tensors": {"X": tensor("1", 300, (2**40, 6), (0, 1))}}, "beyond its storage"),
-        ({"tensors": {"X": tensor("1", 300, (50, 6), (6,))}}, "wrong shape or stride"),
-        ({"tensors": {"X": tensor("1", 300, (1,) * 100)}}, "is it damaged"),
-        ({"tensors": {"X": tensor("1", 300, (1, 1), (2**66, 1))}}, "is it damaged"),
-        ({"tensors": {"X": text("no tensor")}}, "something else than a tensor"),
+        ({"tensors": {"X": tensor("1", 300, (50, 6), (6,))}}, "wrong offset, shape or stride"),
+        ({"tensors": {"X": tensor("1", 300, (1,) * 100)}}, "wrong offset, shape or stride"),
+        ({"tensors": {"X": tensor("1", 300, (1, 1), (2**66, 1))}}, "wrong offset, shape or stride"),
+        ({"tensors": {"X": tensor("1", 300, (1, 1), (2**62, 1))}}, "is it damaged"),
+        ({"tensors": {"X": text("no tensor")}}, "something other than a tensor"),
         ({"names": ()}, "holds 0 experiments"),
         ({"members": {"data/byteorder": b"middle"}}, "byte order is unknown"),
         ({"members": {"other/data.pkl": b"}."}}, "one data.pkl"),
@@ -286,3 +291,173 @@ def test_the_authors_files(experiments: Path, name: str, n: int):
     assert np.array_equal(trajectory.acceleration, dx.reshape(n, 6)[:, 3:])
     # The held input of each sample is the authors' own row.
     assert np.array_equal(trajectory.input, trajectory.command)
+
+
+executed: list[str] = []
+
+
+def run(argument: str) -> str:
+    executed.append(argument)
+    return argument
+
+
+class Calls:
+    """Pickles as a call of whatever it is given."""
+
+    def __init__(self, function, *arguments) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self):
+        return self.call
+
+
+@pytest.mark.parametrize("protocol", [2, 4])
+def test_plain_dictionaries(protocol: int):
+    content = {"a": {"b": 1, "c": "text"}, "d": (1, 2, 3, 4), "e": None, "f": (True, 70000)}
+    assert read_inert(pickle.dumps(content, protocol)) == content
+
+
+#: Written if a shell ever runs; the folder is ours alone.
+REACHED = Path(tempfile.mkdtemp()) / "reached"
+HOSTILE = {
+    "a shell": Calls(os.system, f"echo > {REACHED}"),
+    "eval": Calls(eval, "1"),
+    "our own function": Calls(run, "reached"),
+    "getattr": Calls(getattr, "", "upper"),
+    "a list": [1],
+    "a set": {1},
+    "a float": 1.5,
+    "a class": Calls,
+    "within a dictionary": {"T": {"x": Calls(run, "reached")}},
+    "as a key": {Calls(run, "reached"): 1},
+}
+
+
+@pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_anything_else_is_refused_and_not_run(name: str, protocol: int):
+    data = pickle.dumps(HOSTILE[name], protocol)
+    with pytest.raises(Refused):
+        read_inert(data)
+    assert executed == []
+    assert not REACHED.exists()
+
+
+def test_the_hostile_ones_would_run_elsewhere():
+    pickle.loads(pickle.dumps(HOSTILE["our own function"]))
+    assert executed == ["reached"]
+    executed.clear()
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"cos\nsystem\n(X\x02\x00\x00\x00lstR.", "os.system"),
+        (b"cposix\nsystem\n.", "posix.system"),
+        (b"cbuiltins\neval\n.", "builtins.eval"),
+        (b"cnumpy\nload\n.", "numpy.load"),
+        (b"ctorch\nload\n.", "torch.load"),
+        (b"ctorch\n\xc3\x89vilStorage\n.", "it names"),
+        (b"cairpuck.recording.torch_archive\nread_inert\n.", "it names"),
+        (b"cnumpy\nndarray\n)R.", "damaged"),
+        (b"ctorch\nDoubleStorage\n)R.", "damaged"),
+        (b"X\x01\x00\x00\x00a)R.", "damaged"),
+        (b"(i__main__\nrun\n.", "INST"),
+        (b"\x8c\x02os\x8c\x06system\x93.", "STACK_GLOBAL"),
+        (b"\x82\x01.", "EXT1"),
+        (b"\x84\x01\x00\x00\x00.", "EXT4"),
+        (b"cnumpy\nndarray\n)\x81.", "NEWOBJ"),
+        (b"Pstorage\n.", "PERSID"),
+        (b"K\x01Q.", "damaged"),
+        (b"}(K\x01K\x02u.", "a key is not text"),
+        (b"}(X\x01\x00\x00\x00au.", "damaged"),
+        (b"K\x01(K\x02K\x03u.", "damaged"),
+        (b"cnumpy\ndtype\nX\x01\x00\x00\x00aK\x01s.", "damaged"),
+        (b"c_codecs\nencode\n(X\x01\x00\x00\x00aX\x04\x00\x00\x00zlibtR.", "unknown encoding"),
+        (b"", "damaged"),
+        (b".", "damaged"),
+        (b"}", "damaged"),
+        (b"h\x07.", "damaged"),
+        (b"u.", "damaged"),
+        (b"X\xff\xff\xff\x7fa", "damaged"),
+        (b"\x8e\xff\xff\xff\xff\xff\xff\xff\x7f", "BINBYTES8"),
+        (b"\x95\xff\xff\xff\xff\xff\xff\xff\x7f}", "damaged"),
+        (b"\xff\xfe", "damaged"),
+        (b"(" * 5000 + b".", "damaged"),
+        (b"\x80\x02" + b"}0" * 60000 + b".", "longer"),
+    ],
+)
+def test_what_is_refused_says_why(data: bytes, says: str):
+    with pytest.raises(Refused, match=says) as caught:
+        read_inert(data)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    "target", [b"cnumpy\ndtype\n", b"c_codecs\nencode\n", b"cnumpy\ndtype\n)R", b"}"]
+)
+def test_nothing_can_be_filled(target: bytes):
+    """BUILD sets attributes of whatever is there: here it must reach no function of ours."""
+    fill = dictionary({"__doc__": text("hostile"), "__defaults__": b"(K\x01t"})
+    for state in (fill, b"N" + fill + b"\x86"):
+        try:
+            found = read_inert(target + state + b"b.")
+        except Refused:
+            continue
+        assert getattr(found, "__doc__", None) != "hostile"
+        assert getattr(found, "__defaults__", None) is None
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        # A memo index, which Python's reader in C would reserve memory for.
+        b"}r\xff\xff\xff\xff.",
+        # Sixty thousand levels, each holding the one below twice; then used as a key or a shape.
+        b")" + b"q\x00h\x00\x86" * 15000 + b".",
+        b"}(" + b")" + b"q\x00h\x00\x86" * 15000 + b"K\x01u.",
+        b"ctorch._utils\n_rebuild_tensor_v2\n(NK\x00)" + b"q\x00h\x00\x86" * 15000 + b")NNtR.",
+        # Calls that would copy a long text again and again, and the memo keep them all.
+        b"c_codecs\nencode\nq\x01" + text("a" * 40000) + b"q\x00" + text("latin1")
+        + b"q\x02\x86R" + b"h\x01h\x00h\x02\x86R\x86" * 6000 + b".",
+        b"c_codecs\nencode\nq\x01" + text("a" * 1900) + b"q\x00" + text("latin1")
+        + b"q\x02\x86R" + b"h\x01h\x00h\x02\x86R\x86" * 10000 + b".",
+        # Many arguments, again and again.
+        b"cnumpy\ndtype\nq\x01(" + b"N" * 40000 + b"tq\x02" + b"h\x01h\x02R0" * 1 + b".",
+        b"cnumpy\ndtype\nq\x01(" + b"N" * 30000 + b"tq\x02" + b"h\x01h\x02R" * 13000 + b".",
+        b"(" * 99000,
+        b"}" * 99000 + b".",
+    ],
+    ids=range(10),
+)  # fmt: skip
+def test_no_pickle_takes_memory_or_time(tmp_path: Path, data: bytes):
+    path = archive(tmp_path / "data.pt", data_pickle=data)
+    tracemalloc.start()
+    start = time.process_time()
+    with pytest.raises(InputError, match="is not an experiment of the authors") as caught:
+        read_authors_experiment(path)
+    assert time.process_time() - start < 10
+    assert tracemalloc.get_traced_memory()[1] < 60e6
+    tracemalloc.stop()
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=60))
+def test_junk_is_refused_or_plain(junk: bytes):
+    try:
+        read_inert(junk)
+    except Refused as refusal:
+        assert str(refusal).isprintable()
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data())
+def test_changed_pickles_are_refused_or_plain(data: st.DataObject):
+    content = bytearray(pickle.dumps({"T": {"x": (1, 2)}, "X": {"y": "text"}}, 2))
+    for _ in range(data.draw(st.integers(1, 5))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        read_inert(bytes(content))
+    except Refused as refusal:
+        assert str(refusal).isprintable()

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck import read_recording, write_bag
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tuning import default_tuning
@@ -15,7 +16,6 @@ from airpuck.flight.track import Track
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording import read_recording, write_bag
 from airpuck.twin.experiments import excite, track
 from airpuck.twin.settings import Motors, Radio, Stall, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study

@@ -33,7 +33,7 @@ from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.load import load_trajectory
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording.fingerprint import sha256
+from airpuck.recording.files import sha256
 from airpuck.twin.experiments import excite
 from airpuck.twin.fleet import fly_fleet
 from airpuck.twin.radio import as_received

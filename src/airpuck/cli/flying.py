@@ -115,10 +115,10 @@ def excite(
     json_file: Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
+    from airpuck import write_bag, write_csv
     from airpuck.boundary.errors import InputError
     from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
     from airpuck.model.model_file import nominal_model, read_model
-    from airpuck.recording import write_bag, write_csv
     from airpuck.twin.experiments import fly_excitation
     from airpuck.twin.settings import read_twin_settings
 

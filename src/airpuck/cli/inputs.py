@@ -30,7 +30,7 @@ def load(
 ) -> Trajectory:
     """Load and preprocess a recording."""
     from airpuck.preprocessing.load import load_trajectory
-    from airpuck.recording.topics import read_topics
+    from airpuck.recording.stream import read_topics
 
     names = None if topics is None else read_topics(topics)
     return load_trajectory(recording, vehicle, topics=names, delay=delay)
@@ -97,8 +97,8 @@ def choose_protocol(protocol: str, encoder: str) -> Protocol:
 
 def read_flight(recording: Path, topics: Path | None) -> Recording:
     """Read a recording as it was logged."""
-    from airpuck.recording import read_recording
-    from airpuck.recording.topics import read_topics
+    from airpuck.recording.read import read_recording
+    from airpuck.recording.stream import read_topics
 
     return read_recording(recording, topics=None if topics is None else read_topics(topics))
 

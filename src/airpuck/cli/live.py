@@ -316,7 +316,7 @@ def live_settings(
 ) -> LiveSettings:
     """Return how to join the graph; refuse what is not there before anything is compiled."""
     from airpuck.live.process import LiveSettings
-    from airpuck.recording.topics import Topics, read_topics
+    from airpuck.recording.stream import Topics, read_topics
 
     names = Topics() if topics is None else read_topics(topics)
     return LiveSettings(names, domain, interface, duration, quiet)

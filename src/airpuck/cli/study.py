@@ -27,7 +27,7 @@ def fetch(
     quiet: Quiet = False,
 ) -> None:
     """Download and verify the public dataset (or verify $AIRPUCK_DATA)."""
-    from airpuck.recording import fetch
+    from airpuck.recording.dataset import fetch
 
     tell = say(quiet)
     print(fetch(all=everything, progress=lambda done, of, name: tell(f"{done + 1}/{of} {name}")))

@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 from airpuck.live.clock import SECOND_NS
 from airpuck.live.graph import LOG, STATE, Graph
-from airpuck.recording.message import MessageCodec
-from airpuck.recording.message_types import definitions
+from airpuck.recording.message import MessageCodec, definitions
 
 #: ROS 2's own topics for events and for heartbeats; tools know them by name.
 EVENTS, HEARTBEAT = "/rosout", "/diagnostics"

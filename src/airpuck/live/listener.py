@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from airpuck.live.clock import Every
 from airpuck.live.graph import Endpoint, Graph, Quality, Sample, Subscription
 from airpuck.recording.cdr import Types, flatten
-from airpuck.recording.message_types import command_type, definitions
+from airpuck.recording.message import command_type, definitions
 
 #: How often to look for new topics [s].
 _LOOK = 0.1

@@ -19,7 +19,7 @@ from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, STATE, Graph, Quality
 from airpuck.live.streams import Inbox, Outbox
 from airpuck.recording.message import StreamCodec
-from airpuck.recording.topics import Topics
+from airpuck.recording.stream import Topics
 
 #: Estimates and references are sent again when lost; of other streams only the newest counts.
 _QUALITY = {"estimate": STATE, "reference": STATE}

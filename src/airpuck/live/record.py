@@ -10,7 +10,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.live.clock import Every
 from airpuck.live.listener import Listener
 from airpuck.live.process import LiveSettings, Process
-from airpuck.recording.bag_file import BagFile
+from airpuck.recording.bag_writer import BagFile
 
 NAME = "airpuck record"
 #: A recorder that is killed loses at most this much [s], and what the disk had not written.

@@ -16,8 +16,7 @@ from airpuck.live.events import EVENT_LEVELS, EVENT_TYPE, EVENTS, HEARTBEAT, HEA
 from airpuck.live.graph import LOG, STATE, Quality
 from airpuck.live.process import LiveSettings, Process
 from airpuck.model.model_file import Model
-from airpuck.recording.message import MessageCodec
-from airpuck.recording.message_types import definitions
+from airpuck.recording.message import MessageCodec, definitions
 
 NAME = "airpuck watch"
 #: How often to look [s].

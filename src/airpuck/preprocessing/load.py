@@ -8,7 +8,7 @@ from pathlib import Path
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, read_trajectory
-from airpuck.recording.topics import Topics
+from airpuck.recording.stream import Topics
 
 
 def load_trajectory(

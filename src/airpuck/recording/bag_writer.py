@@ -1,39 +1,29 @@
-"""Writing a recording as a rosbag2 folder with MCAP storage."""
+"""Writing rosbag2 folders: one .mcap file, and metadata.yaml at the end."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from ruamel.yaml import YAML
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.bag_file import BagFile
-from airpuck.recording.cdr import Types, encode, flatten
-from airpuck.recording.message_types import PATHS, command_type, definitions, stamp_paths
-from airpuck.recording.new_folder import new_folder
-from airpuck.recording.stream import Recording, Stream
-from airpuck.recording.topics import Topics
+from airpuck.recording.bag import METADATA
+from airpuck.recording.cdr import Types, typestore
+from airpuck.recording.files import new_folder
+from airpuck.recording.message import StreamCodec
+from airpuck.recording.stream import Recording, Stream, Topics
 
-_SECOND = 10**9
-#: What a sender set before the recorder subscribed: the table's sensors and commands do not resend.
+#: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
+_ROSBAG2_VERSION = 8
+#: Half a second to some seconds of a flight: as much as a file that is cut short loses.
+_CHUNK_BYTES = 2**17
+#: The table's sensors and commands do not resend.
 _BEST_EFFORT = ("pose", "command", "imu", "mouse")
-_FRAMES = {"pose": "world", "command": "body", "imu": "body", "mouse": "body"}
-
-
-@dataclass(frozen=True)
-class _Topic:
-    """A stream, ready to be written."""
-
-    name: str
-    msgtype: str
-    types: Types
-    stamp_ns: list[int]
-    received_ns: list[int]
-    messages: list[bytes]
-    best_effort: bool
+_SECOND_NS = 10**9
 
 
 def write_bag(
@@ -66,81 +56,167 @@ def write_bag(
     Everything else is read back equal.
     """
     names = (topics or Topics()).by_stream
-    prepared = [
-        _prepare(name, stream, names, recording.source)
-        for name, stream in recording.streams.items()
-    ]
+    codecs = {}
+    for name, stream in recording.streams.items():
+        try:
+            codecs[name] = _codec(name, stream, known=name in names)
+        except ValueError as error:
+            raise InputError(str(error), file=recording.source, field=name) from error
     with new_folder(folder) as temporary:
-        _write(prepared, temporary)
+        bag = BagFile(temporary)
+        messages = []
+        for name, codec in codecs.items():
+            stream = recording.streams[name]
+            topic = bag.add_topic(
+                names[name], codec.msgtype, codec.types, best_effort=name in _BEST_EFFORT
+            )
+            data = codec.encode_all(stream.stamp_ns, stream.values)
+            times = stream.received_ns.tolist(), stream.stamp_ns.tolist()
+            messages += zip([topic] * len(stream), *times, data, strict=True)
+        for message in sorted(messages, key=itemgetter(1)):
+            bag.add(*message)
+        bag.close()
 
 
-def _prepare(name: str, stream: Stream, names: Mapping[str, str], source: str) -> _Topic:
-    """Encode a stream."""
-    if name not in names:
-        raise InputError("is not a stream that a bag can hold", file=source, field=name)
+def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
+    """Choose how a stream is written."""
+    if not known:
+        raise ValueError("is not a stream that a bag can hold")
     if len(stream) and (
         stream.stamp_ns.min() < 0
-        or stream.stamp_ns.max() >= 2**31 * _SECOND
+        or stream.stamp_ns.max() >= 2**31 * _SECOND_NS
         or stream.received_ns.min() < 0
     ):
-        raise InputError(
-            "has time stamps that ROS cannot hold (before 1970 or after 2038)",
-            file=source,
-            field=name,
-        )
-    try:
-        msgtype, types, values = _message(name, stream)
-    except ValueError as error:
-        raise InputError(str(error), file=source, field=name) from error
-    fields = flatten(types, msgtype)
-    if stamps := stamp_paths(fields):
-        values[stamps[0]], values[stamps[1]] = np.divmod(stream.stamp_ns, _SECOND)
-    frames = {"header.frame_id": _FRAMES.get(name, "world")} if stamps else {}
-    return _Topic(
-        names[name],
-        msgtype,
-        types,
-        stream.stamp_ns.tolist(),
-        stream.received_ns.tolist(),
-        encode(types, msgtype, values, frames),
-        name in _BEST_EFFORT,
-    )
+        raise ValueError("has time stamps that ROS cannot hold (before 1970 or after 2038)")
+    # The table's references carry no header; one that would lose its stamps needs it.
+    stamped = (stream.stamp_ns != stream.received_ns).any()
+    return StreamCodec(name, stream.columns, stamped=bool(stamped))
 
 
-def _message(name: str, stream: Stream) -> tuple[str, Types, dict[str, np.ndarray]]:
-    """Choose a stream's message type and fill its fields, all but the stamp."""
-    if name == "command":
-        msgtype, types = command_type(stream.columns)
-        return msgtype, types, dict(zip(stream.columns, stream.values.T, strict=True))
-    msgtype, *others = PATHS[name]
-    # The table's references carry no header; one that would lose its stamps needs the other type.
-    if name == "reference" and not np.array_equal(stream.stamp_ns, stream.received_ns):
-        msgtype = others[0]
-    values = stream.values
-    if name == "pose":
-        x, y, yaw = values.T
-        none = np.zeros(len(stream))
-        values = np.stack([x, y, none, none, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)
+@dataclass
+class _Topic:
+    """What is noted about a topic."""
+
+    name: str
+    msgtype: str
+    profiles: str
+    digest: str
+    channel: int
+    count: int = 0
+
+
+class BagFile:
+    """A bag being written, message by message."""
+
+    def __init__(self, folder: Path) -> None:
+        from mcap.writer import Writer
+
+        folder.mkdir()
+        self._folder, self._name = folder, f"{folder.name}_0.mcap"
+        self._file = (folder / self._name).open("wb")
+        # Through mcap rather than rosbags: it writes checksums, and chunks of a chosen size.
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        self._writer.start("ros2", "airpuck")
+        self._topics: list[_Topic] = []
+        self._first_ns: int | None = None
+        self._last_ns = 0
+
+    def add_topic(
+        self,
+        name: str,
+        msgtype: str,
+        types: Types,
+        *,
+        best_effort: bool = False,
+        transient_local: bool = False,
+    ) -> int:
+        """Note that a topic will be recorded, and return its number."""
+        store = typestore(types, msgtype)
+        definition, _ = store.generate_msgdef(msgtype, ros_version=2)
+        schema = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
+        digest = store.hash_rihs01(msgtype)
+        profiles = _profiles(best_effort, transient_local)
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": digest}
+        channel = self._writer.register_channel(name, "cdr", schema, about)
+        self._topics.append(_Topic(name, msgtype, profiles, digest, channel))
+        return len(self._topics) - 1
+
+    def add(self, topic: int, received_ns: int, sent_ns: int, data: bytes) -> None:
+        """Record a message of the topic with this number."""
+        noted = self._topics[topic]
+        first = received_ns if self._first_ns is None else self._first_ns
+        self._first_ns = min(first, received_ns)
+        self._last_ns = max(self._last_ns, received_ns)
+        self._writer.add_message(noted.channel, received_ns, data, sent_ns, noted.count)
+        noted.count += 1
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages so far, by topic."""
+        return {topic.name: topic.count for topic in self._topics}
+
+    def flush(self) -> None:
+        """Close the chunk and hand all to the system: a process that dies now loses nothing."""
+        self._writer.flush()
+        self._file.flush()
+
+    def close(self) -> None:
+        """Write the index and ``metadata.yaml``."""
+        self._writer.finish()
+        self._file.close()
+        # Quoted text breaks no line, so that the profiles stay as they are.
+        yaml = YAML(typ="safe")
+        yaml.default_flow_style = False
+        yaml.width = 2**20
+        with (self._folder / METADATA).open("w", encoding="utf-8", newline="\n") as output:
+            yaml.dump({"rosbag2_bagfile_information": self._summary()}, output)
+
+    def _summary(self) -> dict[str, Any]:
+        """Return what rosbag2 notes beside its storage file."""
+        n_messages, first_ns = sum(self.counts.values()), self._first_ns or 0
+
+        # A new one for each place: YAML would write the second as a reference to the first.
+        def span() -> dict[str, Any]:
+            return {
+                "starting_time": {"nanoseconds_since_epoch": first_ns},
+                "duration": {"nanoseconds": self._last_ns - first_ns},
+                "message_count": n_messages,
+            }
+
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.msgtype,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": topic.profiles,
+                    "type_description_hash": topic.digest,
+                },
+                "message_count": topic.count,
+            }
+            for topic in self._topics
+        ]
+        return {
+            "version": _ROSBAG2_VERSION,
+            "storage_identifier": "mcap",
+            **span(),
+            "topics_with_message_count": topics,
+            # Of rosbag2's own compression; MCAP compresses its chunks by itself.
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self._name],
+            "files": [{"path": self._name, **span()}],
+            "custom_data": {"written_by": "airpuck"},
+            "ros_distro": "unknown",
+        }
+
+
+def _profiles(best_effort: bool, transient_local: bool) -> str:
+    """Return the quality of service as the table's recorder notes it."""
+    never = "\n    sec: 9223372036\n    nsec: 854775807\n"
     return (
-        msgtype,
-        definitions(msgtype),
-        dict(zip(PATHS[name][msgtype], values.T, strict=True)),
+        f"- history: 3\n  depth: 0\n  reliability: {2 if best_effort else 1}\n"
+        f"  durability: {1 if transient_local else 2}\n  deadline:{never}  lifespan:{never}"
+        f"  liveliness: 1\n"
+        f"  liveliness_lease_duration:{never}  avoid_ros_namespace_conventions: false"
     )
-
-
-def _write(prepared: Sequence[_Topic], folder: Path) -> None:
-    """Write the bag, its topics merged by the recorder's time."""
-    bag = BagFile(folder)
-    channels = [
-        bag.add_topic(topic.name, topic.msgtype, topic.types, best_effort=topic.best_effort)
-        for topic in prepared
-    ]
-    events = [
-        (time, index, place)
-        for index, topic in enumerate(prepared)
-        for place, time in enumerate(topic.received_ns)
-    ]
-    for time, index, place in sorted(events):
-        topic = prepared[index]
-        bag.add(channels[index], time, topic.stamp_ns[place], topic.messages[place])
-    bag.close()

@@ -10,50 +10,44 @@ rosbags deserialises them one by one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 #: Message definitions as rosbags keeps them: type name -> (constants, fields).
 Types = Mapping[str, Any]
 
-_PRIMITIVES = {
-    "bool": "u1",
-    "byte": "u1",
-    "char": "u1",
-    "octet": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
+#: ROS name -> NumPy code of the little-endian number.
+_NUMBERS = {
+    **{
+        np.dtype(code).name: f"<{code}"
+        for code in ["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"]
+    },
+    **dict.fromkeys(("bool", "byte", "char", "octet"), "<u1"),
 }
+FLOAT64 = _NUMBERS["float64"]
+_STRING = "string"
 _ENCAPSULATION = 4
 _LITTLE_ENDIAN = b"\x00\x01"
 _DEEPEST = 16
 
 
-@dataclass(frozen=True)
-class Field:
+class Field(NamedTuple):
     """One leaf of a message."""
 
     #: Names from the message down, joined by dots: ``pose.position.x``.
     path: str
-    #: ROS name of a primitive type, ``string``, or ``sequence`` for all that has no fixed size.
-    kind: str
-    #: Number of elements of a fixed array; 1 for a plain field.
-    count: int = 1
+    #: NumPy code of a number or a fixed array (``36<f8``), ``string``, or empty: no fixed size.
+    code: str
 
 
-def flatten(types: Types, msgtype: str) -> tuple[Field, ...]:
+def flatten(types: Types, msgtype: str) -> list[Field]:
     """List the leaves of a message type in the order of the wire."""
-    return tuple(_leaves(types, msgtype, "", 0))
+    return _leaves(types, msgtype, "", 0)
 
 
 def _leaves(types: Types, msgtype: str, prefix: str, depth: int) -> list[Field]:
@@ -65,23 +59,31 @@ def _leaves(types: Types, msgtype: str, prefix: str, depth: int) -> list[Field]:
         raise ValueError(f"the definition of {msgtype} is nested too deeply")
     leaves = []
     for name, (node, description) in types[msgtype][1]:
-        count = 1
+        count = ""
         if node == Nodetype.ARRAY:
             (node, description), count = description
-        path = prefix + name
-        if node == Nodetype.NAME and count == 1:
-            leaves += _leaves(types, description, f"{path}.", depth + 1)
-        elif node == Nodetype.BASE and description[0] in _PRIMITIVES:
-            leaves.append(Field(path, description[0], count))
-        elif node == Nodetype.BASE and description[0] == "string" and count == 1:
-            leaves.append(Field(path, "string"))
-        else:
-            leaves.append(Field(path, "sequence"))
+        code = ""
+        if node == Nodetype.NAME and not count:
+            leaves += _leaves(types, description, f"{prefix}{name}.", depth + 1)
+            continue
+        if node == Nodetype.BASE and description[0] in _NUMBERS:
+            code = f"{count}{_NUMBERS[description[0]]}"
+        elif node == Nodetype.BASE and description[0] == _STRING and not count:
+            code = _STRING
+        leaves.append(Field(prefix + name, code))
     return leaves
 
 
-def definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
-    """Pick the definitions that a message type needs."""
+def typestore(types: Types, msgtype: str) -> Typestore:
+    """Return rosbags' store of a message type and the types within."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(_definitions_within(types, msgtype))
+    return store
+
+
+def _definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
     from rosbags.interfaces import Nodetype
 
     needed = {msgtype: types[msgtype]}
@@ -89,7 +91,7 @@ def definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
         while node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             node, description = description[0]
         if node == Nodetype.NAME:
-            needed.update(definitions_within(types, description))
+            needed.update(_definitions_within(types, description))
     return needed
 
 
@@ -98,86 +100,58 @@ def decode(
 ) -> dict[str, np.ndarray]:
     """Read some number fields of many messages of one type."""
     fields = flatten(types, msgtype)
-    table = _as_table(messages, fields)
-    if table is not None:
-        return {path: table[path] for path in paths}
-    return _decode_singly(messages, types, msgtype, fields, paths)
-
-
-def _as_table(messages: Sequence[bytes], fields: Sequence[Field]) -> np.ndarray | None:
-    """Return the messages as one structured array, or None if they have no common layout."""
+    codes = dict(fields)
     if not messages:
-        return np.zeros(0, _layout(fields, {}))
-    size = len(messages[0])
-    lengths = _string_lengths(messages[0], fields)
-    if lengths is None or any(len(message) != size for message in messages):
+        return {path: np.zeros(0, codes[path]) for path in paths}
+    layout = layout_of(fields, messages[0])
+    if layout is not None and all(len(message) == layout.itemsize for message in messages):
+        table = np.frombuffer(b"".join(messages), layout)
+        lengths = [path for path, code in fields if code == _STRING]
+        if all((table[name] == table[name][0]).all() for name in ("encapsulation", *lengths)):
+            return {path: table[path] for path in paths}
+    rows = _decode_singly(messages, types, msgtype, paths)
+    return {
+        path: np.array(column, codes[path])
+        for path, column in zip(paths, zip(*rows, strict=True), strict=True)
+    }
+
+
+def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
+    """Return where a message's numbers and lengths of strings are; None where there is no saying.
+
+    Messages have this layout if they agree in size, encapsulation and lengths of strings.
+    """
+    if message[:2] != _LITTLE_ENDIAN:
         return None
-    layout = _layout(fields, lengths)
-    if not layout.itemsize <= size < layout.itemsize + 4:
+    names, codes, offsets = ["encapsulation"], ["<u4"], [0]
+    end = _ENCAPSULATION
+    for path, code in fields:
+        if not code:
+            return None
+        number = np.dtype("<u4" if code == _STRING else code)
+        start = end + -(end - _ENCAPSULATION) % number.base.itemsize
+        end = start + number.itemsize
+        names.append(path)
+        codes.append(number)
+        offsets.append(start)
+        if code == _STRING:
+            end += int.from_bytes(message[start:end], "little")
+    if not end <= len(message) < end + 4:
         return None
-    padded = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, size)
-    table = np.ascontiguousarray(padded[:, : layout.itemsize]).view(layout)[:, 0]
-    same = (table["encapsulation"] == table["encapsulation"][0]).all() and all(
-        (table[f"{path} length"] == length).all() for path, length in lengths.items()
+    return np.dtype(
+        {"names": names, "formats": codes, "offsets": offsets, "itemsize": len(message)}
     )
-    return table if same else None
-
-
-def _string_lengths(message: bytes, fields: Sequence[Field]) -> dict[str, int] | None:
-    """Read the lengths of the strings in a message; None where it has no constant layout."""
-    if message[:2] != _LITTLE_ENDIAN or any(field.kind == "sequence" for field in fields):
-        return None
-    lengths: dict[str, int] = {}
-    for index, field in enumerate(fields):
-        if field.kind == "string":
-            start = _layout((*fields[:index], Field(field.path, "uint32")), lengths).itemsize
-            length = int.from_bytes(message[start - 4 : start], "little")
-            if start + length > len(message):
-                return None
-            lengths[field.path] = length
-    return lengths
-
-
-def _layout(fields: Sequence[Field], lengths: Mapping[str, int]) -> np.dtype:
-    """Return the structured type of messages whose strings have the given lengths."""
-    names, formats, offsets = ["encapsulation"], ["<u4"], [0]
-    position = _ENCAPSULATION
-
-    def place(name: str, code: str, alignment: int, size: int) -> None:
-        nonlocal position
-        position += -(position - _ENCAPSULATION) % alignment
-        names.append(name)
-        formats.append(code)
-        offsets.append(position)
-        position += size
-
-    for field in fields:
-        if field.kind == "string":
-            length = lengths.get(field.path, 0)
-            place(f"{field.path} length", "<u4", 4, 4)
-            place(field.path, f"V{length}", 1, length)
-        elif field.kind != "sequence":
-            code = _PRIMITIVES[field.kind]
-            width = int(code[1])
-            shape = "" if field.count == 1 else str(field.count)
-            place(field.path, f"{shape}<{code}", width, width * field.count)
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": position})
 
 
 def _decode_singly(
-    messages: Sequence[bytes],
-    types: Types,
-    msgtype: str,
-    fields: Sequence[Field],
-    paths: Sequence[str],
-) -> dict[str, np.ndarray]:
+    messages: Sequence[bytes], types: Types, msgtype: str, paths: Sequence[str]
+) -> list[tuple[Any, ...]]:
     """Let rosbags deserialise message by message."""
     from rosbags.serde import SerdeError
-    from rosbags.typesys import Stores, TypesysError, get_typestore
+    from rosbags.typesys import TypesysError
 
-    store = get_typestore(Stores.EMPTY)
     try:
-        store.register(definitions_within(types, msgtype))
+        store = typestore(types, msgtype)
     # rosbags makes code of definitions, and those of a damaged file can make it fail in any way.
     except Exception as error:
         raise ValueError(f"the definition of {msgtype} cannot be used") from error
@@ -187,38 +161,14 @@ def _decode_singly(
             row = store.deserialize_cdr(message, msgtype)
         except (SerdeError, TypesysError, IndexError, MemoryError, OverflowError) as error:
             raise ValueError(f"message {index + 1} cannot be decoded: {error}") from error
-        rows.append([_leaf(row, path) for path in paths])
-    kinds = {field.path: _PRIMITIVES.get(field.kind) for field in fields}
-    return {
-        path: np.array([row[index] for row in rows], dtype=kinds[path])
-        for index, path in enumerate(paths)
-    }
+        rows.append(tuple(attrgetter(path)(row) for path in paths))
+    return rows
 
 
-def _leaf(message: Any, path: str) -> Any:
-    for name in path.split("."):
-        message = getattr(message, name)
-    return message
-
-
-def encode(
-    types: Types, msgtype: str, values: Mapping[str, np.ndarray], strings: Mapping[str, str]
-) -> list[bytes]:
-    """Write many messages of one type."""
-    fields = flatten(types, msgtype)
-    texts = {
-        field.path: strings.get(field.path, "").encode() + b"\0"
-        for field in fields
-        if field.kind == "string"
-    }
-    layout = _layout(fields, {path: len(text) for path, text in texts.items()})
-    n = len(next(iter(values.values())))
-    table = np.zeros(n, layout)
-    table["encapsulation"] = int.from_bytes(_LITTLE_ENDIAN + b"\0\0", "little")
-    for path, text in texts.items():
-        table[f"{path} length"] = len(text)
-        table[path] = np.void(text)
-    for path, column in values.items():
+def encode(template: bytes, layout: np.dtype, columns: Mapping[str, np.ndarray]) -> list[bytes]:
+    """Write many messages that differ from a template in some of its numbers."""
+    table = np.frombuffer(bytearray(template * len(next(iter(columns.values())))), layout)
+    for path, column in columns.items():
         table[path] = column
     raw = table.tobytes()
-    return [raw[start : start + layout.itemsize] for start in range(0, len(raw), layout.itemsize)]
+    return [raw[start : start + len(template)] for start in range(0, len(raw), len(template))]

@@ -17,12 +17,9 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.fingerprint import sha256
-from airpuck.recording.listing import listing, one_line
-from airpuck.recording.message_types import PATHS, columns_of
-from airpuck.recording.new_folder import new_folder
-from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.recording.topics import Topics
+from airpuck.recording.files import listing, new_folder, one_line, sha256
+from airpuck.recording.message import PATHS, columns_of
+from airpuck.recording.stream import COLUMNS, Recording, Stream, Topics
 
 _SECOND = 10**9
 _RECEIVED = "log_time_ns"

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.fingerprint import sha256
+from airpuck.recording.files import sha256
 
 #: Environment variable that names a copy of the dataset.
 VARIABLE = "AIRPUCK_DATA"

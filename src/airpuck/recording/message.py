@@ -1,39 +1,188 @@
-"""Messages one at a time, as they come and go on a live graph; `cdr` is for thousands at once."""
+"""Which ROS messages hold which stream, and codecs between their bytes and a stream's numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 
-from airpuck.recording.cdr import Types, definitions_within, flatten
-from airpuck.recording.message_types import (
-    PATHS,
-    columns_of,
-    command_type,
-    definitions,
-    stamp_paths,
-)
+from airpuck.recording.cdr import FLOAT64, Field, Types, encode, flatten, layout_of, typestore
 from airpuck.recording.stream import COLUMNS
 
-_SECOND = 10**9
+HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
+HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
+
+_HEADER = "std_msgs/Header header\n"
+#: Definitions of the authors' own messages, for bags that embed none.
+_HOLOHOVER = {
+    HOLOHOVER_CONTROL: _HEADER + "".join(f"float64 {motor}\n" for motor in HOLOHOVER_MOTORS),
+    "holohover_msgs/msg/HolohoverIMUStamped": (
+        f"{_HEADER}geometry_msgs/Vector3 acc\ngeometry_msgs/Vector3 gyro\n"
+    ),
+    "holohover_msgs/msg/HolohoverMouseStamped": f"{_HEADER}float64 v_x\nfloat64 v_y\n",
+    "holohover_msgs/msg/HolohoverStateStamped": (
+        f"{_HEADER}holohover_msgs/HolohoverState state_msg\n"
+    ),
+    "holohover_msgs/msg/HolohoverState": (
+        "float64 x\nfloat64 y\nfloat64 v_x\nfloat64 v_y\nfloat64 yaw\nfloat64 w_z\n"
+    ),
+}
+
+
+def _fields(*parents: str, of: str) -> tuple[str, ...]:
+    return tuple(f"{parent}.{name}".lstrip(".") for parent in parents for name in of.split())
+
+
+def _pose(translation: str, rotation: str) -> tuple[str, ...]:
+    return _fields(translation, of="x y") + _fields(rotation, of="x y z w")
+
+
+_STATE = _fields("", of="x y yaw v_x v_y w_z")
+_STAMPED_STATE = _fields("state_msg", of="x y yaw v_x v_y w_z")
+
+#: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, quaternion.
+#: The first type is the one that is written. Commands are of any type with one float64 per motor.
+PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "pose": {
+            "geometry_msgs/msg/PoseStamped": _pose("pose.position", "pose.orientation"),
+            "geometry_msgs/msg/PoseWithCovarianceStamped": _pose(
+                "pose.pose.position", "pose.pose.orientation"
+            ),
+            "nav_msgs/msg/Odometry": _pose("pose.pose.position", "pose.pose.orientation"),
+            "geometry_msgs/msg/TransformStamped": _pose(
+                "transform.translation", "transform.rotation"
+            ),
+        },
+        "reference": {
+            "holohover_msgs/msg/HolohoverState": _STATE,
+            "holohover_msgs/msg/HolohoverStateStamped": _STAMPED_STATE,
+        },
+        "estimate": {
+            "holohover_msgs/msg/HolohoverStateStamped": _STAMPED_STATE,
+            "holohover_msgs/msg/HolohoverState": _STATE,
+        },
+        "imu": {
+            "holohover_msgs/msg/HolohoverIMUStamped": _fields("acc", "gyro", of="x y z"),
+            "sensor_msgs/msg/Imu": _fields("linear_acceleration", "angular_velocity", of="x y z"),
+        },
+        "mouse": {"holohover_msgs/msg/HolohoverMouseStamped": ("v_x", "v_y")},
+    }
+)
+#: Frames that messages name; the others are in the world's.
 _FRAMES = {"command": "body", "imu": "body", "mouse": "body"}
+
+_SECOND_NS = 10**9
+_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+#: A quaternion whose squared norm is this close to one is taken as it is.
+_UNIT = 1e-3
+
+
+def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Types:
+    """Parse the definitions in `text`; without one, return those of ROS 2 and of the authors."""
+    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+
+    try:
+        if text and idl:
+            types: dict[str, Any] = {}
+            separator = "=" * 80 + "\n"
+            # Several IDL files in a row, each under a line that names it.
+            for part in text.split(separator) if text.startswith(separator) else [text]:
+                body = part.partition("\n")[2] if part.startswith("IDL: ") else part
+                # rosbags' parser knows no #include; the files included follow anyway.
+                plain = "\n".join(line for line in body.splitlines() if line[:1] != "#")
+                if plain.strip():
+                    types.update(get_types_from_idl(plain))
+            return types
+        return get_types_from_msg(text, msgtype) if text else _known_types()
+    except (TypesysError, RecursionError) as error:
+        raise ValueError(f"the embedded definition of {msgtype} cannot be parsed") from error
+
+
+@cache
+def _known_types() -> Types:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    types = dict(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
+    for name, definition in _HOLOHOVER.items():
+        types.update(get_types_from_msg(definition, name))
+    return MappingProxyType(types)
+
+
+def motors_of(fields: Sequence[Field]) -> tuple[str, ...]:
+    """Return the motor columns of a command message; none where it is no command."""
+    header, rest = fields[:3], fields[3:]
+    stamped = tuple(field.path for field in header) == (*_STAMP, "header.frame_id")
+    if not stamped or any(field.code != FLOAT64 for field in rest):
+        return ()
+    return tuple(field.path for field in rest)
+
+
+def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
+    """Return the fields of the time stamp, if there are any."""
+    return _STAMP if {field.path for field in fields}.issuperset(_STAMP) else ()
+
+
+def accepted(stream: str) -> str:
+    """List the message types that hold a stream."""
+    if stream == "command":
+        return "a message of std_msgs/msg/Header header, then one float64 for each motor"
+    return " or ".join(PATHS[stream])
+
+
+def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[np.ndarray, "N k"]:
+    """Turn a message's fields, in the order of `PATHS`, into the stream's columns."""
+    if stream == "pose" and len(values) > len(COLUMNS["pose"]):
+        x, y, *quaternion = values
+        values = (x, y, yaw_of(*quaternion))
+    return np.stack(values, axis=1, dtype=np.float64)
+
+
+def yaw_of(
+    x: Float[np.ndarray, " N"],
+    y: Float[np.ndarray, " N"],
+    z: Float[np.ndarray, " N"],
+    w: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, " N"]:
+    """Return the rotation of quaternions about the vertical axis [rad]."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        square = x * x + y * y + z * z + w * w
+        # Unit up to single precision: taken as it is, as the authors' conversion does.
+        double = np.where(np.abs(square - 1) < _UNIT, 2.0, 2.0 / square)
+        return np.arctan2(double * (w * z + x * y), 1 - double * (y * y + z * z))
+
+
+def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:
+    """Choose the message type that a command is written as, and give its definition."""
+    from rosbags.typesys import get_types_from_msg
+
+    if motors == HOLOHOVER_MOTORS:
+        return HOLOHOVER_CONTROL, definitions()
+    for motor in motors:
+        if not re.fullmatch(r"[a-z](_?[a-z0-9])*", motor) or motor == "header":
+            raise ValueError(
+                f"{motor!r} cannot be a field of a ROS message (lower-case letters, digits, single "
+                "underscores); rename the propeller"
+            )
+    name = f"airpuck_msgs/msg/Command{len(motors)}Stamped"
+    text = _HEADER + "".join(f"float64 {motor}\n" for motor in motors)
+    return name, {**definitions(), **get_types_from_msg(text, name)}
 
 
 class MessageCodec:
     """Between CDR bytes and message objects of one type, through rosbags."""
 
     def __init__(self, msgtype: str, types: Types | None = None) -> None:
-        from rosbags.typesys import Stores, get_typestore
-
         self.msgtype = msgtype
-        known = definitions(msgtype) if types is None else types
-        self._fields = flatten(known, msgtype)
-        self._store = get_typestore(Stores.EMPTY)
-        self._store.register(definitions_within(known, msgtype))
+        known = definitions() if types is None else types
+        self.fields = flatten(known, msgtype)
+        self._store = typestore(known, msgtype)
         # rosbags makes its code at the first use, which must not be in flight.
         self.decode(self.encode(self.blank()))
 
@@ -79,53 +228,49 @@ class MessageCodec:
 
 
 class StreamCodec:
-    """Between CDR bytes and the numbers of a stream."""
+    """Between CDR bytes and the numbers of a stream; `stamped` asks for a type with a header."""
 
-    def __init__(self, stream: str, motors: tuple[str, ...] = ()) -> None:
+    def __init__(self, stream: str, motors: tuple[str, ...] = (), *, stamped: bool = False) -> None:
         self._stream = stream
         if stream == "command":
             self.msgtype, self.types = command_type(motors)
-            paths = self.columns = motors
+            self._paths = self.columns = motors
         else:
-            self.msgtype, paths = next(iter(PATHS[stream].items()))
-            self.types = definitions(self.msgtype)
-            self.columns = COLUMNS[stream]
+            self.msgtype = next(name for name in PATHS[stream] if not stamped or "Stamped" in name)
+            self.types = definitions()
+            self._paths, self.columns = PATHS[stream][self.msgtype], COLUMNS[stream]
         self._codec = MessageCodec(self.msgtype, self.types)
-        stamps = stamp_paths(flatten(self.types, self.msgtype))
-        self._stamped = bool(stamps)
-        self._read = attrgetter(*stamps, *paths)
-        # One message is written over and over: what is sent has left as bytes.
-        self._message = self._codec.blank()
-        self._slots = [self._slot(path) for path in (*stamps, *paths)]
-        if stamps:
-            self._message.header.frame_id = _FRAMES.get(stream, "world")
+        self._stamps = stamp_paths(self._codec.fields)
+        self._read = attrgetter(*self._stamps, *self._paths)
+        blank = self._codec.blank()
+        if self._stamps:
+            blank.header.frame_id = _FRAMES.get(stream, "world")
+        self._template = self._codec.encode(blank)
+        self._layout: Any = layout_of(self._codec.fields, self._template)
 
     def encode(self, stamp_ns: int, values: Sequence[float] | Float[np.ndarray, " k"]) -> bytes:
         """Write a message."""
-        numbers: list[Any] = [float(value) for value in values]
+        return self.encode_all(np.array([stamp_ns]), np.array([values], dtype=float))[0]
+
+    def encode_all(
+        self, stamp_ns: Int64[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+    ) -> list[bytes]:
+        """Write many messages."""
+        columns = values.T
         if self._stream == "pose":
-            x, y, yaw = numbers
-            numbers = [x, y, 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))]
-        if self._stamped:
-            numbers = [*divmod(stamp_ns, _SECOND), *numbers]
-        for (owner, name), number in zip(self._slots, numbers, strict=True):
-            setattr(owner, name, number)
-        return self._codec.encode(self._message)
+            x, y, yaw = columns
+            level = np.zeros(len(yaw))
+            columns = (x, y, level, level, np.sin(yaw / 2), np.cos(yaw / 2))
+        numbers = dict(zip(self._paths, columns, strict=True))
+        if self._stamps:
+            numbers.update(zip(self._stamps, np.divmod(stamp_ns, _SECOND_NS), strict=True))
+        return encode(self._template, self._layout, numbers)
 
     def decode(self, data: bytes) -> tuple[int | None, Float[np.ndarray, " k"]]:
-        """Read a message."""
+        """Read a message: its stamp [ns since the epoch], if it has one, and its numbers."""
         numbers = self._read(self._codec.decode(data))
         stamp = None
-        if self._stamped:
-            stamp = numbers[0] * _SECOND + numbers[1]
+        if self._stamps:
+            stamp = numbers[0] * _SECOND_NS + numbers[1]
             numbers = numbers[2:]
-        values = np.array(numbers, dtype=float)
-        return stamp, columns_of(self._stream, list(values[:, None]))[0]
-
-    def _slot(self, path: str) -> tuple[Any, str]:
-        """Return the part of the message that a path ends in, and the name there."""
-        *within, name = path.split(".")
-        owner = self._message
-        for part in within:
-            owner = getattr(owner, part)
-        return owner, name
+        return stamp, columns_of(self._stream, list(np.array(numbers, dtype=float)[:, None]))[0]

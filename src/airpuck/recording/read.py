@@ -8,9 +8,8 @@ from pathlib import Path
 from airpuck.boundary.errors import InputError
 from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import is_csv_folder, read_csv_folder
-from airpuck.recording.listing import listing
-from airpuck.recording.stream import Recording
-from airpuck.recording.topics import Topics
+from airpuck.recording.files import listing
+from airpuck.recording.stream import Recording, Topics
 
 _FORMS = "a rosbag2 folder, an .mcap or .db3 file, or a folder of CSV files"
 

@@ -11,76 +11,97 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airpuck.recording.topic_log import TopicLog
-
 if TYPE_CHECKING:
-    from mcap.records import Channel, McapRecord, Message, Schema
+    from mcap.records import Channel, McapRecord, Schema
 
 
 @dataclass
-class Salvage:
-    """What could be read."""
+class TopicLog:
+    """The messages of one topic before they are decoded."""
 
-    #: By topic, in the order of the recorder's clock; messages of the wanted ones only.
+    msgtype: str
+    #: The definition that the bag embeds; empty for none.
+    definition: str = ""
+    #: Whether the definition is IDL rather than the ``.msg`` format.
+    idl: bool = False
+    #: The recorder's times [ns since the epoch].
+    received_ns: list[int] = field(default_factory=list)
+    #: In CDR, with encapsulation.
+    messages: list[bytes] = field(default_factory=list)
+
+
+@dataclass
+class Log:
+    """What the files of a bag hold."""
+
+    #: Messages of the wanted topics only.
     topics: dict[str, TopicLog] = field(default_factory=dict)
-    #: What was wrong, in a few words each; empty for a whole file.
-    damage: list[str] = field(default_factory=list)
-    #: Messages read, on all topics.
+    #: Messages on all topics.
     n_messages: int = 0
     #: Earliest and latest recorder time of them [ns since the epoch].
     first_ns: int | None = None
     last_ns: int | None = None
+    #: What was wrong, in a few words each.
+    damage: list[str] = field(default_factory=list)
+
+    def count(self, n_messages: int, first_ns: int, last_ns: int) -> None:
+        """Add messages to the number and the span of time."""
+        self.n_messages += n_messages
+        self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
+        self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
+
+    def extend(self, later: Log) -> None:
+        """Append a later file of the same recording."""
+        for name, topic in later.topics.items():
+            mine = self.topics.setdefault(name, TopicLog(topic.msgtype))
+            if not mine.definition:
+                mine.definition, mine.idl = topic.definition, topic.idl
+            mine.received_ns += topic.received_ns
+            mine.messages += topic.messages
+        if later.first_ns is not None and later.last_ns is not None:
+            self.count(later.n_messages, later.first_ns, later.last_ns)
+        self.damage += later.damage
 
 
-def salvage_mcap(path: Path, wanted: Collection[str]) -> Salvage:
+def salvage_mcap(path: Path, wanted: Collection[str]) -> Log:
     """Read every whole chunk of an MCAP file."""
     from mcap.records import Channel, Message, Schema
 
-    result = Salvage()
+    log = Log()
     channels: dict[int, Channel] = {}
     schemas: dict[int, Schema] = {}
-    for record in _records(path, result):
-        if isinstance(record, Message):
-            _keep(record, channels, schemas, wanted, result)
-        elif isinstance(record, Schema):
+    for record in _records(path, log.damage):
+        if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
             channels[record.id] = record
-    for topic in result.topics.values():
-        topic.sort()
-    return result
+        elif isinstance(record, Message):
+            channel, time = channels.get(record.channel_id), record.log_time
+            # A message without a channel belongs to a lost chunk.
+            if channel is None or channel.message_encoding != "cdr" or time >= 2**63:
+                continue
+            if channel.topic not in log.topics:
+                log.topics[channel.topic] = _topic_log(schemas.get(channel.schema_id))
+            if channel.topic in wanted:
+                log.topics[channel.topic].received_ns.append(time)
+                log.topics[channel.topic].messages.append(record.data)
+            log.count(1, time, time)
+    for topic in log.topics.values():
+        # Into the order of the recorder's clock, as MCAP readers do.
+        order = sorted(range(len(topic.messages)), key=topic.received_ns.__getitem__)
+        topic.received_ns = [topic.received_ns[index] for index in order]
+        topic.messages = [topic.messages[index] for index in order]
+    return log
 
 
-def _keep(
-    message: Message,
-    channels: dict[int, Channel],
-    schemas: dict[int, Schema],
-    wanted: Collection[str],
-    result: Salvage,
-) -> None:
-    """Add a message to its topic; one without a channel belongs to a lost chunk."""
-    channel = channels.get(message.channel_id)
-    if channel is None or channel.message_encoding != "cdr" or message.log_time >= 2**63:
-        return
-    topic = result.topics.get(channel.topic)
-    if topic is None:
-        schema = schemas.get(channel.schema_id)
-        topic = TopicLog(
-            msgtype=schema.name if schema else "",
-            definition=schema.data.decode(errors="replace") if schema else "",
-            idl=schema is not None and schema.encoding in ("ros2idl", "omgidl"),
-        )
-        result.topics[channel.topic] = topic
-    time = message.log_time
-    if channel.topic in wanted:
-        topic.received_ns.append(time)
-        topic.messages.append(message.data)
-    result.n_messages += 1
-    result.first_ns = time if result.first_ns is None else min(result.first_ns, time)
-    result.last_ns = time if result.last_ns is None else max(result.last_ns, time)
+def _topic_log(schema: Schema | None) -> TopicLog:
+    if schema is None:
+        return TopicLog("")
+    idl = schema.encoding in ("ros2idl", "omgidl")
+    return TopicLog(schema.name, schema.data.decode(errors="replace"), idl)
 
 
-def _records(path: Path, result: Salvage) -> Iterator[McapRecord]:
+def _records(path: Path, damage: list[str]) -> Iterator[McapRecord]:
     """Yield schemas, channels and messages, noting damage instead of raising."""
     from mcap.records import Chunk
     from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
@@ -98,12 +119,12 @@ def _records(path: Path, result: Salvage) -> Iterator[McapRecord]:
                 break
             except CRCValidationError:
                 if not lost:
-                    result.damage.append("its checksum does not match its content")
+                    damage.append("its checksum does not match its content")
                 break
             # A damaged file can make the parser fail in any way, and every one means the same.
             except Exception:
                 position = file.tell()
-                result.damage.append(
+                damage.append(
                     f"it is cut short after {size} bytes"
                     if position >= size
                     else f"it cannot be read beyond byte {position} of {size}"
@@ -123,4 +144,4 @@ def _records(path: Path, result: Salvage) -> Iterator[McapRecord]:
         start = min(chunk.message_start_time for chunk in lost)
         stop = max(chunk.message_end_time for chunk in lost)
         chunks = f"{len(lost)} damaged chunk{'s' if len(lost) > 1 else ''}"
-        result.damage.append(f"{chunks} within {(stop - start) / 1e9:.3f} s left out")
+        damage.append(f"{chunks} within {(stop - start) / 1e9:.3f} s left out")

@@ -1,33 +1,177 @@
-"""The authors' preprocessed experiments: a torch file, read without torch."""
+"""The authors' preprocessed experiments: a torch file, read without torch and without trust.
+
+Inside is a pickle: a program that Python's unpickler would run. Here it only builds dictionaries,
+texts, whole numbers and tuples. It runs on Python's own unpickler in Python, with most instructions
+taken away: the one in C hashes any key and reserves memory for any index of its memo.
+"""
 
 from __future__ import annotations
 
+import io
 import math
 import os
+import pickle
+import re
 import zipfile
-import zlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from pickletools import code2op
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
-from airpuck.recording.fingerprint import sha256
-from airpuck.recording.inert_pickle import Refused, Tensor, read_inert
-from airpuck.recording.listing import listing
-from airpuck.recording.message_types import HOLOHOVER_MOTORS
+from airpuck.recording.files import listing, one_line, sha256
+from airpuck.recording.message import HOLOHOVER_MOTORS
 
-_TENSORS = ("T", "X", "U", "dX")
+#: Width of each tensor; None for one dimension.
+_WIDTHS = {"T": None, "X": 6, "U": len(HOLOHOVER_MOTORS), "dX": 6}
 #: A command may lie outside [0, 1] by rounding.
 _ROUNDING = 1e-9
+#: Longest pickle that is read [bytes]; the authors' are of 1.3 kB.
+_LONGEST = 10**5
+#: Longest text that is turned into bytes; each call makes a new copy.
+_LONGEST_TEXT = 2000
+
+
+class Refused(ValueError):
+    """The file holds something that no experiment of the authors needs."""
+
+
+class _Storage(NamedTuple):
+    """A tensor's memory, kept in another member of the torch file."""
+
+    #: ``torch.DoubleStorage`` and the like.
+    kind: str
+    #: Name of the member.
+    key: str
+    #: Number of elements that the pickle claims.
+    n: int
+
+
+class _Tensor(NamedTuple):
+    """How a tensor lies in its storage, counted in elements."""
+
+    storage: _Storage
+    offset: int
+    shape: tuple[int, ...]
+    stride: tuple[int, ...]
+
+
+class _Texts(dict[str, Any]):
+    """A dictionary whose keys are texts: hashing nested tuples can take for ever."""
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if type(key) is not str:
+            raise Refused("a key is not text")
+        super().__setitem__(key, value)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and 0 <= value < 2**63
+
+
+def _rebuilt_tensor(storage: Any, offset: Any, shape: Any, stride: Any, *_: Any) -> _Tensor:
+    if not isinstance(storage, _Storage):
+        raise Refused("a tensor has no storage")
+    # Two dimensions at most, before anything looks at the elements.
+    fits = isinstance(shape, tuple) and isinstance(stride, tuple) and len(shape) == len(stride) <= 2
+    if not fits or not all(map(_is_count, (offset, *shape, *stride))):
+        raise Refused("a tensor has a wrong offset, shape or stride")
+    return _Tensor(storage, offset, shape, stride)
+
+
+def _encoded(text: Any, encoding: Any) -> bytes:
+    if not isinstance(text, str) or len(text) > _LONGEST_TEXT or encoding != "latin1":
+        raise Refused("it holds text that is too long or in an unknown encoding")
+    return text.encode("latin1")
+
+
+def _numpy_text(_dtype: Any, data: Any) -> str:
+    """Decode a NumPy string: four bytes a character, padded with zeros."""
+    if not isinstance(data, bytes):
+        raise Refused("it holds a NumPy number where text should be")
+    return data.decode("utf-32-le").rstrip("\0")
+
+
+def _nothing(*_: Any) -> None:
+    """Stand for an object that no one needs."""
+
+
+#: What a name in the pickle calls here. The real functions are never looked up.
+_CALLS: Mapping[str, Callable[..., Any]] = {
+    "torch._utils._rebuild_tensor_v2": _rebuilt_tensor,
+    "_codecs.encode": _encoded,
+    "numpy.core.multiarray.scalar": _numpy_text,
+    "numpy.core.multiarray._reconstruct": _nothing,
+    "numpy.dtype": _nothing,
+    "collections.OrderedDict": _nothing,
+}
+#: Names that are only mentioned.
+_MENTIONED = re.compile(r"numpy\.ndarray|torch\.[A-Z][a-z]+Storage")
+
+_INSTRUCTIONS = (
+    "PROTO FRAME STOP MARK NONE NEWTRUE NEWFALSE BININT BININT1 BININT2 LONG1 BINUNICODE "
+    "SHORT_BINUNICODE EMPTY_TUPLE TUPLE1 TUPLE2 TUPLE3 TUPLE SETITEM SETITEMS BINPUT LONG_BINPUT "
+    "MEMOIZE BINGET LONG_BINGET GLOBAL REDUCE BINPERSID"
+)
+
+
+class _Instructions(dict[int, Callable[[Any], None]]):
+    """Opcode -> what it does; any other one ends the reading."""
+
+    def __missing__(self, code: int) -> Callable[[Any], None]:
+        opcode = code2op.get(chr(code))
+        raise Refused(f"it uses the instruction {opcode.name}" if opcode else "it is damaged")
+
+
+class _Unpickler(pickle._Unpickler):
+    """Python's unpickler, left with what makes dictionaries of tensors."""
+
+    dispatch = _Instructions(
+        (code, pickle._Unpickler.dispatch[code])
+        for code in (getattr(pickle, name)[0] for name in _INSTRUCTIONS.split())
+    )
+    dispatch[pickle.EMPTY_DICT[0]] = lambda self: self.append(_Texts())
+    # What NumPy's objects are filled with is not needed, and filling could change anything.
+    dispatch[pickle.BUILD[0]] = lambda self: self.stack.pop()
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return what stands for a name: a function of ours, or its own text."""
+        full = f"{module}.{name}".replace("numpy._core.", "numpy.core.")
+        if full in _CALLS:
+            return _CALLS[full]
+        if _MENTIONED.fullmatch(full):
+            return full
+        raise Refused(f"it names {one_line(full)}")
+
+    def persistent_load(self, pid: Any) -> _Storage:
+        """Note which member a storage is in."""
+        kind, name, key, _device, n = pid
+        if kind != "storage" or not isinstance(name, str):
+            raise Refused("it refers to something outside the file")
+        if not isinstance(key, str) or not key.isdecimal() or not _is_count(n):
+            raise Refused("a storage has a wrong name or size")
+        return _Storage(name, key, n)
+
+
+def read_inert(data: bytes) -> Any:
+    """Read a pickle of dictionaries of tensors as plain data; nothing in it is run."""
+    if len(data) > _LONGEST:
+        raise Refused(f"its pickle is longer than {_LONGEST} bytes")
+    try:
+        return _Unpickler(io.BytesIO(data)).load()
+    except Refused:
+        raise
+    # Damage can make the unpickler fail in any way.
+    except Exception as error:
+        raise Refused("it is damaged") from error
 
 
 def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = None) -> Trajectory:
-    """Read a ``data.pt`` of the authors.
-
-    The pickle inside is interpreted as data; nothing that it contains is run.
+    """Read a ``data.pt`` of the authors; the pickle inside is never run.
 
     Parameters
     ----------
@@ -56,29 +200,18 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
         tensors = _read(file, name)
     except Refused as error:
         raise InputError(f"is not an experiment of the authors: {error}", file=file) from error
-    # zipfile raises all of these on damaged files; nothing else of ours can.
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        OSError,
-        EOFError,
-        ValueError,
-        KeyError,
-        IndexError,
-        NotImplementedError,
-        RuntimeError,
-        OverflowError,
-    ) as error:
+    # A damaged archive can make zipfile fail in any way.
+    except Exception as error:
         raise InputError("is not a readable torch file; is it damaged?", file=file) from error
-    time, state, command, derivative = (tensors[key] for key in _TENSORS)
-    _check(file, time, state, command, derivative)
+    _check(file, tensors)
+    time, state, command = tensors["T"], tensors["X"], tensors["U"]
     yaw = state[:, 2]
     if np.abs(np.diff(yaw)).max() > np.pi:
         state[:, 2] = np.unwrap(yaw)
     return Trajectory(
         time=time,
         state=state,
-        acceleration=np.ascontiguousarray(derivative[:, 3:]),
+        acceleration=np.ascontiguousarray(tensors["dX"][:, 3:]),
         command_time=time,
         command=command,
         propellers=HOLOHOVER_MOTORS,
@@ -105,82 +238,68 @@ def _read(file: Path, name: str | None) -> dict[str, Float[np.ndarray, "..."]]:
             order = archive.read(f"{root}byteorder").decode("ascii", "replace").strip()
         if order not in ("little", "big"):
             raise Refused("its byte order is unknown")
-        content = read_inert(archive.read(pickles[0]))
-        described = _choose(content, name)
+        described = _choose(read_inert(archive.read(pickles[0])), name)
+        dtype = "<f8" if order == "little" else ">f8"
         return {
-            key: _tensor(archive, f"{root}data/", order, key, tensor)
+            key: _tensor(archive, f"{root}data/", dtype, key, tensor)
             for key, tensor in described.items()
         }
 
 
-def _choose(content: Any, name: str | None) -> dict[str, Tensor]:
+def _choose(content: Any, name: str | None) -> dict[str, _Tensor]:
     """Pick one experiment out of the file's dictionary."""
-    for key in ("exps", *_TENSORS):
+    for key in ("exps", *_WIDTHS):
         if not isinstance(content, dict) or key not in content:
             raise Refused(f"it has no {key!r}")
         if key != "exps" and not isinstance(content[key], dict):
             raise Refused(f"{key!r} is not a dictionary of experiments")
     names = list(content["T"])
-    shown = listing(names)
-    if any(set(content[key]) != set(names) for key in _TENSORS):
+    if any(set(content[key]) != set(names) for key in _WIDTHS):
         raise Refused("its tensors are not of the same experiments")
     if name is None and len(names) != 1:
-        raise Refused(f"it holds {len(names)} experiments; choose one by name ({shown})")
+        raise Refused(f"it holds {len(names)} experiments; choose one by name ({listing(names)})")
     if name is not None and name not in names:
-        raise Refused(f"it holds no experiment {name!r} ({shown})")
-    chosen = names[0] if name is None else name
-    tensors = {key: content[key][chosen] for key in _TENSORS}
+        raise Refused(f"it holds no experiment {name!r} ({listing(names)})")
+    tensors = {key: content[key][name or names[0]] for key in _WIDTHS}
     for key, tensor in tensors.items():
-        if not isinstance(tensor, Tensor):
-            raise Refused(f"{key!r} holds something else than a tensor")
+        if not isinstance(tensor, _Tensor):
+            raise Refused(f"{key!r} holds something other than a tensor")
     return tensors
 
 
 def _tensor(
-    archive: zipfile.ZipFile, folder: str, order: str, key: str, tensor: Tensor
+    archive: zipfile.ZipFile, folder: str, dtype: str, key: str, tensor: _Tensor
 ) -> Float[np.ndarray, "..."]:
     """Read one tensor's numbers."""
-    storage = tensor.storage
+    storage, offset, shape, stride = tensor
     if storage.kind != "torch.DoubleStorage":
         raise Refused(f"{key!r} is a {storage.kind}, not torch.DoubleStorage")
     member = archive.NameToInfo.get(folder + storage.key)
     if member is None or member.file_size != 8 * storage.n:
         raise Refused(f"the storage of {key!r} is missing or has a wrong length")
-    elements = math.prod(tensor.shape)
-    reach = tensor.offset + sum(
-        (size - 1) * step for size, step in zip(tensor.shape, tensor.stride, strict=True)
-    )
+    elements = math.prod(shape)
+    reach = offset + sum((size - 1) * step for size, step in zip(shape, stride, strict=True))
     # An expanded tensor (stride 0) would claim more elements than there are bytes for.
     if elements == 0 or elements > storage.n or reach >= storage.n:
         raise Refused(f"{key!r} is empty or reaches beyond its storage")
-    dtype = "<f8" if order == "little" else ">f8"
     flat = np.frombuffer(archive.read(member), dtype).astype(np.float64)
-    strides = tuple(8 * step for step in tensor.stride)
+    strides = tuple(8 * step for step in stride)
     # A copy, because the trajectory must own what the strides only point to.
-    view = np.lib.stride_tricks.as_strided(flat[tensor.offset :], tensor.shape, strides)
-    return view.copy()
+    return np.lib.stride_tricks.as_strided(flat[offset:], shape, strides).copy()
 
 
-def _check(
-    file: Path,
-    time: np.ndarray,
-    state: np.ndarray,
-    command: np.ndarray,
-    derivative: np.ndarray,
-) -> None:
+def _check(file: Path, tensors: Mapping[str, Float[np.ndarray, "..."]]) -> None:
     """Refuse tensors that cannot be a flight."""
-    n = len(time)
-    if time.ndim != 1 or n < 2:
+    time, command = tensors["T"], tensors["U"]
+    if time.ndim != 1 or len(time) < 2:
         raise InputError(f"has the shape {time.shape}, not (N,)", file=file, field="T")
-    widths = (("X", state, 6), ("U", command, len(HOLOHOVER_MOTORS)), ("dX", derivative, 6))
-    for key, values, width in widths:
-        if values.shape != (n, width):
-            raise InputError(
-                f"has the shape {values.shape}, not ({n}, {width})", file=file, field=key
-            )
-    for key, values in (("T", time), ("X", state), ("U", command), ("dX", derivative)):
-        if not np.isfinite(values).all():
-            row = int(np.argwhere(~np.isfinite(values))[0][0])
+    for key, width in _WIDTHS.items():
+        values, shape = tensors[key], (len(time), width) if width else time.shape
+        if values.shape != shape:
+            raise InputError(f"has the shape {values.shape}, not {shape}", file=file, field=key)
+        finite = np.isfinite(values)
+        if not finite.all():
+            row = int(np.argwhere(~finite)[0][0])
             raise InputError(f"row {row} is not a finite number", file=file, field=key)
     if not (np.diff(time) > 0).all():
         row = int(np.argmin(np.diff(time) > 0)) + 1

@@ -30,10 +30,10 @@ def demo(
     The truth of the twin is the published M3; sensors and radio are as in the real recordings,
     which are saved and read back as ROS 2 bags.
     """
+    from airpuck import read_recording, write_bag
     from airpuck.evaluation.evaluate import compare
     from airpuck.identification.fit import identify
     from airpuck.preprocessing.pipeline import preprocess
-    from airpuck.recording import read_recording, write_bag
     from airpuck.report.fit_report import fit_report
     from airpuck.report.tracking_report import tracking_sections
     from airpuck.twin.experiments import excite

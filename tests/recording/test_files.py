@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.fingerprint import sha256
+from airpuck.recording.files import sha256
 
 
 def test_the_hash_of_the_standard(tmp_path: Path):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.topics import Topics, read_topics
+from airpuck.recording.stream import Topics, read_topics
 
 
 def test_names_given_replace_the_defaults(tmp_path: Path):

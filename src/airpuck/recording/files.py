@@ -1,0 +1,60 @@
+"""Files of recordings: hashes, folders that appear whole or not at all, names on one line."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from airpuck.boundary.errors import InputError
+
+_LONGEST = 80
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file, by which results are traced back to their data."""
+    try:
+        with Path(path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
+
+
+@contextlib.contextmanager
+def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary name beside `path`, and move that folder there when the block ends well."""
+    target = Path(path).absolute()
+    if target.exists() or target.is_symlink():
+        raise InputError("exists already; give another name or remove it", file=path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shelter = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", file=path) from error
+    try:
+        yield shelter / target.name
+        (shelter / target.name).rename(target)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", file=path) from error
+    finally:
+        shutil.rmtree(shelter, ignore_errors=True)
+
+
+def one_line(text: str) -> str:
+    """Shorten text from a file and escape it, so that an error message stays on one line."""
+    short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    return short if short.isprintable() else repr(short)
+
+
+def listing(names: Iterable[str], most: int = 12) -> str:
+    """List names from a file; beyond `most` they are only counted."""
+    shown = [one_line(name) for name in names]
+    if len(shown) > most:
+        shown[most:] = [f"{len(shown) - most} more"]
+    return ", ".join(shown) or "none"
