@@ -1,5 +1,4 @@
 """Reading and writing what a lab has.
 
-Entry points: `read.read_recording`, `torch_archive.read_authors_experiment`, `stream.Topics`,
-`message.StreamCodec`, `bag_writer.BagFile`, `dataset.dataset_folder`.
+Entry points: `read.read_recording`, `torch_archive.read_authors_experiment`, `stream.Topics`.
 """
