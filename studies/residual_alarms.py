@@ -18,7 +18,7 @@ import numpy as np
 from airpuck.compute.process import usable_cores
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.residuals import BODY_CHANNELS, resid
-from airpuck.evaluation.whiteness import LEVEL
+from airpuck.evaluation.statistical_tests import LEVEL
 from airpuck.model.model_file import Model, published_model
 from airpuck.physics.rollout import rollout
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.command_pieces import cut_at_commands
-from airpuck.evaluation.innovations import Innovations
+from airpuck.evaluation.innovations import Innovations, cut_at_commands
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rollout import rollout

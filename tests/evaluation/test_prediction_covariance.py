@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.estimate.axis_filter import Noise
 from airpuck.evaluation.innovations import innovations
-from airpuck.evaluation.prediction_covariance import predict_with_errors
+from airpuck.evaluation.prediction_bands import predict_with_errors
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rollout import rollout
 

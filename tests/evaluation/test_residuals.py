@@ -8,9 +8,8 @@ from scipy import stats
 
 from airpuck.boundary.errors import InputError
 from airpuck.evaluation.cross_correlation import cross_correlations, suspicions
-from airpuck.evaluation.multiple_testing import holm
 from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, resid
-from airpuck.evaluation.whiteness import ljung_box
+from airpuck.evaluation.statistical_tests import holm, ljung_box
 from airpuck.model.model_file import Model
 
 from ..noisy import TRUTH, noisy

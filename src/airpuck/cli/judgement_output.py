@@ -10,7 +10,7 @@ from airpuck.cli.output import console
 
 if TYPE_CHECKING:
     from airpuck.evaluation.drift import Drift
-    from airpuck.evaluation.goodness import Goodness
+    from airpuck.evaluation.fit_measures import FitMeasures
     from airpuck.evaluation.prediction_bands import PredictionBands
     from airpuck.evaluation.presentation import Presentation, Value
 
@@ -34,7 +34,7 @@ def _print_values(title: str, values: Sequence[Value]) -> None:
     )
 
 
-def print_goodness(names: Sequence[str], fits: Sequence[Goodness]) -> None:
+def print_fit_measures(names: Sequence[str], fits: Sequence[FitMeasures]) -> None:
     """Print fit percentages and information criteria."""
     first = fits[0]
     headings = (

@@ -57,10 +57,10 @@ def compare(
 ) -> None:
     """Compare models on one recording; of two learned models, say what drifted."""
     from airpuck.boundary.errors import InputError
-    from airpuck.cli.judgement_output import print_drift, print_goodness
+    from airpuck.cli.judgement_output import print_drift, print_fit_measures
     from airpuck.evaluation.drift import Drift, drift
     from airpuck.evaluation.evaluate import compare
-    from airpuck.evaluation.goodness import goodness
+    from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.model.model_file import read_model
 
     chosen = choose_protocol(protocol, encoder)
@@ -84,7 +84,7 @@ def compare(
         trajectory = cut(load(Path(models[-1]), known[0].vehicle, topics), span)
         warn(trajectory.warnings, quiet)
         evaluations = compare(known, trajectory, protocol=chosen, encoder=encoder)
-        fits = [goodness(model, trajectory) for model in known]
+        fits = [measure_fit(model, trajectory) for model in known]
         figures["evaluations"] = [
             {**evaluation.to_json(), **fit.to_json(), "name": name}
             for name, evaluation, fit in zip(names, evaluations, fits, strict=True)
@@ -94,7 +94,7 @@ def compare(
         return
     if not alone:
         print_table(names, evaluations)
-        print_goodness(names, fits)
+        print_fit_measures(names, fits)
     if moved is not None:
         print_drift(names, moved)
 
@@ -113,8 +113,8 @@ def resid(
     quiet: Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and what commands still explain."""
-    from airpuck.cli.judgement_output import print_coverage, print_goodness
-    from airpuck.evaluation.goodness import goodness
+    from airpuck.cli.judgement_output import print_coverage, print_fit_measures
+    from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
     from airpuck.evaluation.residuals import resid
     from airpuck.model.model_file import read_model
@@ -125,7 +125,7 @@ def resid(
     warn(trajectory.warnings, quiet)
     with about(recording):
         tests = resid(known, trajectory, lags=lags)
-        fit = goodness(known, trajectory, known=tests.innovations)
+        fit = measure_fit(known, trajectory, known=tests.innovations)
         bands = bands_of_all_horizons(known, trajectory, tests.innovations)
     figures = {**tests.to_json(), **fit.to_json(), "bands": [one.to_json() for one in bands]}
     write_json(json_file, {**figures, "name": model})
@@ -140,6 +140,6 @@ def resid(
         for sentence in tests.verdicts:
             print(f"  {sentence}")
         print_coverage(bands)
-        print_goodness([model], [fit])
+        print_fit_measures([model], [fit])
         if page is not None:
             print(page)

@@ -1,4 +1,5 @@
 """Model x trajectory -> errors.
 
-Entry points: `goodness.goodness`, `innovations.innovations`.
+Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `gauge.physical_thrust`,
+`innovations.innovations`.
 """

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.evaluation.multiple_testing import holm
-from airpuck.evaluation.whiteness import BAND, LEVEL, p_text, with_pauses
+from airpuck.evaluation.statistical_tests import BAND, LEVEL, holm, p_text, with_pauses
 
 #: Share of the largest eigenvalue of a regression below which a direction is not in the data.
 _NONE = 1e-10

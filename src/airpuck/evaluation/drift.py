@@ -9,11 +9,13 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.evaluation.main_quantities import main_quantities
-from airpuck.evaluation.multiple_testing import holm
+from airpuck.evaluation.statistical_tests import holm
 from airpuck.model.model_file import Model
 
 #: Chance of any false alarm among all quantities.
 LEVEL = 0.05
+#: What is written of a change.
+_FIGURES = ("label", "unit", "before", "after", "standard_error", "z", "p_value", "moved")
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Change:
 
     @property
     def moved(self) -> bool:
-        """Whether it changed by more than chance would have it."""
+        """Whether it changed by more than chance explains."""
         return self.p_value < LEVEL
 
     @property
@@ -94,19 +96,7 @@ class Drift:
         return {
             "verdicts": self.verdicts,
             "notes": list(self.notes),
-            "changes": [
-                {
-                    "label": c.label,
-                    "unit": c.unit,
-                    "before": c.before,
-                    "after": c.after,
-                    "standard_error": c.standard_error,
-                    "z": c.z,
-                    "p_value": c.p_value,
-                    "moved": c.moved,
-                }
-                for c in self.changes
-            ],
+            "changes": [{name: getattr(c, name) for name in _FIGURES} for c in self.changes],
         }
 
 
@@ -165,10 +155,10 @@ def _degrees(errors: np.ndarray, *models: Model) -> float:
 
 
 def _notes(earlier: Model, later: Model) -> list[str]:
-    """Say what the standard errors do not know."""
+    """Name what the standard errors do not account for."""
     notes = []
     if set(earlier.data.values()) & set(later.data.values()):
-        notes.append("both models saw some of the same files: their errors are not independent")
+        notes.append("both models learned from some of the same files: errors are not independent")
     if earlier.name != later.name:
         notes.append(
             f"{earlier.name} and {later.name} have different terms: a difference may be theirs"

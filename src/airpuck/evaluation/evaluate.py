@@ -15,11 +15,19 @@ from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.evaluation.prediction import hold_for, prediction_errors
 from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rollout import rollout
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")
+#: Windows predicted at once, which bounds the memory.
+_BATCH = 1024
+
+
+def by_channel(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
+    """Name the values of x, y [m] and yaw [rad]."""
+    return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -124,10 +132,6 @@ class Evaluation:
             ``model, protocol, encoder, horizon_s, horizon_step, windows, left_out, rmse,
             median_abs``, and per step ``rmse_over_horizon``.
         """
-
-        def named(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
-            return dict(zip(CHANNELS, values.tolist(), strict=True))
-
         return {
             "model": self.model,
             "protocol": self.protocol.name,
@@ -136,9 +140,9 @@ class Evaluation:
             "horizon_step": self.horizon_step,
             "windows": self.errors.shape[2],
             "left_out": self.left_out,
-            "rmse": named(self.rmse),
-            "median_abs": named(self.median_abs),
-            "rmse_over_horizon": [named(row) for row in self.rmse_over_horizon],
+            "rmse": by_channel(self.rmse),
+            "median_abs": by_channel(self.median_abs),
+            "rmse_over_horizon": [by_channel(row) for row in self.rmse_over_horizon],
         }
 
 
@@ -185,20 +189,15 @@ def evaluate(
             "choose the encoder actuation",
             field="encoder",
         )
-    length = protocol.encoder_length + protocol.prediction_length
-    windows = hold_for(
-        model,
-        make_windows(
-            trajectory, protocol.encoder_length, protocol.prediction_length, stride=length
-        ),
-    )
+    before, ahead = protocol.encoder_length, protocol.prediction_length
+    length = before + ahead
+    windows = hold_for(model, make_windows(trajectory, before, ahead, stride=length))
+    past = _past(trajectory, windows, protocol)
     return Evaluation(
         model=model.name,
         protocol=protocol,
         encoder=encoder.name,
-        errors=prediction_errors(
-            model.dynamics, windows, encoder, _past(trajectory, windows, protocol)
-        ),
+        errors=prediction_errors(model.dynamics, windows, encoder, past),
         start=windows.time[windows.present],
         sample_period=trajectory.sample_period,
         left_out=len(trajectory) // length - len(windows),
@@ -239,3 +238,56 @@ def compare(
         One for each model, in their order.
     """
     return [evaluate(model, trajectory, protocol=protocol, encoder=encoder) for model in models]
+
+
+def delay_for(model: Model, trajectory: Trajectory) -> float:
+    """Return how long after its time in a trajectory a command acts, as a model wants it."""
+    if not model.delay_learned:
+        return trajectory.delay
+    return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
+
+
+def hold_for(model: Model, windows: Windows) -> Windows:
+    """Hold the commands of windows as a model wants them."""
+    if not model.delay_learned:
+        return windows
+    return windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
+
+
+def prediction_errors(
+    dynamics: Dynamics,
+    windows: Windows,
+    encoder: Encoder,
+    past: Int[np.ndarray, " W"] | None = None,
+) -> Float[np.ndarray, "T 3 W"]:
+    """Predict every window and compare with what was measured.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Coefficients of the model.
+    windows : Windows
+        What to predict.
+    encoder : Encoder
+        Where predictions start from.
+    past : array of int, shape (W,), optional
+        Samples up to the present that the encoder may look at; by default the windows' own.
+
+    Returns
+    -------
+    array, shape (T, 3, W)
+        Predicted minus measured x, y [m], γ [rad].
+    """
+    errors = np.empty((windows.prediction_length, 3, len(windows)))
+    if past is None:
+        past = np.full(len(windows), windows.encoder_length)
+    for length in np.unique(past).tolist():
+        alike = np.flatnonzero(past == length)
+        for first in range(0, len(alike), _BATCH):
+            part = alike[first : first + _BATCH]
+            starts = windows.starts[part]
+            state, now = encoder.begin(dynamics, windows.past(starts, length))
+            commands, durations, measured = windows.future(starts)
+            predicted = rollout(np, now, state, commands, durations)
+            errors[:, :, part] = predicted[:, :3] - measured[:, :3]
+    return errors

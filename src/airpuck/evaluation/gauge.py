@@ -23,14 +23,25 @@ def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:
 
 
 def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:
-    """Return the thrust coefficients at the physical scale."""
+    """Return the thrust coefficients at the physical scale.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    array, shape (n, degree)
+        Coefficients of φ, φ², … [N].
+    """
     return thrust_scale(model)[:, None] * np.asarray(model.parameters.thrust)
 
 
 def largest_accelerations(
     model: Model, speed: float = 1.0
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return what each propeller alone does to the craft, whatever the scale of its thrust."""
+    """Return what each propeller alone does to the craft, linear [m/s²] and angular [rad/s²]."""
     coefficients = np.asarray(model.parameters.thrust)
     force = thrust(coefficients, np.full(len(coefficients), speed))
     matrix = np.asarray(model.dynamics.configuration)

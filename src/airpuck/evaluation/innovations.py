@@ -1,4 +1,4 @@
-"""One-step innovations: what a model's prediction of the next pose has left to be told.
+"""One-step innovations: measured poses minus what a model predicts from those before.
 
 The predictor is the extended Kalman filter of `airpuck.estimate.axis_filter`, with the physics of
 `airpuck.physics.rollout`: x, y and γ have states (p, v, d) with p' = v, v' = a + d + w₁, d' = w₂.
@@ -9,7 +9,7 @@ Maximum likelihood of the innovations finds how large the noises are, a predicti
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,11 @@ from airpuck.compute.arrays import scan
 from airpuck.compute.compiled import for_batches
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.estimate.axis_filter import Noise, correct, spread
-from airpuck.evaluation.command_pieces import cut_at_commands, speed_before
+from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.noise_likelihood import initial_covariance, most_likely_noise
-from airpuck.evaluation.prediction import delay_for
 from airpuck.model.model_file import Model
+from airpuck.physics.motor import motor_step
+from airpuck.physics.pytrees import register_pytrees
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import rollout
 
@@ -31,6 +32,8 @@ from airpuck.physics.rollout import rollout
 _FEWEST = 50
 #: What the search for the noise begins with.
 _FIRST_GUESS = Noise((5e-5, 5e-5, 6e-4), (0.1, 0.1, 2.0), (0.2, 0.2, 6.0))
+#: Poses that are heard before a prediction starts, so that the speed is known [s].
+_SETTLE_S = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,6 @@ class Innovations:
     covariance: Float[np.ndarray, "N 3 3 3"]
     #: φ at each sample.
     motor_speed: Float[np.ndarray, "N n"]
-    #: Standard deviations of the pose and densities of w₁ and w₂.
     noise: Noise
     #: How many numbers of the noise were found in these data, of each axis; those that came out as
     #: zero do not count.
@@ -69,6 +71,20 @@ class Innovations:
         scaled = self.standardised[self.used]
         logs = np.log(2 * np.pi * self.deviation[self.used] ** 2)
         return float(-0.5 * np.sum(logs + scaled**2))
+
+    def starts(self, ahead: int, apart: int) -> Int[np.ndarray, " M"]:
+        """Choose samples to predict from, the filter having heard 0.25 s of poses before each.
+
+        All `ahead` samples after each are used, and starts are at least `apart` samples apart.
+        """
+        settle = max(2, round(_SETTLE_S / float(np.median(np.diff(self.time)))))
+        length = settle + ahead
+        runs = np.convolve(self.used, np.ones(length))[length - 1 : len(self.used)] >= length
+        able = np.flatnonzero(runs) + settle - 1
+        chosen = able[:1].tolist()
+        while chosen and (k := np.searchsorted(able, chosen[-1] + apart)) < len(able):
+            chosen.append(int(able[k]))
+        return np.array(chosen, dtype=int)
 
 
 def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None) -> Innovations:
@@ -93,6 +109,7 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
     InputError
         If the trajectory is of another craft, or has too few usable samples in a row.
     """
+    check_propellers(model.vehicle, trajectory)
     usable = trajectory.usable
     restart = ~(usable & np.concatenate([[False], usable[:-1]]))
     used = ~restart & ~np.concatenate([[True], restart[:-1]])
@@ -102,29 +119,21 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
             "needed to judge one-step predictions",
             file=trajectory.source,
         )
-    predictor = _Predictor(model, trajectory)
-    pose = trajectory.state[:, :3]
+    pose, time = trajectory.state[:, :3], trajectory.time
     begin = np.stack([pose, np.zeros_like(pose), np.zeros_like(pose)], axis=2)
     counts = (0, 0, 0)
     if noise is None:
-        noise, period = _FIRST_GUESS, trajectory.sample_period
+        noise = _FIRST_GUESS
         for near in (False, True):
             # Accelerations depend on the noise only through the estimated yaw: twice will do.
-            known = predictor.run(noise, restart, begin)[2]
-            given = pose, known, predictor.period, restart, used, period
+            added = _run_filter(model, trajectory, noise, restart, begin)[2]
+            period = np.diff(time, prepend=time[0])
+            given = pose, added, period, restart, used, trajectory.sample_period
             noise, counts = most_likely_noise(*given, noise if near else None)
-    values, variance, _, mean, covariance, speeds = predictor.run(noise, restart, begin)
-    return Innovations(
-        time=trajectory.time,
-        values=values,
-        deviation=np.sqrt(variance),
-        used=used,
-        mean=mean,
-        covariance=covariance,
-        motor_speed=speeds,
-        noise=noise,
-        noise_parameters=counts,
-    )
+    filtered = _run_filter(model, trajectory, noise, restart, begin)
+    values, variance, _, mean, covariance, speed = filtered
+    deviation = np.sqrt(variance)
+    return Innovations(time, values, deviation, used, mean, covariance, speed, noise, counts)
 
 
 def free_run(
@@ -137,65 +146,42 @@ def free_run(
     begin[:, :, 2] = 0.0
     # A filter that is sure of its state and of its model does not listen to poses.
     sure = Noise((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    predictor = _Predictor(model, trajectory)
-    simulated = predictor.run(sure, restart, begin, listening=False)[3][:, :, 0]
+    mean = _run_filter(model, trajectory, sure, restart, begin, np.zeros((3, 3, 3)))[3]
+    simulated = mean[:, :, 0]
     simulated[: starts[0]] = np.nan
     return simulated
 
 
-class _Predictor:
-    """The filter over one trajectory, compiled once for each model."""
-
-    def __init__(self, model: Model, trajectory: Trajectory) -> None:
-        check_propellers(model.vehicle, trajectory)
-        time, acts = trajectory.time, trajectory.command_time + delay_for(model, trajectory)
-        tau = float(model.dynamics.motor_time_constant)
-        self.period = np.diff(time, prepend=time[0])
-        self._pose = trajectory.state[:, :3]
-        self._typical = trajectory.sample_period
-        self._pieces = cut_at_commands(time, acts, trajectory.command)
-        self._speed = speed_before(float(time[0]), acts, trajectory.command, tau)
-        self._program = _compiled(_Identity(model.dynamics))
-
-    def run(
-        self,
-        noise: Noise,
-        restart: Bool[np.ndarray, " N"],
-        begin: Float[np.ndarray, "N 3 3"],
-        *,
-        listening: bool = True,
-    ) -> tuple[np.ndarray, ...]:
-        """Return innovations, variances, what the model adds, estimates and motor speeds."""
-        squares = [np.square(part) for part in (noise.pose, noise.acceleration, noise.disturbance)]
-        start = initial_covariance(np, squares[0], squares[2], self._typical)
-        if not listening:
-            start = np.zeros_like(start)
-        inputs = (self._pose, restart, begin, self.period, *self._pieces)
-        found = self._program(*squares, start, self._speed, inputs)
-        return tuple(np.array(part) for part in found)
+def _run_filter(
+    model: Model,
+    trajectory: Trajectory,
+    noise: Noise,
+    restart: Bool[np.ndarray, " N"],
+    begin: Float[np.ndarray, "N 3 3"],
+    covariance: Float[np.ndarray, "3 3 3"] | None = None,
+) -> tuple[np.ndarray, ...]:
+    """Return innovations, variances, what the model adds, estimates and motor speeds."""
+    time, acts = trajectory.time, trajectory.command_time + delay_for(model, trajectory)
+    squares = [np.square(part) for part in (noise.pose, noise.acceleration, noise.disturbance)]
+    if covariance is None:
+        covariance = initial_covariance(np, squares[0], squares[2], trajectory.sample_period)
+    tau = float(model.dynamics.motor_time_constant)
+    speed = speed_before(float(time[0]), acts, trajectory.command, tau)
+    pieces = cut_at_commands(time, acts, trajectory.command)
+    inputs = (trajectory.state[:, :3], restart, begin, np.diff(time, prepend=time[0]), *pieces)
+    found = _compiled_filter()(model.dynamics, *squares, covariance, speed, inputs)
+    return tuple(np.array(part) for part in found)
 
 
-class _Identity:
-    """Dynamics as a key: the same object is compiled once."""
-
-    def __init__(self, dynamics: Dynamics) -> None:
-        self.dynamics = dynamics
-
-    def __hash__(self) -> int:
-        return id(self.dynamics)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Identity) and other.dynamics is self.dynamics
-
-
-@lru_cache(maxsize=8)
-def _compiled(identity: _Identity) -> Any:
-    """Compile the filter for one model."""
+@cache
+def _compiled_filter() -> Any:
+    """Compile the filter over a trajectory; models of one structure share the program."""
     import jax.numpy as jnp
 
-    dynamics = identity.dynamics
+    register_pytrees()
 
     def program(
+        dynamics: Dynamics,
         pose_variance: Any,
         acceleration: Any,
         disturbance: Any,
@@ -209,7 +195,7 @@ def _compiled(identity: _Identity) -> Any:
             p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
             state = jnp.concatenate([p, v, speed])
             end = rollout(jnp, dynamics, state, commands, durations)[-1]
-            known = jnp.stack([end[:3] - p - h * v, end[3:6] - v], axis=1)
+            added = jnp.stack([end[:3] - p - h * v, end[3:6] - v], axis=1)
             mean = jnp.stack([end[:3] + h * h / 2 * d, end[3:6] + h * d, d], axis=1)
             covariance = spread(jnp, covariance, h, acceleration, disturbance)
             innovation = pose - mean[:, 0]
@@ -218,9 +204,47 @@ def _compiled(identity: _Identity) -> Any:
             mean = jnp.where(restart, begin, mean)
             covariance = jnp.where(restart, start, covariance)
             carry = mean, covariance, end[6:]
-            return carry, (innovation, variance, known, *carry)
+            return carry, (innovation, variance, added, *carry)
 
-        first = jnp.zeros((3, 3)), start, speed
-        return scan(jnp, advance, first, inputs)[1]
+        return scan(jnp, advance, (jnp.zeros((3, 3)), start, speed), inputs)[1]
 
     return for_batches(program)
+
+
+def cut_at_commands(
+    time: Float[np.ndarray, " N"],
+    event_time: Float[np.ndarray, " K"],
+    command: Float[np.ndarray, "K n"],
+) -> tuple[Float[np.ndarray, "N S"], Float[np.ndarray, "N S n"]]:
+    """Cut the time before each sample into pieces with one command each."""
+    inside = (event_time > time[0]) & (event_time < time[-1])
+    moments, which = event_time[inside], np.flatnonzero(inside)
+    interval = np.searchsorted(time, moments, side="left")
+    counts = np.bincount(interval, minlength=len(time))
+    place = np.arange(len(moments)) - (np.cumsum(counts) - counts)[interval]
+    size = int(counts.max(initial=0)) + 1
+    ends = np.repeat(time[:, None], size, axis=1)
+    ends[interval, place] = moments
+    begins = np.concatenate([[time[0]], time[:-1]])
+    durations = np.diff(ends, axis=1, prepend=begins[:, None])
+    at_begin = np.clip(np.searchsorted(event_time, begins, side="right") - 1, 0, None)
+    chosen = np.repeat(at_begin[:, None], size, axis=1)
+    chosen[interval, np.minimum(place + 1, size - 1)] = which
+    # Pieces after the last event of an interval keep its command.
+    chosen = np.maximum.accumulate(chosen, axis=1)
+    return durations, command[chosen]
+
+
+def speed_before(
+    time: float,
+    event_time: Float[np.ndarray, " K"],
+    command: Float[np.ndarray, "K n"],
+    time_constant: float,
+) -> Float[np.ndarray, " n"]:
+    """Let motors follow all commands before a time."""
+    past = int(np.searchsorted(event_time, time, side="right"))
+    ends = np.append(event_time[1:past], time)
+    speed = command[0]
+    for held, begin, end in zip(command[:past], event_time[:past], ends, strict=True):
+        speed = motor_step(np, speed, held, end - begin, time_constant)
+    return speed

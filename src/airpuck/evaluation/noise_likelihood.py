@@ -25,22 +25,26 @@ _LOWEST, _HIGHEST = np.array([-14.0, -22.0]), np.array([3.0, 3.0])
 _GRID, _FINEST = 9, 0.02
 #: A better likelihood is better by at least this much.
 _GAIN = 1e-3
-#: How unsure the speed is at the first pose of a stretch, in standard deviations of the pose per
-#: sample period: as good as not known.
+#: Standard deviation of the speed at the first pose of a stretch, in those of the pose per sample
+#: period: as good as not known.
 _UNSURE = 1e3
 
 
 def most_likely_noise(
     pose: Float[np.ndarray, "N 3"],
-    known: Float[np.ndarray, "N 3 2"],
+    added: Float[np.ndarray, "N 3 2"],
     period: Float[np.ndarray, " N"],
     restart: Bool[np.ndarray, " N"],
     used: Bool[np.ndarray, " N"],
     typical: float,
     near: Noise | None = None,
 ) -> tuple[Noise, tuple[int, int, int]]:
-    """Find the noise with the largest likelihood of the innovations."""
-    given = pose, known, period, restart, used.astype(float)
+    """Find the noise with the largest likelihood, and how many of its numbers are not zero.
+
+    `added` is what the model adds to position and velocity of each axis from one sample to the
+    next; `typical` is the sample period [s]; `near` is where to search, if that is known.
+    """
+    given = pose, added, period, restart, used.astype(float)
     point, step = _begin(near, typical, given)
     axis, least = np.arange(3), np.full(3, np.inf)
     around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
@@ -60,13 +64,9 @@ def most_likely_noise(
     best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
     ratios, scale = ratios[best, axis], variance[best, axis]
     densities = ratios * scale[:, None] / typical ** np.array([3, 5])
-    noise = Noise(
-        _triple(np.sqrt(scale)),
-        _triple(np.sqrt(densities[:, 0])),
-        _triple(np.sqrt(densities[:, 1])),
-    )
-    found = (1 + (ratios > 0).sum(axis=1)).tolist()
-    return noise, (found[0], found[1], found[2])
+    parts: Any = (tuple(np.sqrt(part).tolist()) for part in (scale, *densities.T))
+    counts: Any = tuple((1 + (ratios > 0).sum(axis=1)).tolist())
+    return Noise(*parts), counts
 
 
 def _begin(
@@ -83,12 +83,6 @@ def _begin(
     best = _costs(candidates, typical, given)[0].argmin(axis=0)
     step = (_HIGHEST - _LOWEST) / (_GRID - 1) / 2
     return candidates[best, np.arange(3)], np.repeat(step[None], 3, axis=0)
-
-
-def _triple(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
-    """Return three numbers as a tuple."""
-    x, y, yaw = values.tolist()
-    return x, y, yaw
 
 
 def _ratios(point: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -120,11 +114,11 @@ def _compiled() -> Any:
 
         def advance(carry: Any, now: Any) -> Any:
             mean, covariance, squares, logs = carry
-            pose, known, h, restart, used = now
-            pose, known = jnp.tile(pose, count), jnp.tile(known, (count, 1))
+            pose, added, h, restart, used = now
+            pose, added = jnp.tile(pose, count), jnp.tile(added, (count, 1))
             p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
-            p = p + h * v + h * h / 2 * d + known[:, 0]
-            mean = jnp.stack([p, v + h * d + known[:, 1], d], axis=1)
+            p = p + h * v + h * h / 2 * d + added[:, 0]
+            mean = jnp.stack([p, v + h * d + added[:, 1], d], axis=1)
             covariance = spread(jnp, covariance, h, acceleration, disturbance)
             innovation, variance = pose - p, covariance[:, 0, 0] + 1.0
             mean, covariance = correct(mean, covariance, 0, innovation, one)

@@ -1,4 +1,12 @@
-"""Where the craft should be, and how sure a model is of it: predictions with 95 % bands."""
+"""Where the craft should be, and how sure a model is of it: predictions with 95 % bands.
+
+Beside the state z of a prediction run, by the chain rule through every Runge-Kutta step, its
+sensitivity to the parameters, S' = F S + G, and the covariance of what the model does not explain,
+C' = A C Aᵀ + Q (Ljung 1999, ch. 4 and 7; the covariance is that of an extended Kalman filter that
+hears nothing). In A yaw moves the directions of the thrusts, so that what is not known of yaw
+spreads to x and y. A learned transport delay is a parameter, too: it moves the moments at which
+commands change, so that one piece of a step grows by as much as the next one shrinks.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +17,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
+from airpuck.compute.arrays import scan
+from airpuck.compute.compiled import for_batches
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import CHANNELS
-from airpuck.evaluation.goodness import RESTART, SETTLE
-from airpuck.evaluation.innovations import Innovations, innovations
-from airpuck.evaluation.prediction_covariance import predict_with_errors
+from airpuck.estimate.axis_filter import spread
+from airpuck.evaluation.evaluate import by_channel, delay_for
+from airpuck.evaluation.fit_measures import RESTART
+from airpuck.evaluation.innovations import Innovations, cut_at_commands, innovations
 from airpuck.model.model_file import Model
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rollout import rollout
 
 #: 97.5 % quantile of the normal distribution: half of a 95 % band, in standard deviations.
 BAND = 1.959963984540054
 #: What is shown of a recording: the paper's horizon, and a simulation [s].
 HORIZONS = (0.2, RESTART)
+#: Samples before a start over which motor speeds are followed, for what they owe to the lag.
+_LEAD = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,19 +97,15 @@ class PredictionBands:
             ``horizon_s, windows, coverage_percent``, and medians over the windows of half the
             bands: ``half_band``, and ``half_band_parameters`` or None.
         """
-
-        def named(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
-            return dict(zip(CHANNELS, values.tolist(), strict=True))
-
         by_parameters = self.by_parameters
         return {
             "horizon_s": self.horizon,
             "windows": len(self.start),
-            "coverage_percent": named(self.coverage),
-            "half_band": named(np.median(self.total[-1], axis=1)),
+            "coverage_percent": by_channel(self.coverage),
+            "half_band": by_channel(np.median(self.total[-1], axis=1)),
             "half_band_parameters": None
             if by_parameters is None
-            else named(np.median(by_parameters[-1], axis=1)),
+            else by_channel(np.median(by_parameters[-1], axis=1)),
         }
 
 
@@ -143,7 +153,7 @@ def prediction_bands(
         known = innovations(model, trajectory)
     steps = max(1, round(horizon / trajectory.sample_period))
     if starts is None:
-        starts = _starts(known, trajectory.sample_period, horizon)
+        starts = known.starts(steps, steps)
     if len(starts) == 0 or starts.min() < 0 or starts.max() + steps >= len(trajectory):
         raise InputError(
             f"has no usable stretch that is long enough to predict {horizon:g} s",
@@ -178,23 +188,118 @@ def bands_of_all_horizons(
     model: Model, trajectory: Trajectory, known: Innovations
 ) -> tuple[PredictionBands, ...]:
     """Predict over each of `HORIZONS` for which the recording has a stretch that is long enough."""
-    found = []
-    for horizon in HORIZONS:
-        starts = _starts(known, trajectory.sample_period, horizon)
-        if len(starts):
-            given = {"horizon": horizon, "starts": starts, "known": known}
-            found.append(prediction_bands(model, trajectory, **given))
-    return tuple(found)
+    steps = [max(1, round(horizon / trajectory.sample_period)) for horizon in HORIZONS]
+    return tuple(
+        prediction_bands(model, trajectory, horizon=horizon, known=known)
+        for horizon, ahead in zip(HORIZONS, steps, strict=True)
+        if len(known.starts(ahead, ahead))
+    )
 
 
-def _starts(known: Innovations, period: float, horizon: float) -> Int[np.ndarray, " W"]:
-    """Return where predictions start that do not overlap and touch nothing unusable."""
-    settle, steps = max(2, round(SETTLE / period)), max(1, round(horizon / period))
-    length = settle + steps
-    runs = np.convolve(known.used, np.ones(length))[length - 1 : len(known.used)] >= length
-    free, starts = 0, []
-    for first in np.flatnonzero(runs).tolist():
-        if first + settle - 1 >= free:
-            starts.append(first + settle - 1)
-            free = starts[-1] + steps
-    return np.array(starts, dtype=int)
+def predict_with_errors(
+    model: Model,
+    trajectory: Trajectory,
+    known: Innovations,
+    starts: Int[np.ndarray, " W"],
+    steps: int,
+    entries: Bool[np.ndarray, " P"],
+) -> tuple[Float[np.ndarray, "T 3 W"], Float[np.ndarray, "T 3 W"], Float[np.ndarray, "T 3 W F"]]:
+    """Predict from the filter's estimates.
+
+    Returns x, y [m], γ [rad], their variances, and their derivatives by the chosen `entries` of θ.
+    """
+    import jax
+
+    acts = trajectory.command_time + delay_for(model, trajectory)
+    durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
+    later = _growth(commands)
+    # The first sample has pieces of no length, so it may stand for those before.
+    lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)
+    ahead = starts[:, None] + np.arange(1, steps + 1)
+    mean = known.mean[starts]
+    densities = np.square([known.noise.acceleration, known.noise.disturbance])
+    found = for_batches(jax.vmap(_one_prediction(model, entries, densities)))(
+        np.concatenate([mean[:, :, 0], mean[:, :, 1]], axis=1),
+        mean[:, :, 2],
+        known.covariance[starts],
+        known.motor_speed[np.maximum(starts - _LEAD, 0)],
+        (commands[lead], durations[lead], later[lead]),
+        (commands[ahead], durations[ahead], later[ahead]),
+    )
+    predicted, variance, sensitivity = (np.moveaxis(np.array(part), 0, 2) for part in found)
+    return predicted, variance, sensitivity
+
+
+def _growth(commands: Float[np.ndarray, "N S n"]) -> Float[np.ndarray, "N S"]:
+    """Return the derivatives of the lengths of pieces with respect to the transport delay.
+
+    A piece ends at a command, which moves with the delay, or at a sample, which does not. Where the
+    command stays the same it does not matter which.
+    """
+    changes = (commands[:, 1:] != commands[:, :-1]).any(axis=2)
+    return np.diff(changes.astype(float), axis=1, prepend=0.0, append=0.0)
+
+
+def _one_prediction(
+    model: Model, entries: Bool[np.ndarray, " P"], densities: Float[np.ndarray, "2 3"]
+) -> Any:
+    """Return the function that predicts one window."""
+    import jax
+    import jax.numpy as jnp
+
+    chosen, estimate = np.flatnonzero(entries), model.parameters
+    count, n = len(chosen), model.vehicle.n_propellers
+
+    def parameters(free: Any) -> Any:
+        return estimate.with_vector(jnp.asarray(estimate.to_vector()).at[chosen].set(free))
+
+    def delayed(free: Any, durations: Any, later: Any) -> Any:
+        return durations + later * (parameters(free).transport_delay - estimate.transport_delay)
+
+    def follow(free: Any, speed: Any, lead: Any) -> Any:
+        tau = parameters(free).motor_time_constant
+        flat = lead[0].reshape(-1, n), delayed(free, *lead[1:]).ravel()
+
+        def turn(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
+            command, duration = held
+            speed = motor_step(jnp, speed, command, duration, tau)
+            return speed, speed
+
+        return scan(jnp, turn, speed, flat)[0]
+
+    def move(free: Any, state: Any, disturbance: Any, held: tuple[Any, Any, Any]) -> Any:
+        commands, *lengths = held
+        durations = delayed(free, *lengths)
+        dynamics = parameters(free).dynamics(jnp, model.vehicle, model.frame)
+        end = rollout(jnp, dynamics, state, commands, durations)[-1]
+        h = durations.sum()
+        return end + jnp.concatenate([h * h / 2 * disturbance, h * disturbance, jnp.zeros(n)])
+
+    def predict(
+        motion: Any, disturbance: Any, covariance: Any, speed: Any, lead: Any, ahead: Any
+    ) -> Any:
+        free = jnp.asarray(estimate.to_vector()[chosen])
+
+        def advance(carry: Any, held: Any) -> Any:
+            state, slope, covariance = carry
+            by_free, by_state = jax.jacfwd(move, argnums=(0, 1))(free, state, disturbance, held)
+            state, slope = move(free, state, disturbance, held), by_state @ slope + by_free
+            h = held[1].sum()
+            push = jnp.concatenate([h * h / 2 * jnp.eye(3), h * jnp.eye(3)])
+            change = jnp.block([[by_state[:6, :6], push], [jnp.zeros((3, 6)), jnp.eye(3)]])
+            added = spread(jnp, jnp.zeros((3, 3, 3)), h, *densities)
+            covariance = change @ covariance @ change.T + _joined(jnp, added)
+            return (state, slope, covariance), (state[:3], jnp.diag(covariance)[:3], slope[:3])
+
+        state = jnp.concatenate([motion, follow(free, speed, lead)])
+        by_free = jax.jacfwd(follow)(free, speed, lead)
+        slope = jnp.concatenate([jnp.zeros((6, count)), by_free])
+        begin = state, slope, _joined(jnp, covariance)
+        return scan(jnp, advance, begin, ahead)[1]
+
+    return predict
+
+
+def _joined(xp: Any, covariance: Any) -> Any:
+    """Join the axes' covariances of (p, v, d) to one of all p, all v, all d, shape (9, 9)."""
+    return xp.einsum("aij,ab->iajb", covariance, xp.eye(3)).reshape(9, 9)

@@ -1,8 +1,8 @@
 """Residual tests on one-step innovations (Ljung 1999, ch. 16.6).
 
 Two questions. Are the innovations white, or do past ones say something about the next? Do the
-motor commands still explain them, so that the model has not used all that they tell? Both are asked
-in the frame of the body, where a motor pushes one way whatever the yaw.
+motor commands still explain them, so that the model has not used all of their information? Both
+tests are made in the frame of the body, where a motor pushes one way whatever the yaw.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from airpuck.evaluation.cross_correlation import (
     cross_correlations,
     suspicions,
 )
+from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.innovations import Innovations, innovations
-from airpuck.evaluation.prediction import delay_for
-from airpuck.evaluation.whiteness import Whiteness, ljung_box, p_text
+from airpuck.evaluation.statistical_tests import Whiteness, ljung_box, p_text
 from airpuck.model.model_file import Model
 
 #: Channels of the innovations in the frame of the body.
@@ -100,32 +100,25 @@ class ResidualTests:
                 "disturbance_density": list(noise.disturbance),
             },
             "whiteness": [
-                {
-                    "channel": test.channel,
-                    "passed": test.passed,
-                    "statistic": test.statistic,
-                    "degrees_of_freedom": test.degrees,
-                    "p_value": test.p_value,
-                    "band": test.band,
-                    "autocorrelation": test.autocorrelation.tolist(),
-                }
+                {**_figures(test), "autocorrelation": test.autocorrelation.tolist()}
                 for test in self.whiteness
             ],
             "cross_correlation": [
                 {
-                    "channel": test.channel,
+                    **_figures(test),
                     "motor": test.motor,
-                    "passed": test.passed,
-                    "statistic": test.statistic,
-                    "degrees_of_freedom": test.degrees,
-                    "p_value": test.p_value,
-                    "band": test.band,
                     "early": test.early,
                     "correlation": test.correlation.tolist(),
                 }
                 for test in self.correlations
             ],
         }
+
+
+def _figures(test: Whiteness | CrossCorrelation) -> dict[str, Any]:
+    """Return what all tests have."""
+    names = ("channel", "passed", "statistic", "p_value", "band")
+    return {name: getattr(test, name) for name in names} | {"degrees_of_freedom": test.degrees}
 
 
 def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> ResidualTests:
@@ -165,25 +158,18 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     )
     acts = trajectory.command_time + delay_for(model, trajectory)
     held = hold(acts, trajectory.command, trajectory.time)
-    effects = _effects(model)
+    motors, effects = trajectory.propellers, _effects(model)
+    correlations = [
+        test
+        for k, name in enumerate(BODY_CHANNELS)
+        for test in cross_correlations(name, body[:, k], found.used, held, motors, effects[k], lags)
+    ]
     return ResidualTests(
         model=model.name,
         samples=int(found.used.sum()),
         sample_period=trajectory.sample_period,
         whiteness=whiteness,
-        correlations=tuple(
-            test
-            for k, name in enumerate(BODY_CHANNELS)
-            for test in cross_correlations(
-                name,
-                body[:, k],
-                found.used,
-                held,
-                trajectory.propellers,
-                effects[k],
-                lags,
-            )
-        ),
+        correlations=tuple(correlations),
         innovations=found,
     )
 

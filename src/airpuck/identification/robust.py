@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.evaluation.prediction import prediction_errors
+from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.identification.method import Iteration, Method, Outcome, minimize_on
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters

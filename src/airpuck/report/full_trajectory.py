@@ -12,7 +12,7 @@ from jaxtyping import Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.evaluation.prediction import hold_for
+from airpuck.evaluation.evaluate import hold_for
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import PredictionLoss

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.goodness import Goodness
+from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.evaluation.residuals import ResidualTests
 from airpuck.model.model_file import Model
@@ -21,7 +21,7 @@ def residual_report(
     model: Model,
     trajectory: Trajectory,
     tests: ResidualTests,
-    fit: Goodness,
+    fit: FitMeasures,
     out: str | os.PathLike[str],
     bands: Sequence[PredictionBands] = (),
 ) -> Path:
@@ -98,7 +98,7 @@ def _bands_section(bands: Sequence[PredictionBands]) -> Section:
     )
 
 
-def _fit_table(fit: Goodness) -> Table:
+def _fit_table(fit: FitMeasures) -> Table:
     """Tabulate fit percentages and criteria."""
     rows = [
         [label, *(f"{value:.2f}" for value in values)]

@@ -11,8 +11,7 @@ import numpy as np
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.evaluation.evaluate import Evaluation
-from airpuck.evaluation.prediction import hold_for, prediction_errors
+from airpuck.evaluation.evaluate import Evaluation, hold_for, prediction_errors
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import Model

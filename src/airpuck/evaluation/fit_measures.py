@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import CHANNELS
+from airpuck.evaluation.evaluate import by_channel
 from airpuck.evaluation.innovations import Innovations, free_run, innovations
 from airpuck.model.model_file import Model
 
-#: Length of the simulations that start anew [s]; poses before each, to know the speed from [s].
-RESTART, SETTLE = 2.0, 0.25
+#: Length of the simulations that start anew [s].
+RESTART = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Goodness:
+class FitMeasures:
     """Fit of one model to one trajectory."""
 
     #: k of the k-step prediction [samples].
@@ -54,15 +54,11 @@ class Goodness:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures."""
-
-        def named(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
-            return dict(zip(CHANNELS, values.tolist(), strict=True))
-
         return {
             "fit_percent": {
-                "k_step": named(self.k_step),
-                "free_run": named(self.free_run),
-                "whole": named(self.whole),
+                "k_step": by_channel(self.k_step),
+                "free_run": by_channel(self.free_run),
+                "whole": by_channel(self.whole),
             },
             "k": self.steps,
             "restart_s": self.restart,
@@ -82,14 +78,14 @@ def fit_percent(
     return 100 * (1 - np.linalg.norm(measured - predicted, axis=0) / around)
 
 
-def goodness(
+def measure_fit(
     model: Model,
     trajectory: Trajectory,
     *,
     known: Innovations | None = None,
     horizon: float = 0.2,
     restart: float = RESTART,
-) -> Goodness:
+) -> FitMeasures:
     """Measure how well a model fits a trajectory.
 
     Parameters
@@ -107,7 +103,7 @@ def goodness(
 
     Returns
     -------
-    Goodness
+    FitMeasures
         Fit percentages and information criteria.
 
     Raises
@@ -116,26 +112,29 @@ def goodness(
         If the trajectory is of another craft, or too short.
     """
     known = known or innovations(model, trajectory)
-    steps = max(1, round(horizon / trajectory.sample_period))
+    measured, period, samples = trajectory.state[:, :3], trajectory.sample_period, len(trajectory)
+    steps = max(1, round(horizon / period))
 
-    def simulate(length: int | None) -> Float[np.ndarray, " 3"]:
-        starts = simulation_starts(known, trajectory.sample_period, length)
+    def simulate(apart: int) -> Float[np.ndarray, " 3"]:
+        starts = known.starts(0, apart)
+        if not len(starts):
+            starts = np.flatnonzero(known.used)[-1:]
         simulated = free_run(model, trajectory, known, starts)
-        judged = known.used & (np.arange(len(trajectory)) > starts[0])
-        return fit_percent(simulated[judged], trajectory.state[judged, :3])
+        judged = known.used & (np.arange(samples) > starts[0])
+        return fit_percent(simulated[judged], measured[judged])
 
     def predict_ahead() -> Float[np.ndarray, " 3"]:
-        first = int(simulation_starts(known, trajectory.sample_period, None)[0])
-        starts = np.arange(first, len(trajectory) - steps, steps + 1)
+        first = [*known.starts(0, samples), np.flatnonzero(known.used)[-1]][0]
+        starts = np.arange(first, samples - steps, steps + 1)
         starts = starts[known.used[starts] & known.used[starts + steps]]
-        predicted, ends = free_run(model, trajectory, known, starts), starts + steps
-        return fit_percent(predicted[ends], trajectory.state[ends, :3])
+        ends = starts + steps
+        return fit_percent(free_run(model, trajectory, known, starts)[ends], measured[ends])
 
-    return Goodness(
+    return FitMeasures(
         steps=steps,
         k_step=predict_ahead(),
-        free_run=simulate(max(2, round(restart / trajectory.sample_period))),
-        whole=simulate(None),
+        free_run=simulate(max(2, round(restart / period))),
+        whole=simulate(samples),
         restart=restart,
         log_likelihood=known.log_likelihood,
         samples=int(known.used.sum()),
@@ -147,20 +146,3 @@ def fitted_parameters(model: Model) -> int:
     """Count the parameters that were learned."""
     undetermined = 0 if model.uncertainty is None else len(model.uncertainty.undetermined)
     return int(model.free.sum()) - undetermined
-
-
-def simulation_starts(
-    known: Innovations, period: float, length: int | None
-) -> Int[np.ndarray, " M"]:
-    """Choose where simulations start."""
-    settle = max(2, round(SETTLE / period))
-    quiet = np.convolve(known.used, np.ones(settle))[: len(known.used)] >= settle
-    able = np.flatnonzero(quiet)
-    if not len(able):
-        able = np.flatnonzero(known.used)[-1:]
-    if length is None:
-        return able[:1]
-    starts = [int(able[0])]
-    while (later := able[able >= starts[-1] + length]).size:
-        starts.append(int(later[0]))
-    return np.array(starts)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from airpuck.estimate.axis_filter import Noise
-from airpuck.evaluation.goodness import fit_percent, fitted_parameters, goodness
+from airpuck.evaluation.fit_measures import fit_percent, fitted_parameters, measure_fit
 from airpuck.evaluation.innovations import innovations
 
 from ..noisy import POSE_NOISE, TRUTH, noisy
@@ -26,7 +26,7 @@ def test_the_likelihood_is_that_of_normal_innovations():
     found = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 1.0), (0.0, 0.0, 0.0)))
     e, s = found.values[found.used], found.deviation[found.used]
     assert found.log_likelihood == pytest.approx(stats.norm.logpdf(e, 0, s).sum())
-    fit = goodness(TRUTH, flight, known=found)
+    fit = measure_fit(TRUTH, flight, known=found)
     d = fitted_parameters(TRUTH)
     assert fit.parameters == d == 23
     assert fit.aic == pytest.approx(2 * d - 2 * found.log_likelihood)
@@ -36,7 +36,7 @@ def test_the_likelihood_is_that_of_normal_innovations():
 def test_the_truth_fits_better_than_a_wrong_model():
     flight = noisy(duration=6.0, seed=4)
     wrong = replace(TRUTH.parameters, inertia=1.1 * TRUTH.parameters.inertia)
-    true, off = (goodness(m, flight) for m in (TRUTH, replace(TRUTH, parameters=wrong)))
+    true, off = (measure_fit(m, flight) for m in (TRUTH, replace(TRUTH, parameters=wrong)))
     for kind in ("k_step", "free_run", "whole"):
         assert getattr(true, kind)[2] > max(getattr(off, kind)[2], 90)
     assert true.aic < off.aic - 50

@@ -1,4 +1,4 @@
-"""Are innovations white? Autocorrelation, and the test of Ljung and Box (1978)."""
+"""Whiteness by the test of Ljung and Box (1978), and several tests at once by Holm (1979)."""
 
 from __future__ import annotations
 
@@ -81,3 +81,16 @@ def with_pauses(
 def p_text(p_value: float) -> str:
     """Write a p-value."""
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
+
+
+def holm(p_values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Adjust p-values so that the chance of any false alarm among them stays below the level.
+
+    The step-down procedure of Holm (1979): the smallest counts K times, the next K - 1 times, ….
+    It needs no independence.
+    """
+    order = np.argsort(p_values, kind="stable")
+    stepped = p_values[order] * np.arange(len(p_values), 0, -1)
+    adjusted = np.empty(len(p_values))
+    adjusted[order] = np.minimum(np.maximum.accumulate(stepped), 1.0)
+    return adjusted
