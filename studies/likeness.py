@@ -9,16 +9,31 @@ with those of `faults.toml`; prints errors after 0.2 s, the mean over the valida
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
 from recovery import truth
 
 from airpuck import compare, identify, load_trajectory, preprocess
 from airpuck.data.trajectory import Trajectory
 from airpuck.recording.dataset import dataset_folder
-from airpuck.report.likeness import likeness_figure
-from airpuck.report.style import png
+from airpuck.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PAGE_WIDTH,
+    PURPLE,
+    VERMILLION,
+    key,
+    new_figure,
+    png,
+    styled,
+    top_legend,
+)
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 
@@ -26,6 +41,7 @@ MODELS = ("M0", "M1", "M2", "M3", "M4")
 #: Lengths of the paper's experiments [s], and the seeds flown on the twin.
 TRAINING, VALIDATION = 84.0, 98.0
 TRAINING_SEED, VALIDATION_SEEDS = 1, (2, 3, 4, 5)
+COLORS = (GREY, BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 
 
 def table_2(settings: TwinSettings) -> Trajectory:
@@ -54,6 +70,39 @@ def table_2(settings: TwinSettings) -> Trajectory:
             flush=True,
         )
     return training
+
+
+def motion(trajectory: Trajectory) -> dict[str, Float[np.ndarray, " M"]]:
+    """Compute what is compared: magnitudes over all usable samples."""
+    state = trajectory.state[trajectory.usable]
+    acceleration = trajectory.acceleration[trajectory.usable]
+    return {
+        "speed [m/s]": np.hypot(state[:, 3], state[:, 4]),
+        "spin |ω| [rad/s]": np.abs(state[:, 5]),
+        "acceleration [m/s²]": np.hypot(acceleration[:, 0], acceleration[:, 1]),
+        "angular acceleration [rad/s²]": np.abs(acceleration[:, 2]),
+    }
+
+
+@styled
+def likeness_figure(flights: Mapping[str, Trajectory]) -> Figure:
+    """Draw the share of time above each speed and acceleration, for several flights."""
+    figure = new_figure(PAGE_WIDTH, 5.0)
+    panels = figure.subplots(2, 2, sharey=True)
+    handles = []
+    for number, (name, trajectory) in enumerate(flights.items()):
+        color, dashes = COLORS[number % len(COLORS)], "-" if number < 3 else "--"
+        handles.append(key(name, color, linestyle=dashes))
+        for axes, (label, values) in zip(panels.ravel(), motion(trajectory).items(), strict=True):
+            ordered = np.sort(values)
+            above = 1 - (np.arange(len(ordered)) + 0.5) / len(ordered)
+            axes.semilogy(ordered, above, color=color, linestyle=dashes)
+            axes.set(xlabel=label, ylim=(1e-3, 1.0))
+            axes.set_xlim(left=0)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("share of time above")
+    top_legend(figure, handles)
+    return figure
 
 
 def main() -> None:

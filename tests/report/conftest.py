@@ -12,10 +12,10 @@ from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import compare
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
-from airpuck.model.model_file import Model, published_model
+from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
+from airpuck.report.fit_study import FitStudy
 from airpuck.report.reproduce import Reproduction, reproduce
-from airpuck.report.study import Study
 
 from ..synthetic import fly
 
@@ -60,13 +60,13 @@ def fit_of(model: Model) -> Fit:
 
 
 @pytest.fixture(scope="session", params=["six", "four"])
-def study(request) -> Study:
+def study(request) -> FitStudy:
     vehicle = VEHICLES[request.param]()
     truth = model_of(vehicle, "M3")
     training, validation = fly(truth, 8.0, seed=1), fly(truth, 8.0, seed=2)
     models = [model_of(vehicle, name, 1.02 + 0.01 * k) for k, name in enumerate(RUNGS)]
     reference = {name: model_of(vehicle, name, 0.99) for name in RUNGS}
-    return Study(
+    return FitStudy(
         training=training,
         fits=tuple(map(fit_of, models)),
         fitted=tuple(compare(models, validation)),
@@ -80,11 +80,6 @@ def study(request) -> Study:
 def reproduction(data, tmp_path_factory) -> Reproduction:
     """The paper's study on the real recordings."""
     return reproduce(data, tmp_path_factory.mktemp("reproduction"))
-
-
-@pytest.fixture(scope="session")
-def published_m4() -> Model:
-    return published_model("M4")
 
 
 def random_scales(n: int) -> np.ndarray:

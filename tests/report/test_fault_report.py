@@ -9,8 +9,12 @@ from matplotlib.collections import PolyCollection
 from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model
-from airpuck.report.fault_report import confidence, fault_report
-from airpuck.report.fault_timeline import fault_color, fault_timeline_figure
+from airpuck.report.fault_report import (
+    confidence,
+    fault_color,
+    fault_report,
+    fault_timeline_figure,
+)
 
 from ..synthetic import fly
 

@@ -14,49 +14,20 @@ from PIL import Image
 
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.physics.thrust import thrust
-from airpuck.report.architecture_diagram import learning_architecture_figure
 from airpuck.report.craft import craft_figure, frames_figure
-from airpuck.report.error_distribution import error_distribution_figure
-from airpuck.report.error_timeline import error_timeline_figure
-from airpuck.report.full_trajectory import FullTrajectory, Landscape
-from airpuck.report.horizon import horizon_figure
-from airpuck.report.loss_history import loss_history_figure
-from airpuck.report.parameter_comparison import parameter_figure
-from airpuck.report.side_claim_figures import (
-    degrees_figure,
-    landscape_figure,
-    largest_thrust_figure,
-    slopes_figure,
+from airpuck.report.error_figures import (
+    error_distribution_figure,
+    error_timeline_figure,
+    horizon_figure,
 )
-from airpuck.report.side_claims import compare_largest_thrusts
+from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
 from airpuck.report.style import RESOLUTION, png, propeller_colors, propeller_groups
-from airpuck.report.thrust_curves import thrust_figure
-from airpuck.report.trial import Trial
 
 from .conftest import fit_of, model_of
-
-
-def trials(study) -> tuple[Trial, ...]:
-    return tuple(Trial(fit.model.name, fit, np.array([0.01, 0.01, 0.3])) for fit in study.fits)
-
-
-def full_trajectory(study) -> FullTrajectory:
-    factor = np.linspace(0.9, 1.1, 21)
-    bowl = Landscape(0.2, 100, factor, 1e-4 * (1 + (factor - 1) ** 2))
-    rugged = Landscape(80.0, 1, factor, 1e3 * (2 + np.sin(200 * factor)))
-    first = trials(study)[0]
-    return FullTrajectory((bowl, rugged), first, first, first)
-
-
-def largest_thrusts(study):
-    models = {model.name: model for model in study.models}
-    return compare_largest_thrusts({"fitted": models["M3"]}, {"fitted": models["M4"]})
-
 
 FIGURES = {
     "craft": lambda s: craft_figure(s.models[0].vehicle),
     "frames": lambda s: frames_figure(s.models[0].vehicle),
-    "architecture": lambda s: learning_architecture_figure(),
     "horizon": lambda s: horizon_figure(s.fitted, s.reference_evaluations),
     "horizon alone": lambda s: horizon_figure(s.fitted),
     "timeline": lambda s: error_timeline_figure(s.fitted[3], s.faults),
@@ -67,10 +38,6 @@ FIGURES = {
     "loss": lambda s: loss_history_figure(s.fits, s.reference_losses),
     "loss alone": lambda s: loss_history_figure(s.fits[:1]),
     "parameters": lambda s: parameter_figure(s.models, s.reference),
-    "degrees": lambda s: degrees_figure(trials(s)),
-    "slopes": lambda s: slopes_figure(trials(s)),
-    "landscape": lambda s: landscape_figure(full_trajectory(s)),
-    "largest thrust": lambda s: largest_thrust_figure(largest_thrusts(s)),
 }
 UNIT = re.compile(r"\[.+\]$")
 
@@ -103,7 +70,7 @@ def test_figures_are_drawn_with_units_on_all_axes(study, name):
     assert 300 <= height <= 900
     assert len(drawn) < 250_000
     np.testing.assert_allclose((width, height), RESOLUTION * figure.get_size_inches(), atol=1)
-    if name not in ("frames", "architecture"):
+    if name != "frames":
         assert any(axes.axison for axes in figure.axes)
         assert not unlabelled(figure)
 
@@ -167,10 +134,3 @@ def test_held_out_losses_are_drawn(study):
     plain = loss_history_figure([fit]).axes[0]
     both = loss_history_figure([replace(fit_of(fit.model), history=history)]).axes[0]
     assert len(both.lines) == len(plain.lines) + 1
-
-
-def test_landscape_counts_minima():
-    factor = np.linspace(0.9, 1.1, 201)
-    assert len(Landscape(1, 1, factor, (factor - 1) ** 2).minima) == 1
-    assert len(Landscape(1, 1, factor, factor).minima) == 0
-    assert len(Landscape(1, 1, factor, np.cos(100 * factor)).minima) == 3

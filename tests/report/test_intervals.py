@@ -8,8 +8,8 @@ from matplotlib.collections import PolyCollection
 
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
+from airpuck.report.fit_figures import thrust_figure
 from airpuck.report.parameter_table import main_rows
-from airpuck.report.thrust_curves import thrust_figure
 
 PLAIN = published_model("M3")
 

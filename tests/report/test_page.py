@@ -1,5 +1,6 @@
 """The page: one file, nothing from outside, whole or not there at all."""
 
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -58,7 +59,8 @@ def check_self_contained(text: str) -> Page:
     """Parse a page and check that it needs nothing else."""
     page = Page(text)
     assert page.images
-    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
+    embedded = re.compile(r"data:image/(png|svg\+xml);base64,")
+    assert all(embedded.match(image["src"]) for image in page.images)
     assert all(image["alt"] for image in page.images)
     for link in page.links:
         assert link.startswith(("#", "data:")), link
@@ -81,6 +83,7 @@ def sections():
                 Text(["<b>not bold</b>"], bullets=True),
                 Table("a table", ["name", "value"], [["x", "1"]], [("", 1), ("group", 1)]),
                 Picture("picture", figure, 'a "caption" <here>'),
+                Picture("drawing", '<svg xmlns="http://www.w3.org/2000/svg"/>', "drawn by hand"),
             ),
         )
     ]
@@ -93,7 +96,9 @@ def test_page_is_self_contained_and_escaped(tmp_path):
     assert "<b>" in page.text
     assert "<b>not" not in text
     assert "First & last" in page.text
-    assert (tmp_path / "out" / "figures" / "picture.png").read_bytes()[:4] == b"\x89PNG"
+    figures = tmp_path / "out" / "figures"
+    assert (figures / "picture.png").read_bytes()[:4] == b"\x89PNG"
+    assert (figures / "drawing.svg").read_text().startswith("<svg")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figures", "index.html"]
 
 

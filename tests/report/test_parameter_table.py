@@ -1,14 +1,14 @@
 """Table 1, and tables of parameters."""
 
 from airpuck.model.model_file import published_model
-from airpuck.report.parameter_table import coefficient_rows, effect_rows, ladder_rows, main_rows
+from airpuck.report.parameter_table import coefficient_rows, effect_rows, ladder_table, main_rows
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 
 
 def test_table_1_is_the_papers():
-    headings, rows = ladder_rows(RUNGS, [published_model(name) for name in RUNGS])
-    texts = {row.label: [cell.text for cell in row.cells] for row in rows}
+    table = ladder_table([published_model(name) for name in RUNGS])
+    texts = {name: texts for name, _, *texts in table.rows}
     disc, direct = "0.000337", "from the others"
     assert texts == {
         "M0": ["free", disc, "0", "0", "0, 0", direct],
@@ -17,7 +17,9 @@ def test_table_1_is_the_papers():
         "M3": ["free", "free", "free", "free", "free", direct],
         "M4": ["free", "–", "free", "–", "–", "free"],
     }
-    assert all(len(row.cells) == len(headings) for row in rows)
+    assert all(len(row) == len(table.headings) for row in table.rows)
+    texts = {(i, j): text for i, row in enumerate(table.rows) for j, text in enumerate(row)}
+    assert table.marked == {place for place, text in texts.items() if text == "free"}
 
 
 def test_parameters_carry_units_and_say_what_was_learned():

@@ -9,7 +9,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.report.error_timeline import touched_by
+from airpuck.report.error_figures import touched_by
 from airpuck.report.paper_sections import PRINTED
 from airpuck.report.reproduce import FAULTS, TRAINING, VALIDATION, reproduce
 
@@ -88,7 +88,6 @@ def test_page_shows_everything(reproduction, data):
         *("summary", "craft", "learning", "prediction", "time", "thrust", "optimiser"),
         *("parameters", "conventions", "sources"),
     } <= page.ids
-    assert "side-claims" not in page.ids
     names = {path.stem for path in (reproduction.page.parent / "figures").iterdir()}
     assert {f"figure-{name}" for name in names} == {i for i in page.ids if i.startswith("figure-")}
     assert len(names) == 9

@@ -1,20 +1,21 @@
-"""The paper's side claims on the real recordings."""
+"""The paper's side claims on the real recordings, as `studies/side_claims.py` tests them."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from airpuck.model.model_file import published_model
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.report.full_trajectory import sample_landscapes
-from airpuck.report.reproduce import TRAINING, VALIDATION, reproduce
-from airpuck.report.side_claims import (
-    compare_largest_thrusts,
-    drop_monotonicity,
-    falling_share,
-    try_degrees,
-)
+from airpuck.report.reproduce import TRAINING, VALIDATION
 
 from .test_page import check_self_contained
+
+sys.path.append(str(Path(__file__).parents[2] / "studies"))
+claims = importlib.import_module("side_claims")
 
 
 @pytest.fixture(scope="module")
@@ -24,33 +25,37 @@ def recordings(experiments):
 
 def test_falling_share():
     coefficients = np.array([[1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
-    np.testing.assert_allclose(falling_share(coefficients), [0, 0.5, 1], atol=2e-3)
+    np.testing.assert_allclose(claims.falling_share(coefficients), [0, 0.5, 1], atol=2e-3)
+
+
+def test_a_landscape_counts_its_minima():
+    factor = np.linspace(0.9, 1.1, 201)
+    for loss, count in (((factor - 1) ** 2, 1), (factor, 0), (np.cos(100 * factor), 3)):
+        assert len(claims.Landscape(1, 1, factor, loss).minima) == count
 
 
 def test_published_m4_thrusts_are_larger_only_by_their_scale():
-    result = compare_largest_thrusts(
-        {"published": published_model("M3")}, {"published": published_model("M4")}
-    )
-    first, direct = result.first_principles["published"], result.direct["published"]
-    assert (direct / first > 1.25).all()
-    assert (np.abs(result.direct_scaled["published"] / first - 1) < 0.06).all()
-    assert result.to_json()["published"]["M3_N"] == first.tolist()
+    thrusts = claims.largest_thrusts(published_model("M3"), published_model("M4"))
+    first = thrusts["M3_N"]
+    assert (thrusts["M4_as_learned_N"] / first > 1.25).all()
+    assert (np.abs(thrusts["M4_scaled_N"] / first - 1) < 0.06).all()
 
 
 @pytest.mark.data
 def test_without_the_condition_some_thrust_curves_fall(recordings):
-    (trial,) = drop_monotonicity(*recordings, cases=(("M3", 3),))
+    (trial,) = claims.drop_monotonicity(*recordings, cases=(("M3", 3),))
     falling = np.array(trial.to_json()["lowest_slope_N"]) < 0
     assert 1 <= falling.sum() <= 3
-    (constrained,) = try_degrees(*recordings, degrees=(3,))
+    (constrained,) = claims.try_degrees(*recordings, degrees=(3,))
     assert (np.array(constrained.to_json()["lowest_slope_N"]) >= 0).all()
     assert trial.fit.loss < constrained.fit.loss
 
 
 @pytest.mark.data
 def test_long_predictions_have_more_local_minima(recordings):
-    model = published_model("M3")
-    short, long = sample_landscapes(recordings[0], model, horizons=(50, 5000), span=0.1, points=21)
+    short, long = claims.sample_landscapes(
+        recordings[0], published_model("M3"), horizons=(50, 5000), span=0.1, points=21
+    )
     assert len(short.minima) == 1
     assert len(long.minima) > 1 or long.loss.max() > 1.5 * long.loss.min()
     assert short.windows > 100 * long.windows / 2
@@ -59,21 +64,19 @@ def test_long_predictions_have_more_local_minima(recordings):
 
 @pytest.mark.data
 @pytest.mark.study
-def test_all_side_claims(data, tmp_path):
-    result = reproduce(data, tmp_path, side_claims=True)
-    claims = result.side_claims
-    assert claims is not None
-    page = check_self_contained(result.page.read_text(encoding="utf-8"))
+def test_all_side_claims(data, tmp_path, monkeypatch):
+    monkeypatch.setenv("AIRPUCK_DATA", str(data))
+    numbers = claims.side_claims(tmp_path)
+    assert json.loads((tmp_path / "side_claims.json").read_text()) == numbers
+    page = check_self_contained((tmp_path / "index.html").read_text(encoding="utf-8"))
     assert "side-claims" in page.ids
 
-    losses = [trial.fit.loss for trial in claims.degrees]
+    losses = [trial["loss"] for trial in numbers["degrees"]]
     assert losses == sorted(losses, reverse=True)
-    score = [np.log(trial.rmse).sum() for trial in claims.degrees]
+    score = [np.log(list(trial["rmse"].values())).sum() for trial in numbers["degrees"]]
     assert int(np.argmin(score)) + 1 == 3
 
-    falls = {
-        trial.label: min(trial.to_json()["lowest_slope_N"]) < 0 for trial in claims.unconstrained
-    }
+    falls = {trial["label"]: min(trial["lowest_slope_N"]) < 0 for trial in numbers["unconstrained"]}
     assert falls == {
         "M0, degree 3": False,
         "M1, degree 3": False,
@@ -83,17 +86,17 @@ def test_all_side_claims(data, tmp_path):
         "M3, degree 5": True,
     }
 
-    full = claims.full_trajectory
-    assert len(full.landscapes[0].minima) == 1
-    assert len(full.landscapes[-1].minima) > 20
-    assert full.nominal.fit.loss > 3 * full.refined.fit.loss
-    for trial in (full.nominal, full.refined):
-        assert (trial.rmse[:2] > 1.1 * full.batched.rmse[:2]).all()
+    full = numbers["full_trajectory"]
+    assert full["landscapes"][0]["local_minima"] == 1
+    assert full["landscapes"][-1]["local_minima"] > 20
+    assert full["full_from_nominal"]["loss"] > 3 * full["full_from_batched"]["loss"]
+    for name in ("full_from_nominal", "full_from_batched"):
+        for channel in ("x_m", "y_m"):
+            assert full[name]["rmse"][channel] > 1.1 * full["batched"]["rmse"][channel]
 
-    thrusts = claims.largest_thrusts
     for kind in ("published", "fitted"):
-        first = thrusts.first_principles[kind]
+        thrusts = {name: np.array(v) for name, v in numbers["largest_thrusts"][kind].items()}
         # Published thrusts have any scale; that of our own fits is Newton's.
-        ratio = np.mean(thrusts.direct[kind] / first)
+        ratio = np.mean(thrusts["M4_as_learned_N"] / thrusts["M3_N"])
         assert ratio > 1.2 if kind == "published" else abs(ratio - 1) < 0.06
-        assert np.abs(thrusts.direct_scaled[kind] / first - 1).max() < 0.06
+        assert np.abs(thrusts["M4_scaled_N"] / thrusts["M3_N"] - 1).max() < 0.06

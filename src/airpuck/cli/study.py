@@ -39,9 +39,6 @@ def reproduce(
         Path | None, typer.Option(metavar="DIR", help="Folder of the public dataset.")
     ] = None,
     output: Out = Path("out"),
-    side_claims: Annotated[
-        bool, typer.Option("--side-claims", help="Re-test the paper's side claims too (minutes).")
-    ] = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -49,7 +46,7 @@ def reproduce(
     from airpuck.report.reproduce import reproduce
 
     check_destinations(output=output, json=json_file)
-    result = reproduce(data, output, side_claims=side_claims, progress=say(quiet))
+    result = reproduce(data, output, progress=say(quiet))
     write_json(json_file, result.to_json())
     if not is_stdout(json_file):
         print(output / "index.html")

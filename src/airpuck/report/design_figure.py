@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from airpuck.boundary.files import replacing
 from airpuck.experiment_design.design import Design
@@ -15,6 +14,7 @@ from airpuck.experiment_design.trials import CheckedFlights
 from airpuck.report.style import (
     BLUE,
     GREY,
+    LIGHT,
     PAGE_WIDTH,
     VERMILLION,
     new_figure,
@@ -34,34 +34,29 @@ def write_design_figure(
 
 @styled
 def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figure:
-    """Draw the relative standard errors of every quantity: now, usual, proposed, obtained."""
+    """Draw the relative standard errors of every quantity: now, usual, proposed, checked."""
     figure = new_figure(PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
     rows = -np.arange(len(found.quantities.labels), dtype=float)
-    alone = checked is not None
+    # Flights that were flown alone are compared with predictions of what they give alone.
     usual, proposal = (
-        one.relative_alone if alone else one.relative for one in (found.usual, found.proposal)
+        100 * (one.relative if checked is None else one.relative_alone)
+        for one in (found.usual, found.proposal)
     )
-    axes.hlines(rows, 100 * usual, 100 * proposal, color="#d9d9d9", lw=2.5)
-    handles: list[Line2D] = []
-
-    def dots(
-        errors: Float[np.ndarray, " K"], marker: str, color: str, filled: bool, label: str
-    ) -> None:
-        shown = 100 * np.where(np.isfinite(errors), errors, np.nan)
-        inside = color if filled else "white"
-        (line,) = axes.plot(shown, rows, ls="", marker=marker, color=color, mfc=inside, ms=5.5)
-        line.set_label(label)
-        handles.append(line)
-
-    if not alone and np.isfinite(found.relative_before).any():
-        dots(found.relative_before, "s", GREY, True, "now")
-    dots(usual, "o", GREY, False, "usual excitation, predicted")
-    dots(proposal, "o", BLUE, True, "proposal, predicted")
-    if checked is not None:
-        marks = axes.plot(
-            100 * checked.errors.T, rows, ls="", marker="|", color=VERMILLION, ms=9, mew=1.3
+    axes.hlines(rows, usual, proposal, color=LIGHT, lw=2.5)
+    dots: dict[str, Any] = {"ls": "", "ms": 5.5}
+    handles = []
+    if checked is None and np.isfinite(found.relative_before).any():
+        handles += axes.plot(
+            100 * found.relative_before, rows, marker="s", color=GREY, label="now", **dots
         )
+    dots["marker"] = "o"
+    label = "usual excitation, predicted"
+    handles += axes.plot(usual, rows, color=GREY, mfc="white", label=label, **dots)
+    handles += axes.plot(proposal, rows, color=BLUE, label="proposal, predicted", **dots)
+    if checked is not None:
+        flown = 100 * checked.errors.T
+        marks = axes.plot(flown, rows, ls="", marker="|", color=VERMILLION, ms=9, mew=1.3)
         marks[0].set_label(f"proposal, obtained in {len(checked.errors)} flights")
         handles.append(marks[0])
     axes.set_xscale("log")

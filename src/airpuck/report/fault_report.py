@@ -1,4 +1,4 @@
-"""What was wrong in a recording, when, and how sure that is: a page, and a part of others."""
+"""What was wrong in a recording, when, and how sure that is: a page, and a section of others."""
 
 from __future__ import annotations
 
@@ -7,13 +7,34 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from airpuck.data.trajectory import Span, Trajectory
-from airpuck.evaluation.evaluate import evaluate
+from airpuck.evaluation.evaluate import Evaluation, evaluate
+from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
+from airpuck.faults.find import CONTACT, NOT_ARMED
 from airpuck.model.model_file import Model
-from airpuck.report.error_timeline import touched_by
-from airpuck.report.fault_timeline import fault_timeline_figure
+from airpuck.report.error_figures import touched_by
 from airpuck.report.page import Picture, Section, Table, write_page
+from airpuck.report.style import (
+    BLUE,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PAGE_WIDTH,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    draw_window_errors,
+    key,
+    new_figure,
+    styled,
+    top_legend,
+)
+
+_COLORS = {NOT_ARMED: PURPLE, RADIO_OUT: VERMILLION, CONTACT: ORANGE, UNEXPLAINED: SKY}
+#: What is sure fills all of its colour; what is doubtful fills less, down to this.
+_FAINTEST = 0.25
 
 
 def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> Section:
@@ -60,3 +81,52 @@ def fault_report(
     )
     section = fault_section(trajectory, faults, model)
     return write_page(out, "Faults of a recording", lead, [section])
+
+
+def fault_color(cause: str) -> str:
+    """Return the colour of a cause."""
+    return _COLORS.get(cause, BLUE if cause.endswith("stalled") else GREY)
+
+
+@styled
+def fault_timeline_figure(
+    spans: Sequence[Span], evaluation: Evaluation, extent: tuple[float, float]
+) -> Figure:
+    """Draw faults along a recording, one row for each cause, above the error of each window."""
+    causes = list(dict.fromkeys(span.cause for span in sorted(spans, key=lambda s: s.start)))
+    rows = max(len(causes), 1)
+    figure = new_figure(PAGE_WIDTH, 3.6 + 0.24 * rows)
+    panels = figure.subplots(3, 1, sharex=True, height_ratios=[0.24 * rows + 0.1, 1.3, 1.3])
+    top = panels[0]
+    for span in spans:
+        row, color = causes.index(span.cause), fault_color(span.cause)
+        # The edge keeps what is short visible.
+        top.broken_barh(
+            [(span.start, span.stop - span.start)],
+            (row - 0.35, 0.7),
+            facecolor=color,
+            edgecolor=color,
+            linewidth=1.5,
+            alpha=_FAINTEST + (1 - _FAINTEST) * span.confidence,
+        )
+        if span.confidence < 1:
+            place = {"xytext": (3, 0), "textcoords": "offset points", "va": "center"}
+            top.annotate(confidence(span), (span.stop, row), fontsize=6.5, color=GREY, **place)
+        for panel in panels[1:]:
+            panel.axvspan(span.start, span.stop, color=LIGHT, lw=0)
+    top.set_yticks(range(len(causes)), causes)
+    top.set_ylim(rows - 0.4, -0.6)
+    top.grid(visible=False, axis="y")
+    top.set_title("faults, each with the probability of its cause", loc="left")
+    touched = touched_by(evaluation, spans)
+    errors = evaluation.at_horizon
+    sizes = (1e3 * np.hypot(errors[0], errors[1]), np.abs(errors[2]))
+    for panel, size, name in zip(panels[1:], sizes, ("position [mm]", "yaw [rad]"), strict=True):
+        draw_window_errors(panel, evaluation.start, size, touched)
+        panel.set_ylabel(f"error of\n{name}")
+    panels[-1].set_xlim(*extent)
+    panels[-1].margins(x=0.01)
+    panels[-1].set_xlabel("time [s]; of a window: the present, where its prediction starts")
+    meets = key("whose prediction meets a fault", VERMILLION, marker=".")
+    top_legend(figure, [key("windows", BLUE, marker="."), meets])
+    return figure

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from matplotlib.figure import Figure
 
@@ -21,10 +21,10 @@ class Picture:
     """A figure and what to see in it."""
 
     kind: ClassVar[str] = "picture"
-    #: Name of its PNG file, without the suffix.
+    #: Name of its file, without the suffix.
     name: str
-    #: The figure.
-    figure: Figure
+    #: A figure, which becomes a PNG, or the text of an SVG.
+    figure: Figure | str
     #: Plain text.
     caption: str
 
@@ -72,30 +72,40 @@ class Section:
 def write_page(
     out: str | os.PathLike[str], title: str, lead: str, sections: Sequence[Section]
 ) -> Path:
-    """Write a page as ``index.html`` and its figures as PNG files.
+    """Write a page as ``index.html`` and its pictures as files in ``figures``.
 
-    The page holds its figures within itself, so that it can be sent alone. Each file is written to
+    The page holds its pictures within itself, so that it can be sent alone. Each file is written to
     a temporary name and renamed; the page comes last.
     """
-    import jinja2
-
     folder = Path(out)
     images = {}
-    for section in sections:
-        for block in section.blocks:
-            if isinstance(block, Picture):
-                drawn = png(block.figure)
-                images[block.name] = base64.b64encode(drawn).decode("ascii")
-                with replacing(folder / "figures" / f"{block.name}.png") as temporary:
-                    temporary.write_bytes(drawn)
-    source = (resources.files("airpuck") / "packaged" / "report.html.jinja").read_text("utf-8")
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    page = environment.from_string(source).render(
-        title=title, lead=lead, sections=sections, images=images
-    )
+    pictures = (b for section in sections for b in section.blocks if isinstance(b, Picture))
+    for picture in pictures:
+        if isinstance(picture.figure, str):
+            drawn, suffix, media = picture.figure.encode(), "svg", "svg+xml"
+        else:
+            drawn, suffix, media = png(picture.figure), "png", "png"
+        encoded = base64.b64encode(drawn).decode("ascii")
+        images[picture.name] = f"data:image/{media};base64,{encoded}"
+        with replacing(folder / "figures" / f"{picture.name}.{suffix}") as temporary:
+            temporary.write_bytes(drawn)
+    page = render("report.html.jinja", title=title, lead=lead, sections=sections, images=images)
     path = folder / "index.html"
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def packaged_text(name: str) -> str:
+    """Read a text that comes with the package."""
+    return (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
+
+
+def render(template: str, **values: Any) -> str:
+    """Fill in a template that comes with the package; values are escaped."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(packaged_text(template)).render(**values)

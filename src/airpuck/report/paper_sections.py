@@ -1,18 +1,14 @@
-"""The sections that only a report on the paper has: its tables, its conventions, in short."""
+"""The sections that only a report on the paper has: summary, its tables, its conventions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from airpuck.evaluation.evaluate import Evaluation
-from airpuck.report.architecture_diagram import learning_architecture_figure
-from airpuck.report.error_timeline import WORST, share_of_squares
-from airpuck.report.page import Picture, Section, Table, Text
-from airpuck.report.parameter_table import ladder_rows
-from airpuck.report.study import Study, protocol_words
-from airpuck.report.study_sections import errors_as_text
+from airpuck.report.error_figures import WORST, share_of_squares
+from airpuck.report.fit_sections import errors_as_text
+from airpuck.report.fit_study import FitStudy, protocol_words
+from airpuck.report.page import Picture, Section, Table, Text, packaged_text
+from airpuck.report.parameter_table import ladder_table
 
 #: table:prediction_error as printed: x [mm], y [mm], γ [rad].
 PRINTED = {
@@ -47,75 +43,54 @@ _CONVENTIONS = (
 )
 
 
-def summary_section(study: Study, wall_s: float) -> Section:
+def summary_section(study: FitStudy, wall_s: float) -> Section:
     """Say in a few lines what was found."""
     published = {e.model: e for e in study.reference_evaluations}
     agree = sum(
-        ours == printed
+        f"{error:{form}}" == printed
         for name, row in PRINTED.items()
-        for ours, printed in zip(_as_printed(published[name]), row, strict=True)
+        for error, form, printed in zip(
+            published[name].rmse * (1e3, 1e3, 1.0), (".1f", ".1f", ".3f"), row, strict=True
+        )
     )
     ratio = np.array([e.rmse / published[e.model].rmse for e in study.fitted])
     steps = [fit.iterations for fit in study.fits]
     best = study.best
-    medians = " / ".join(errors_as_text(best.median_abs))
-    rmse = " / ".join(errors_as_text(best.rmse))
+    medians, rmse = (" / ".join(errors_as_text(e)) for e in (best.median_abs, best.rmse))
     share = " / ".join(f"{100 * share_of_squares(errors):.0f}" for errors in best.at_horizon)
-    return Section(
-        "summary",
-        "In short",
-        (
-            Text(
-                (
-                    f"The published parameters give {agree} of the {3 * len(PRINTED)} numbers of "
-                    "the paper's Table 2 as printed.",
-                    "Our own fits, from the paper's initial values and its training recording "
-                    f"alone, differ from the published errors by {_percent(ratio.min())} to "
-                    f"{_percent(ratio.max())}, {_percent(ratio.mean())} on average (negative: "
-                    "ours are lower).",
-                    f"Levenberg-Marquardt needed {min(steps)} to {max(steps)} iterations; all "
-                    f"fits and evaluations took {wall_s:.1f} s.",
-                    f"The typical window is predicted much better than the RMSE says: {best.model} "
-                    f"(fitted) has medians of {medians} against RMSE of {rmse} (x mm / y mm / γ "
-                    f"rad), because the worst {100 * WORST:.0f} % of the windows hold {share} % of "
-                    "the squared error. Many of these lie at faults of the recording.",
-                ),
-                bullets=True,
-            ),
-        ),
+    findings = (
+        f"The published parameters give {agree} of the {3 * len(PRINTED)} numbers of the paper's "
+        "Table 2 as printed.",
+        "Our own fits, from the paper's initial values and its training recording alone, differ "
+        f"from the published errors by {_percent(ratio.min())} to {_percent(ratio.max())}, "
+        f"{_percent(ratio.mean())} on average (negative: ours are lower).",
+        f"Levenberg-Marquardt needed {min(steps)} to {max(steps)} iterations; all fits and "
+        f"evaluations took {wall_s:.1f} s.",
+        f"The typical window is predicted much better than the RMSE says: {best.model} (fitted) "
+        f"has medians of {medians} against RMSE of {rmse} (x mm / y mm / γ rad), because the worst "
+        f"{100 * WORST:.0f} % of the windows hold {share} % of the squared error. Many of these "
+        "lie at faults of the recording.",
     )
+    return Section("summary", "In short", (Text(findings, bullets=True),))
 
 
-def learning_section(study: Study) -> Section:
-    """Show Table 1 and how a model is learned."""
-    headings, rows = ladder_rows([model.name for model in study.models], study.models)
-    marked = frozenset(
-        (i, j + 2) for i, row in enumerate(rows) for j, cell in enumerate(row.cells) if cell.free
+def learning_section(study: FitStudy) -> Section:
+    """Show Table 1 and how a model is learned (fig:learning_architecture)."""
+    caption = (
+        "From a recording to parameters. The encoder estimates position, velocity and motor speeds "
+        "at the present t from E samples; the model predicts T steps under the recorded commands; "
+        "the squared errors, over many windows, are the loss, which the optimiser lowers by "
+        "changing θ (green) in encoder and model alike."
     )
-    return Section(
-        "learning",
-        "The models, and how they are learned",
-        (
-            Table(
-                "Table 1 of the paper: free and fixed parameters, from the rungs of the package. "
-                "A dash: not used. Π “from the others”: by first principles.",
-                ["model", "", *headings],
-                [[row.label, row.unit, *(cell.text for cell in row.cells)] for row in rows],
-                marked=marked,
-            ),
-            Picture(
-                "learning_architecture",
-                learning_architecture_figure(),
-                "From a recording to parameters. The encoder estimates position, velocity and "
-                "motor speeds at the present t from E samples; the model predicts T steps under "
-                "the recorded commands; the squared errors, over many windows, are the loss, which "
-                "the optimiser lowers by changing θ (green) in encoder and model alike.",
-            ),
-        ),
+    diagram = packaged_text("learning_architecture.svg")
+    blocks = (
+        ladder_table(study.models),
+        Picture("learning_architecture", diagram, caption),
     )
+    return Section("learning", "The models, and how they are learned", blocks)
 
 
-def table_2(study: Study) -> Table:
+def table_2(study: FitStudy) -> Table:
     """Tabulate the paper's Table 2: published parameters against ours."""
     published = {e.model: e for e in study.reference_evaluations}
     rows = []
@@ -124,58 +99,32 @@ def table_2(study: Study) -> Table:
         rows.append(
             [
                 evaluation.model,
-                *PRINTED.get(evaluation.model, ("", "", "")),
+                *PRINTED[evaluation.model],
                 *errors_as_text(other.rmse),
                 *errors_as_text(evaluation.rmse),
                 *(_percent(ratio) for ratio in evaluation.rmse / other.rmse),
             ]
         )
-    channels = ["x mm", "y mm", "γ rad"]
+    groups = {
+        "": 1,
+        "as printed": 3,
+        "published parameters, here": 3,
+        "fitted here": 3,
+        "fitted against published": 3,
+    }
     return Table(
         "Table 2 of the paper: root mean square prediction error on the validation recording. "
-        + protocol_words(study.fitted[0])
-        + " Published parameters with the published encoder convention, ours with the consistent "
-        "one (see Conventions).",
-        ["model", *channels, *channels, *channels, "x", "y", "γ"],
+        f"{protocol_words(study.fitted[0])} Published parameters with the published encoder "
+        "convention, ours with the consistent one (see Conventions).",
+        ["model", *3 * ["x mm", "y mm", "γ rad"], "x", "y", "γ"],
         rows,
-        [
-            ("", 1),
-            ("as printed", 3),
-            ("published parameters, here", 3),
-            ("fitted here", 3),
-            ("fitted against published", 3),
-        ],
+        list(groups.items()),
     )
 
 
-def table_2_json(study: Study) -> dict[str, dict[str, dict[str, float]]]:
-    """Return Table 2 as plain numbers."""
-
-    def column(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
-        return {
-            name: {
-                "x_mm": float(1e3 * e.rmse[0]),
-                "y_mm": float(1e3 * e.rmse[1]),
-                "yaw_rad": float(e.rmse[2]),
-            }
-            for name, e in evaluations.items()
-        }
-
-    return {
-        "published": column({e.model: e for e in study.reference_evaluations}),
-        "fitted": column({e.model: e for e in study.fitted}),
-    }
-
-
 def conventions_section() -> Section:
-    """Say what every number rests on, and where the paper's text and numbers disagree."""
+    """State what every number rests on, and where the paper's text and numbers disagree."""
     return Section("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),))
-
-
-def _as_printed(evaluation: Evaluation) -> tuple[str, str, str]:
-    """Round errors as the paper's table does."""
-    x, y, yaw = evaluation.rmse
-    return f"{1e3 * x:.1f}", f"{1e3 * y:.1f}", f"{yaw:.3f}"
 
 
 def _percent(ratio: float) -> str:

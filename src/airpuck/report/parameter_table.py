@@ -1,10 +1,9 @@
-"""Fitted and reference parameters as the rows of a table."""
+"""Fitted and reference parameters as tables."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,127 +11,146 @@ from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
 from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
+from airpuck.report.page import Table
 
-#: Quantities in the order of the paper's table:models.
-_COLUMNS = (
-    "thrust",
-    "inertia",
-    "motor_time_constant",
-    "angle_offset",
-    "center_of_mass",
-    "configuration_matrix",
-)
+#: Quantities and their headings, in the order of the paper's table:models.
+_LADDER = {
+    "thrust": "thrust a, b, c [N]",
+    "inertia": "I [kg m²]",
+    "motor_time_constant": "τ [s]",
+    "angle_offset": "α [rad]",
+    "center_of_mass": "r [m]",
+    "configuration_matrix": "Π",
+}
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """One value in a table of parameters."""
 
-    #: The formatted value, with its standard error where there is one; a dash where the model does
-    #: not use the parameter.
-    text: str
+    #: The value, ± its standard error where there is one; a dash where the model does not use it.
+    text: str = "–"
     #: Whether it was learned.
-    free: bool
+    free: bool = False
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One line of a table of parameters."""
 
-    #: What it is.
     label: str
-    #: In which unit.
     unit: str
     #: One for each model.
-    cells: tuple[Cell, ...]
+    cells: list[Cell]
 
 
-def ladder_rows(names: Sequence[str], models: Sequence[Model]) -> tuple[list[str], list[Row]]:
+def parameter_table(
+    caption: str,
+    headings: Sequence[str],
+    rows: Sequence[Row],
+    groups: Sequence[tuple[str, int]] = (),
+) -> Table:
+    """Lay out rows as a table of a page; what was learned is bold."""
+    texts = [[row.label, row.unit, *(cell.text for cell in row.cells)] for row in rows]
+    learned = frozenset(
+        (i, j + 2) for i, row in enumerate(rows) for j, cell in enumerate(row.cells) if cell.free
+    )
+    return Table(caption, headings, texts, groups, learned)
+
+
+def ladder_table(models: Sequence[Model]) -> Table:
     """Tabulate which parameters each rung has free (table:models)."""
-    headings = ["thrust a, b, c [N]", "I [kg m²]", "τ [s]", "α [rad]", "r [m]", "Π"]
     rows = []
-    for name, model in zip(names, models, strict=True):
-        rung, cells = named_rung(name), []
-        for column in _COLUMNS:
-            if column in rung.free:
+    for model in models:
+        rung, cells = named_rung(model.name), []
+        for quantity in _LADDER:
+            if quantity in rung.free:
                 cells.append(Cell("free", True))
-            elif rung.direct and column in UNUSED_WHERE_DIRECT:
-                cells.append(Cell("–", False))
-            elif column == "configuration_matrix":
-                cells.append(Cell("from the others", False))
+            elif rung.direct and quantity in UNUSED_WHERE_DIRECT:
+                cells.append(Cell())
+            elif quantity == "configuration_matrix":
+                cells.append(Cell("from the others"))
             else:
-                value = np.ravel(getattr(model.parameters, column))
-                cells.append(Cell(", ".join(f"{x:.3g}" for x in value), False))
-        rows.append(Row(name, rung.summary, tuple(cells)))
-    return headings, rows
+                value = np.ravel(getattr(model.parameters, quantity))
+                cells.append(Cell(", ".join(f"{x:.3g}" for x in value)))
+        rows.append(Row(model.name, rung.summary, cells))
+    return parameter_table(
+        "Table 1 of the paper: free and fixed parameters, from the rungs of the package. A dash: "
+        "not used. Π “from the others”: by first principles.",
+        ["model", "", *_LADDER.values()],
+        rows,
+    )
 
 
 def main_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate what a person asks for first."""
+    """Tabulate what a person asks for first; thrusts come last."""
     listed = {q.label: q for model in models for q in main_quantities(model)}
-    rows = []
-    for label, quantity in listed.items():
-        rows.append(
-            _row(models, label, quantity.unit, quantity.parameter, quantity.value, quantity.form)
-        )
-    # Thrusts last, whatever parameters only some of the models have.
+    rows = [
+        row
+        for q in listed.values()
+        for row in _rows(models, [q.label], q.unit, q.parameter, q.value, q.form)
+    ]
     return sorted(rows, key=lambda row: row.label.startswith("F("))
 
 
 def coefficient_rows(models: Sequence[Model]) -> list[Row]:
     """Tabulate every thrust coefficient as learned, without any change of scale."""
-    degree = max(np.shape(model.parameters.thrust)[1] for model in models)
-    return [
-        _row(
-            models,
-            f"{chr(ord('a') + power)} {name}",
-            "N",
-            "thrust",
-            lambda m, i=motor, k=power: (
-                m.parameters.thrust[i][k] if k < np.shape(m.parameters.thrust)[1] else 0.0
-            ),
-            ".4f",
-        )
-        for motor, name in enumerate(models[0].vehicle.propeller_names)
-        for power in range(degree)
-    ]
+    by_power = []
+    for power in range(max(np.shape(model.parameters.thrust)[1] for model in models)):
+        labels = [f"{chr(ord('a') + power)} {name}" for name in _propellers(models)]
+
+        def coefficients(model: Model, power: int = power) -> Any:
+            return model.parameters.thrust[:, power : power + 1].sum(axis=1)  # 0 beyond the degree
+
+        by_power.append(_rows(models, labels, "N", "thrust", coefficients, ".4f"))
+    return [row for rows in zip(*by_power, strict=True) for row in rows]
 
 
 def effect_rows(models: Sequence[Model]) -> list[Row]:
     """Tabulate what each propeller does at full speed, which no choice of scale changes."""
-    kinds: tuple[tuple[str, str, Callable[..., Any], str], ...] = (
-        ("m‖Π_xy‖", "–", lambda m, i: thrust_scale(m)[i], ".3f"),
-        ("‖Π_xy‖ F(1)", "m/s²", lambda m, i: largest_accelerations(m)[0][i], ".3f"),
-        ("Π_yaw F(1)", "rad/s²", lambda m, i: largest_accelerations(m)[1][i], ".1f"),
+    kinds: tuple[tuple[str, str, Callable[[Model], Any], str], ...] = (
+        ("m‖Π_xy‖", "–", thrust_scale, ".3f"),
+        ("‖Π_xy‖ F(1)", "m/s²", lambda model: largest_accelerations(model)[0], ".3f"),
+        ("Π_yaw F(1)", "rad/s²", lambda model: largest_accelerations(model)[1], ".1f"),
     )
+    rows = []
+    for label, unit, values, form in kinds:
+        labels = [f"{label} {name}" for name in _propellers(models)]
+        rows += _rows(models, labels, unit, "thrust", values, form)
+    return rows
+
+
+def _propellers(models: Sequence[Model]) -> tuple[str, ...]:
+    """Return the names of the propellers."""
+    return models[0].vehicle.propeller_names
+
+
+def _rows(
+    models: Sequence[Model],
+    labels: Sequence[str],
+    unit: str,
+    quantity: str,
+    values: Callable[[Model], Any],
+    form: str,
+) -> list[Row]:
+    """Tabulate values that a parameter makes: a row for each of them, a cell for each model."""
+    columns = [_cells(model, len(labels), quantity, values, form) for model in models]
     return [
-        _row(models, f"{label} {name}", unit, "thrust", lambda m, v=value, i=motor: v(m, i), form)
-        for label, unit, value, form in kinds
-        for motor, name in enumerate(models[0].vehicle.propeller_names)
+        Row(label, unit, list(cells))
+        for label, cells in zip(labels, zip(*columns, strict=True), strict=True)
     ]
 
 
-def _row(
-    models: Sequence[Model],
-    label: str,
-    unit: str,
-    quantity: str,
-    value: Callable[[Model], Any],
-    form: str,
-) -> Row:
-    """Make a row of values that belong to one quantity."""
+def _cells(
+    model: Model, count: int, quantity: str, values: Callable[[Model], Any], form: str
+) -> list[Cell]:
+    """Write one model's values, with standard errors where there are any."""
+    direct = model.parameters.configuration_matrix is not None
+    unused = direct and quantity in UNUSED_WHERE_DIRECT
+    if unused or getattr(model.parameters, quantity) is None:
+        return [Cell()] * count
+    free = bool(model.free[model.parameters.mask(frozenset({quantity}))].any())
     cells = []
-    for model in models:
-        direct = model.parameters.configuration_matrix is not None
-        missing = getattr(model.parameters, quantity) is None
-        if missing or (direct and quantity in UNUSED_WHERE_DIRECT):
-            cells.append(Cell("–", False))
-            continue
-        mask = model.parameters.mask(frozenset({quantity}))
-        text = format(float(value(model)), form)
-        if model.uncertainty is not None:
-            error = float(model.standard_error(value))
-            if np.isfinite(error) and error > 0:
-                text += f" ± {error:{form}}"
-        cells.append(Cell(text, bool(model.free[mask].any())))
-    return Row(label, unit, tuple(cells))
+    errors = np.ravel(model.standard_error(values))
+    for value, error in zip(np.ravel(values(model)), errors, strict=True):
+        known = np.isfinite(error) and error > 0
+        cells.append(Cell(f"{value:{form}}" + f" ± {error:{form}}" * bool(known), free))
+    return cells

@@ -6,13 +6,32 @@ import os
 from pathlib import Path
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
+from airpuck.control.discretization import rotation_error
 from airpuck.flight.replay import Replay
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
 from airpuck.report.page import Picture, Section, Table, Text, write_page
-from airpuck.report.replay_figures import command_figure, flight_figure, rotation_error_figure
+from airpuck.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PAGE_WIDTH,
+    POSE,
+    VERMILLION,
+    key,
+    motor_panels,
+    new_figure,
+    styled,
+    top_legend,
+)
 
-#: What the outcomes of a control step mean, in a sentence each.
+#: What the outcomes of a control step mean.
 OUTCOMES = {
     "exact": "the acceleration asked for is given",
     "scaled": "linear or angular acceleration reduced in its direction",
@@ -27,46 +46,26 @@ OUTCOMES = {
 
 
 def replay_report(replay: Replay, model: Model, period: float, out: str | os.PathLike[str]) -> Path:
-    """Write a report on a replayed flight."""
+    """Write a report on a replayed flight, flown with a control period [s]."""
     figures = replay.to_json()
     used = replay.time[replay.compared]
-    agreement = Table(
-        "Agreement of recorded and computed commands, for each motor.",
-        ["motor", "correlation", "median |difference|", "90 % |difference|"],
-        [
-            [
-                motor["name"],
-                f"{motor['correlation']:.4f}",
-                f"{motor['median_abs']:.4f}",
-                f"{np.quantile(np.abs(replay.difference[:, i]), 0.9):.4f}",
-            ]
-            for i, motor in enumerate(figures["motors"])
-        ]
-        + [["all", "", f"{figures['median_abs']:.4f}", ""]],
+    commands = (
+        "The controller got the recorded poses when they had arrived, and the recorded commands as "
+        "those sent, so that differences do not add up."
     )
-    g = replay.gains
-    gains = Table(
-        "Gains of the regulator" + (", fitted to the recorded commands." if replay.fitted else "."),
-        ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
-        [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
+    turning = (
+        "A force is taken to keep its direction for a sample time, but it turns with the craft by "
+        "θ = ωh: the velocity gained is off by about θ/2."
     )
-    outcomes = Table(
-        "Outcomes of the control steps in this span.",
-        ["outcome", "steps", "meaning"],
-        [[name, str(count), OUTCOMES[name]] for name, count in figures["outcomes"].items()],
-    )
+    error = rotation_error_figure(_fastest_spin(replay), period)
+    corrected = "The next measurement corrects it; it matters for the one-step look-ahead only."
     sections = [
         Section(
             "commands",
             "Commands",
             (
-                agreement,
-                Picture(
-                    "replay_commands",
-                    command_figure(replay),
-                    "The controller got the recorded poses when they had arrived, and was told the "
-                    "recorded commands, so that differences do not add up.",
-                ),
+                _agreement_table(replay),
+                Picture("replay_commands", command_figure(replay), commands),
             ),
         ),
         Section(
@@ -74,24 +73,11 @@ def replay_report(replay: Replay, model: Model, period: float, out: str | os.Pat
             "Flight",
             (Picture("replay_flight", flight_figure(replay), "Where the craft was asked to be."),),
         ),
-        Section("controller", "Controller", (gains, outcomes)),
+        Section("controller", "Controller", _controller_tables(replay)),
         Section(
             "discretisation",
             "What the discretisation neglects",
-            (
-                Picture(
-                    "rotation_error",
-                    rotation_error_figure(_fastest_spin(replay), period),
-                    "A force is taken to keep its direction for a sample time, but it turns "
-                    "with the craft by θ = ωh: the velocity gained is off by about θ/2.",
-                ),
-                Text(
-                    [
-                        "The next measurement corrects it; it matters for the one-step look-ahead "
-                        "only."
-                    ]
-                ),
-            ),
+            (Picture("rotation_error", error, turning), Text([corrected])),
         ),
     ]
     lead = (
@@ -102,6 +88,37 @@ def replay_report(replay: Replay, model: Model, period: float, out: str | os.Pat
     return write_page(out, "Replay of a recorded flight", lead, sections)
 
 
+def _agreement_table(replay: Replay) -> Table:
+    """Tabulate how well recorded and computed commands agree."""
+    figures, size = replay.to_json(), np.abs(replay.difference)
+    rows = [
+        [m["name"], f"{m['correlation']:.4f}", f"{m['median_abs']:.4f}", f"{widest:.4f}"]
+        for m, widest in zip(figures["motors"], np.quantile(size, 0.9, axis=0), strict=True)
+    ]
+    return Table(
+        "Agreement of recorded and computed commands, for each motor.",
+        ["motor", "correlation", "median |difference|", "90 % |difference|"],
+        [*rows, ["all", "", f"{figures['median_abs']:.4f}", ""]],
+    )
+
+
+def _controller_tables(replay: Replay) -> tuple[Table, Table]:
+    """Tabulate the gains, and what became of the control steps."""
+    g = replay.gains
+    gains = Table(
+        "Gains of the regulator" + (", fitted to the recorded commands." if replay.fitted else "."),
+        ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
+        [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
+    )
+    counts = replay.to_json()["outcomes"]
+    outcomes = Table(
+        "Outcomes of the control steps in this span.",
+        ["outcome", "steps", "meaning"],
+        [[name, str(count), OUTCOMES[name]] for name, count in counts.items()],
+    )
+    return gains, outcomes
+
+
 def _fastest_spin(replay: Replay) -> float:
     """Return the largest spin of the flight, from differences of the yaw [rad/s]."""
     known = np.isfinite(replay.pose[:, 2])
@@ -109,3 +126,96 @@ def _fastest_spin(replay: Replay) -> float:
     # Over five periods: noise of single differences would count as spin.
     turned, taken = yaw[5:] - yaw[:-5], time[5:] - time[:-5]
     return float(np.max(np.abs(turned / taken), initial=0.0)) if (taken > 0).all() else 0.0
+
+
+@styled
+def command_figure(replay: Replay) -> Figure:
+    """Draw the recorded and the computed command of every motor over time."""
+    n = len(replay.motors)
+    figure = new_figure(PAGE_WIDTH, 0.5 + 1.35 * ((n + 1) // 2))
+    medians = np.median(np.abs(replay.difference), axis=0)
+    titles = [
+        f"{name}: r = {correlation:.3f}, median |Δ| {median:.4f}"
+        for name, correlation, median in zip(
+            replay.motors, replay.correlation, medians, strict=True
+        )
+    ]
+    outside = _outside(replay)
+    for i, axes in enumerate(motor_panels(figure, titles)):
+        axes.plot(replay.time, replay.sent[:, i], color=GREY, linewidth=2.2)
+        axes.plot(replay.time, replay.computed[:, i], color=VERMILLION, linewidth=0.9)
+        for start, stop in outside:
+            axes.axvspan(start, stop, color=LIGHT, linewidth=0, alpha=0.6)
+        axes.set_xlim(replay.time[0], replay.time[-1])
+    handles: list[Artist] = [
+        key("sent in the flight", GREY, linewidth=2.2),
+        key("computed by this controller", VERMILLION, linewidth=0.9),
+    ]
+    if outside:
+        handles.append(Patch(color=LIGHT, alpha=0.6, label="not compared"))
+    top_legend(figure, handles)
+    return figure
+
+
+@styled
+def flight_figure(replay: Replay) -> Figure:
+    """Draw what the craft did beside what it was asked to do."""
+    figure = new_figure(PAGE_WIDTH, 4.4)
+    panels = figure.subplots(3, 1, sharex=True)
+    pose, asked = replay.pose.copy(), replay.reference.copy()
+    # The yaw is drawn continuous, and a set point in the turn that is nearest to the craft.
+    known = np.isfinite(pose[:, 2])
+    pose[known, 2] = np.unwrap(pose[known, 2])
+    asked[known, 2] = (pose[:, 2] - wrapped(np, pose[:, 2] - asked[:, 2]))[known]
+    for i, (axes, (name, unit)) in enumerate(zip(panels, POSE, strict=True)):
+        axes.plot(replay.time, asked[:, i], color=BLACK, linewidth=1.0, linestyle="--")
+        axes.plot(replay.time, pose[:, i], color=BLUE)
+        axes.set_ylabel(f"{name} [{unit}]")
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(replay.time[0], replay.time[-1])
+    craft = key("the craft, as the controller saw it", BLUE)
+    top_legend(figure, [craft, key("set point", linewidth=1.0, linestyle="--")])
+    return figure
+
+
+@styled
+def rotation_error_figure(fastest: float, period: float) -> Figure:
+    """Draw what the discretisation neglects: the craft turns while a force is held."""
+    figure = new_figure(0.75 * PAGE_WIDTH, 3.0)
+    axes = figure.subplots()
+    spin = np.geomspace(0.1, 50, 200)
+    periods = sorted({0.002, 0.005, 0.01, 0.02, 0.05, period})
+    for shade, h in zip(np.linspace(0.25, 1.0, len(periods)), periods, strict=True):
+        error = 100 * rotation_error(spin, np.full_like(spin, h))
+        flown = h == period
+        color, alpha, width = (VERMILLION, 1.0, 2.2) if flown else (BLUE, float(shade), 1.2)
+        axes.loglog(spin, error, color=color, alpha=alpha, linewidth=width)
+        place = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
+        axes.annotate(f"{1e3 * h:g} ms", (spin[-1], error[-1]), fontsize=8, **place)
+    if fastest > 0:
+        at = 100 * float(rotation_error(np.array(fastest), np.array(period)))
+        axes.plot([fastest], [at], "o", color=ORANGE, markeredgecolor=BLACK, zorder=5)
+        axes.annotate(
+            f"fastest spin flown: {fastest:.1f} rad/s, {at:.1f} %",
+            (fastest, at),
+            xytext=(8, -12),
+            textcoords="offset points",
+            ha="left",
+            va="top",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
+        )
+    axes.set_xlabel("spin |ω| [rad/s]")
+    axes.set_ylabel("relative error of the\nvelocity gained in a period [%]")
+    axes.set_xlim(spin[0], 75)
+    axes.set_title("Neglected turning within a sample time", loc="left")
+    return figure
+
+
+def _outside(replay: Replay) -> list[tuple[float, float]]:
+    """Return the spans of time that are not compared."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], replay.compared, [True]]).astype(int)))
+    last = len(replay.time) - 1
+    return [
+        (float(replay.time[a]), float(replay.time[min(b, last)]))
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]

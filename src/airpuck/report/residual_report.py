@@ -1,20 +1,45 @@
-"""A page on how well a model describes a recording: what `airpuck resid` shows."""
+"""A page on how well a model describes a recording: what `airpuck resid -o` writes."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.evaluation.residuals import ResidualTests
 from airpuck.model.model_file import Model
-from airpuck.report.fit_report import sources_section
+from airpuck.report.fit_sections import sources_section
 from airpuck.report.page import Picture, Section, Table, Text, write_page
-from airpuck.report.prediction_bands_figure import prediction_bands_figure
-from airpuck.report.residual_figure import residual_figure
+from airpuck.report.style import (
+    BLACK,
+    BLUE,
+    ERRORS,
+    GREY,
+    LIGHT,
+    ORANGE,
+    PAGE_WIDTH,
+    SKY,
+    VERMILLION,
+    key,
+    new_figure,
+    propeller_colors,
+    styled,
+    top_legend,
+)
+
+#: Opacity of the total band, and of that of the parameters on it.
+_TOTAL, _PARAMETERS = 0.35, 0.55
 
 
 def residual_report(
@@ -26,32 +51,25 @@ def residual_report(
     bands: Sequence[PredictionBands] = (),
 ) -> Path:
     """Write a page on the residual tests."""
-    verdict = "nothing was rejected" if tests.passed else "the model does not explain all there is"
+    caption = (
+        "Correlations of the one-step innovations, turned into the frame of the body, "
+        f"{tests.samples} samples. Above: with themselves. Below: with the command in force that "
+        "many samples before; broad lines are motors whose test rejects at the 1 % level. Bands "
+        "hold 99 % of the values, each by itself, where there is nothing to find. Left of zero are "
+        "commands still to come."
+    )
+    residuals = Picture("residuals", residual_figure(tests, model.vehicle), caption)
     sections = [
-        Section(
-            "tests",
-            "Residual tests",
-            (
-                Text(tests.verdicts, bullets=True),
-                Picture(
-                    "residuals",
-                    residual_figure(tests, model.vehicle),
-                    "Correlations of the one-step innovations, turned into the frame of the body, "
-                    f"{tests.samples} samples. Above: with themselves. Below: with the command in "
-                    "force that many samples before; broad lines are motors whose test rejects at "
-                    "the 1 % level. Bands hold 99 % of the values, each by itself, where there is "
-                    "nothing to find. Left of zero are commands still to come.",
-                ),
-            ),
-        ),
+        Section("tests", "Residual tests", (Text(tests.verdicts, bullets=True), residuals)),
         *([_bands_section(bands)] if bands else []),
         Section("fit", "Fit", (_fit_table(fit), _noise_table(tests))),
         sources_section(trajectory),
     ]
+    verdict = "nothing was rejected" if tests.passed else "the model does not explain all there is"
     lead = (
         f"{model.name} on {trajectory.duration:.1f} s of flight: {verdict}. Innovations are what "
         "remains of each pose when it is predicted from those before; with the true model they are "
-        "white and know nothing of the commands."
+        "white and independent of the commands."
     )
     return write_page(out, f"Residuals of {model.name}", lead, sections)
 
@@ -63,57 +81,47 @@ def _bands_section(bands: Sequence[PredictionBands]) -> Section:
         if bands[0].by_parameters is not None
         else "the model's file has no standard errors, so none of its parameters are in them. "
     )
+    caption = (
+        "Predictions from the estimate of a filter that gets all poses before, and none after; "
+        "right columns: measured minus predicted. Bands should hold 95 % of the measured poses: "
+        f"{parameters}The rest is what the model does not explain, estimated from one-step "
+        "innovations, and the noise of the pose. Drawn is the simulation with the median error. "
+        "Errors are propagated linearly: with yaw unsure by more than a radian, bands of x and y "
+        "are an order of magnitude."
+    )
     rows = [
         [
             f"{one.horizon:.1f} s",
             str(len(one.start)),
             *(f"{share:.0f}" for share in one.coverage),
-            *(f"{one.to_json()['half_band'][key]:.3g}" for key in ("x_m", "y_m", "yaw_rad")),
+            *(f"{half:.3g}" for half in one.to_json()["half_band"].values()),
         ]
         for one in bands
     ]
-    return Section(
-        "bands",
-        "Predictions",
-        (
-            Picture(
-                "prediction_bands",
-                prediction_bands_figure(bands[0], bands[-1]),
-                "Predictions from the estimate of a filter that hears all poses before, and none "
-                "after; right columns: measured minus predicted. Bands should hold 95 % of the "
-                "measured poses: "
-                + parameters
-                + "The rest is what the model does not explain, as one-step innovations have it, "
-                "and the noise of the pose. Drawn is the simulation with the median error. Errors "
-                "are propagated linearly: with yaw unsure by more than a radian, bands of x and y "
-                "are an order of magnitude.",
-            ),
-            Table(
-                "Poses at the end of a prediction: share within the 95 % band, of all predictions "
-                "that do not overlap; median half width of the bands.",
-                ["ahead", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
-                rows,
-            ),
-        ),
+    table = Table(
+        "Poses at the end of a prediction: share within the 95 % band, of all predictions that do "
+        "not overlap; median half width of the bands.",
+        ["ahead", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
+        rows,
     )
+    picture = Picture("prediction_bands", prediction_bands_figure(bands[0], bands[-1]), caption)
+    return Section("bands", "Predictions", (picture, table))
 
 
 def _fit_table(fit: FitMeasures) -> Table:
     """Tabulate fit percentages and criteria."""
-    rows = [
-        [label, *(f"{value:.2f}" for value in values)]
-        for label, values in (
-            (f"{fit.steps} steps ahead", fit.k_step),
-            (f"simulated for {fit.restart:g} s at a time", fit.free_run),
-            ("simulated from start to end", fit.whole),
-        )
-    ]
+    kinds = {
+        f"{fit.steps} steps ahead": fit.k_step,
+        f"simulated for {fit.restart:g} s at a time": fit.free_run,
+        "simulated from start to end": fit.whole,
+    }
     caption = (
         "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent; below zero a simulation is further off "
         f"than the mean. Log-likelihood {fit.log_likelihood:.1f} with {fit.parameters} fitted "
         f"parameters: AIC {fit.aic:.1f}, BIC {fit.bic:.1f}; only differences between models on the "
         "same recording mean something."
     )
+    rows = [[label, *(f"{value:.2f}" for value in values)] for label, values in kinds.items()]
     return Table(caption, ["", "x %", "y %", "γ %"], rows)
 
 
@@ -130,3 +138,138 @@ def _noise_table(tests: ResidualTests) -> Table:
     ]
     caption = "Noise of the largest likelihood: standard deviation of the poses, densities."
     return Table(caption, ["", "x", "y", "γ", "unit"], rows)
+
+
+@styled
+def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
+    """Draw the correlations of the innovations with their 99 % bands.
+
+    The upper row is their autocorrelation, the lower row their correlation with commands: at
+    positive lags those that act already; at negative ones those to come, which show only under
+    feedback or where the model lets commands act too late.
+    """
+    figure = new_figure(PAGE_WIDTH, 5.2)
+    rows = figure.subplots(2, len(tests.whiteness), squeeze=False)
+    colors = propeller_colors(vehicle)
+    # The second propeller of a pair is dashed.
+    dashes = ["-" if colors.index(c) == i else (0, (3, 1.2)) for i, c in enumerate(colors)]
+    styles = {
+        name: {"color": color, "ls": dash}
+        for name, color, dash in zip(vehicle.propeller_names, colors, dashes, strict=True)
+    }
+    for above, below, white in zip(*rows, tests.whiteness, strict=True):
+        lags = np.arange(1, len(white.autocorrelation) + 1)
+        _draw_white_band(above, white.band)
+        color = BLUE if white.passed else VERMILLION
+        above.vlines(lags, 0, white.autocorrelation, color=color, lw=1.2)
+        above.plot(lags, white.autocorrelation, ".", color=color, ms=4)
+        above.set_title(f"{white.channel}: {'white' if white.passed else 'not white'}", loc="left")
+        above.set(xlabel="lag [samples]", xlim=(0, lags[-1] + 1))
+        _draw_correlations(below, tests, white.channel, styles)
+    rows[0, 0].set_ylabel("autocorrelation [–]")
+    rows[1, 0].set_ylabel("correlation with commands [–]")
+    for row in rows:
+        reach = max(np.abs(axes.get_ylim()).max() for axes in row)
+        for axes in row:
+            axes.set_ylim(-reach, reach)
+    handles: list[Artist] = [Patch(color=LIGHT, label="99 % band")]
+    handles += [key(name, **style) for name, style in styles.items()]
+    top_legend(figure, handles, columns=min(len(handles), 7))
+    return figure
+
+
+def _draw_correlations(
+    axes: Axes, tests: ResidualTests, channel: str, styles: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Draw the correlation of one channel with each motor's command, failed tests bold."""
+    correlations = [test for test in tests.correlations if test.channel == channel]
+    if correlations:
+        _draw_white_band(axes, max(test.band for test in correlations))
+    for test in correlations:
+        reach = len(test.correlation) // 2
+        axes.plot(
+            np.arange(-reach, reach + 1),
+            test.correlation,
+            **styles[test.motor],
+            lw=0.9 if test.passed else 1.9,
+            alpha=0.6 if test.passed else 1.0,
+        )
+        axes.set_xlim(-reach, reach)
+    axes.axvline(0, color=GREY, lw=0.7)
+    failed = sum(not test.passed for test in correlations)
+    verdict = f"{failed} of {len(correlations)} motors fail" if failed else "all motors pass"
+    axes.set_title(f"{channel}: {verdict}", loc="left")
+    axes.set_xlabel("lag behind the command [samples]")
+
+
+def _draw_white_band(axes: Axes, band: float) -> None:
+    """Shade where 99 % of the correlations lie if there is nothing to find."""
+    axes.axhspan(-band, band, color=LIGHT, lw=0)
+    axes.axhline(0, color=GREY, lw=0.7)
+
+
+def typical_window(bands: PredictionBands) -> int:
+    """Choose the window whose error is the median one."""
+    errors = (bands.predicted - bands.measured)[-1]
+    scale = np.sqrt(np.mean(errors**2, axis=1, keepdims=True))
+    size = np.sum((errors / np.where(scale > 0, scale, 1.0)) ** 2, axis=0)
+    return int(np.argsort(size, kind="stable")[(len(size) - 1) // 2])
+
+
+@styled
+def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) -> Figure:
+    """Draw predictions with their bands over some seconds of a recording.
+
+    Left: the measured pose and predictions that start anew again and again. Middle: measured minus
+    predicted, which the bands should hold. Right: the same of the simulation with the median error,
+    over all of these seconds.
+    """
+    figure = new_figure(PAGE_WIDTH, 6.4)
+    whole = typical_window(simulated)
+    begin, end = simulated.start[whole], simulated.time[-1, whole]
+    shown = np.flatnonzero((ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9))
+    grid = figure.subplots(3, 3, sharex=True)
+    for channel, (pose, left, right) in enumerate(grid):
+        time = simulated.time[:, whole]
+        pose.plot(time, simulated.measured[:, channel, whole], color=BLACK, lw=2.4, alpha=0.5)
+        middle, half = simulated.predicted[:, channel, whole], simulated.total[:, channel, whole]
+        pose.fill_between(time, middle - half, middle + half, color=SKY, alpha=_TOTAL, lw=0)
+        pose.plot(time, middle, color=ORANGE, lw=1.1)
+        for k in shown:
+            short = ahead.predicted[:, channel, k]
+            pose.plot(ahead.time[:, k], short, color=BLUE, lw=1.1, zorder=3)
+            _draw_errors(left, ahead, k, channel)
+        _draw_errors(right, simulated, whole, channel)
+        name = "xyγ"[channel]
+        pose.set_ylabel(f"{name} [{'rad' if channel == 2 else 'm'}]")
+        for axes, bands in ((left, ahead), (right, simulated)):
+            axes.set_ylabel(f"error of {name} [{ERRORS[channel][1]}]")
+            held = f"{bands.coverage[channel]:.0f} % of {len(bands.start)} held"
+            axes.set_title(f"{bands.horizon:.1f} s: {held}", loc="left")
+    grid[0, 0].set_title("poses", loc="left")
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+        axes.margins(x=0.01)
+    handles: list[Artist] = [
+        key("measured", lw=2.4, alpha=0.5),
+        key(f"predicted {ahead.horizon:.1f} s ahead", BLUE),
+        key(f"simulated for {simulated.horizon:.1f} s", ORANGE),
+        Patch(color=SKY, alpha=_TOTAL, label="95 % band"),
+    ]
+    if ahead.by_parameters is not None:
+        handles.append(Patch(color=BLUE, alpha=_PARAMETERS, label="of it, parameters"))
+    top_legend(figure, handles)
+    return figure
+
+
+def _draw_errors(axes: Axes, bands: PredictionBands, window: int, channel: int) -> None:
+    """Draw measured minus predicted of one window, and the bands about zero."""
+    factor, time = ERRORS[channel][2], bands.time[:, window]
+    parts = [(bands.total, SKY, _TOTAL)]
+    if bands.by_parameters is not None:
+        parts.append((bands.by_parameters, BLUE, _PARAMETERS))
+    for band, color, alpha in parts:
+        half = factor * band[:, channel, window]
+        axes.fill_between(time, -half, half, color=color, alpha=alpha, lw=0)
+    error = factor * (bands.measured - bands.predicted)[:, channel, window]
+    axes.plot(time, error, color=BLACK, lw=1.0)

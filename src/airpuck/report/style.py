@@ -1,4 +1,4 @@
-"""One visual language for all figures: colours with fixed meanings, sizes, units on every axis.
+"""What all figures share: colours with fixed meanings, sizes, legends, grids of panels.
 
 Colours are those of Okabe and Ito, which people with any colour vision can tell apart. Figures are
 plain `matplotlib.figure.Figure` objects: no pyplot, no global state.
@@ -12,10 +12,14 @@ from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 
 from airpuck.craft.vehicle import Vehicle
 
@@ -28,6 +32,14 @@ RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLI
 _OTHER_RUNGS = (PURPLE, SKY, BLACK)
 #: One colour for each pair of propellers, in every figure.
 _PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+
+#: What is drawn dashed stands for a reference.
+DASHED = (0, (4, 2))
+
+#: Name, unit in figures and factor from SI of each channel of a prediction error.
+ERRORS = (("x", "mm", 1e3), ("y", "mm", 1e3), ("yaw γ", "rad", 1.0))
+#: Name and unit of each channel of a pose.
+POSE = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 
 #: Width of a figure that fills a page [in] and resolution of the PNG [1/in].
 PAGE_WIDTH, RESOLUTION = 8.6, 130
@@ -121,7 +133,43 @@ def no_axes(axes: Axes) -> None:
     axes.set_axis_off()
 
 
-def top_legend(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
+def panels(figure: Figure, count: int, columns: int, **sharing: bool) -> list[Axes]:
+    """Add a grid of panels, row by row; places left over stay empty."""
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False, **sharing).ravel()
+    for spare in grid[count:]:
+        spare.set_visible(False)
+    return list(grid[:count])
+
+
+def motor_panels(figure: Figure, motors: Sequence[str]) -> list[Axes]:
+    """Add a panel for the commands of each motor over time, two in a row."""
+    axes = panels(figure, len(motors), 2, sharex=True, sharey=True)
+    for one, name in zip(axes, motors, strict=True):
+        one.set_title(name, loc="left")
+        one.set(ylim=(-0.03, 1.05), xlabel="time [s]", ylabel="command [–]")
+        one.label_outer()
+    return axes
+
+
+def draw_window_errors(
+    axes: Axes,
+    time: Float[np.ndarray, " W"],
+    size: Float[np.ndarray, " W"],
+    marked: Bool[np.ndarray, " W"],
+) -> None:
+    """Draw the size of each window's error at its time, marked ones in red."""
+    for chosen, color in ((~marked, BLUE), (marked, VERMILLION)):
+        axes.vlines(time[chosen], 0, size[chosen], color=color, lw=0.9)
+        axes.plot(time[chosen], size[chosen], ".", color=color, ms=3)
+    axes.set_ylim(0, None)
+
+
+def key(label: str, color: str = BLACK, **line: Any) -> Line2D:
+    """Make an entry of a legend."""
+    return Line2D([], [], color=color, label=label, **line)
+
+
+def top_legend(figure: Figure, handles: Sequence[Artist], columns: int | None = None) -> None:
     """Put one legend above all axes, where it hides nothing."""
     figure.legend(
         handles=list(handles),

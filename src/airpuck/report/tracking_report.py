@@ -5,58 +5,68 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from airpuck.flight.track import SetPointResult
+import numpy as np
+from matplotlib.figure import Figure
+
+from airpuck.flight.track import SetPointResult, Track
 from airpuck.report.page import Picture, Section, Table, write_page
-from airpuck.report.tracking_figures import input_figure, tracking_figure
+from airpuck.report.style import (
+    BLACK,
+    DASHED,
+    GREY,
+    PAGE_WIDTH,
+    POSE,
+    VERMILLION,
+    key,
+    motor_panels,
+    new_figure,
+    rung_color,
+    styled,
+    top_legend,
+)
 from airpuck.twin.tracking_study import Tracked
 
 
 def tracking_report(flights: Sequence[Tracked], truth: str, out: str | os.PathLike[str]) -> Path:
     """Write a report on a tracking study."""
-    sections = tracking_sections(flights)
     names = " and ".join(flight.model for flight in flights)
     lead = f"The set points of the paper, flown with {names} on a twin of {truth}."
-    return write_page(out, "Tracking of set points", lead, sections)
+    return write_page(out, "Tracking of set points", lead, tracking_sections(flights))
 
 
 def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
-    """Return what a page says of a tracking study."""
+    """Return what a page shows of a tracking study."""
     rows = []
     for flight in flights:
         rows += [[f"{flight.model}, twin", *_row(result)] for result in flight.results]
         if flight.real is not None:
             real = flight.real.moves()
             rows += [[f"{flight.model}, real flight", *_row(result)] for result in real]
-    table = Table(
+    results = Table(
         "What became of each set point. Settled: within 20 mm and 0.05 rad. Steady-state error: "
         "mean over the last second, or the last quarter of a short dwell. Effort: mean of the sum "
         "of squared commands above the lowest.",
         ["flight", "set point", "settled [s]", "overshoot", "steady-state error", "effort"],
         rows,
     )
+    caption = (
+        "A model that explains the craft brings it to its set points; a poor one leaves an offset, "
+        "unless disturbances are rejected."
+    )
     blocks: list[Picture | Table] = [
-        Picture(
-            "tracking",
-            tracking_figure(flights),
-            "A model that explains the craft brings it to its set points; a poor one leaves an "
-            "offset, unless disturbances are rejected.",
-        ),
-        table,
+        Picture("tracking", tracking_figure(flights), caption),
+        results,
     ]
-    apart = [(flight.model, flight.rmse) for flight in flights if flight.rmse is not None]
+    apart = [
+        [f.model, *(f"{1e3 * error:.1f}" for error in f.rmse[:2]), f"{f.rmse[2]:.3f}"]
+        for f in flights
+        if f.rmse is not None
+    ]
     if apart:
-        blocks.append(
-            Table(
-                "Twin against the real flight, 0.5 to 6.5 s on the figure's axis, root mean "
-                "square.",
-                ["flight", "x [mm]", "y [mm]", "yaw [rad]"],
-                [
-                    [model, f"{1e3 * rmse[0]:.1f}", f"{1e3 * rmse[1]:.1f}", f"{rmse[2]:.3f}"]
-                    for model, rmse in apart
-                ],
-            )
-        )
+        words = "Twin against the real flight, 0.5 to 6.5 s on the figure's axis, root mean square."
+        blocks.append(Table(words, ["flight", "x [mm]", "y [mm]", "yaw [rad]"], apart))
     inputs = [
         Picture(f"inputs_{flight.model}", input_figure(flight), f"Commands of {flight.model}.")
         for flight in flights
@@ -80,3 +90,58 @@ def _triple(values: tuple[float, float, float]) -> str:
     """Write x, y and yaw."""
     x, y, yaw = values
     return f"{1e3 * x:.1f}, {1e3 * y:.1f} mm, {yaw:.3f} rad"
+
+
+@styled
+def tracking_figure(flights: Sequence[Tracked]) -> Figure:
+    """Draw pose and set points over time, for all models (fig:control_lqr).
+
+    Real flights begin at different times: each is drawn from half a second before its first
+    set point that differs from the start (`Track.origin`).
+    """
+    figure = new_figure(PAGE_WIDTH, 5.0)
+    panels = figure.subplots(3, 1, sharex=True)
+    handles = [key("set point", linewidth=0.9, linestyle=":")]
+    _draw_set_points(panels, flights[0].twin, flights[0].origin)
+    for flight in flights:
+        color = rung_color(flight.model)
+        tracks = [(flight.twin, "twin", {"linewidth": 1.5})]
+        if flight.real is not None:
+            dashed = {"linewidth": 1.2, "linestyle": DASHED, "alpha": 0.8}
+            tracks.append((flight.real, "real flight", dashed))
+        for track, kind, style in tracks:
+            for axes, values in zip(panels, track.pose.T, strict=True):
+                axes.plot(track.time - flight.origin, values, color=color, **style)
+            handles.append(key(f"{flight.model}, {kind}", color, **style))
+    for axes, (name, unit) in zip(panels, POSE, strict=True):
+        axes.set_ylabel(f"{name} [{unit}]")
+    panels[-1].set_xlim(0.0, max(float(f.twin.time[-1]) - f.origin for f in flights))
+    panels[-1].set_xlabel("time [s]")
+    top_legend(figure, handles)
+    return figure
+
+
+def _draw_set_points(panels: Any, track: Track, origin: float) -> None:
+    """Draw the steps of the set points."""
+    times = np.append(track.set_points.times, track.time[-1]) - origin
+    poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
+    for axes, values in zip(panels, poses.T, strict=True):
+        axes.step(times, values, where="post", color=BLACK, linewidth=0.9, linestyle=":")
+
+
+@styled
+def input_figure(flight: Tracked) -> Figure:
+    """Draw the commands of one flight."""
+    motors = flight.twin.motors
+    figure = new_figure(PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
+    tracks = [(flight.twin, "twin", VERMILLION, 0.9)]
+    if flight.real is not None:
+        tracks.insert(0, (flight.real, "real flight", GREY, 2.0))
+    for i, axes in enumerate(motor_panels(figure, motors)):
+        for track, _, color, width in tracks:
+            time = track.command_time - flight.origin
+            axes.step(time, track.command[:, i], where="post", color=color, linewidth=width)
+        axes.set_xlim(0.0, float(flight.twin.time[-1]) - flight.origin)
+    handles = [key(name, color, linewidth=width) for _, name, color, width in reversed(tracks)]
+    top_legend(figure, handles)
+    return figure

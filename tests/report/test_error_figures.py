@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airpuck.report.error_timeline import share_of_squares, worst_windows
+from airpuck.report.error_figures import share_of_squares, worst_windows
 
 
 def test_worst_windows_are_the_largest_whatever_their_sign():

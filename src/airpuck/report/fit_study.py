@@ -1,4 +1,4 @@
-"""What a report is about: fits, how well they predict, and what they are compared with."""
+"""Fits, how well they predict, and what they are compared with: what a report shows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from airpuck.model.model_file import Model
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class FitStudy:
     """Models of one craft, learned from one trajectory and judged on another."""
 
     #: What the models were learned from.

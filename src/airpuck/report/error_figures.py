@@ -1,0 +1,188 @@
+"""How large prediction errors are: over the time predicted, over the windows, along a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from airpuck.data.trajectory import Span
+from airpuck.evaluation.evaluate import Evaluation
+from airpuck.report.style import (
+    BLACK,
+    BLUE,
+    DASHED,
+    ERRORS,
+    GREY,
+    LIGHT,
+    PAGE_WIDTH,
+    VERMILLION,
+    draw_window_errors,
+    key,
+    new_figure,
+    rung_color,
+    styled,
+    top_legend,
+)
+
+#: Share of the windows that is called the worst.
+WORST = 0.08
+
+
+def worst_windows(errors: Float[np.ndarray, " W"], share: float = WORST) -> Bool[np.ndarray, " W"]:
+    """Mark the windows with the largest errors."""
+    count = max(round(share * len(errors)), 1)
+    marked = np.zeros(len(errors), dtype=bool)
+    marked[np.argsort(-np.abs(errors), kind="stable")[:count]] = True
+    return marked
+
+
+def share_of_squares(errors: Float[np.ndarray, " W"], share: float = WORST) -> float:
+    """Compute which share of the summed squared error the worst windows hold."""
+    squares = errors**2
+    total = float(squares.sum())
+    return float(squares[worst_windows(errors, share)].sum()) / total if total > 0 else share
+
+
+def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray, " W"]:
+    """Mark the windows whose prediction touches a span."""
+    stop = evaluation.start + evaluation.horizon_step * evaluation.sample_period
+    touched = np.zeros(len(evaluation.start), dtype=bool)
+    for span in spans:
+        touched |= (evaluation.start < span.stop) & (stop > span.start)
+    return touched
+
+
+@styled
+def horizon_figure(
+    fitted: Sequence[Evaluation],
+    reference: Sequence[Evaluation] = (),
+    *,
+    reference_label: str = "published",
+) -> Figure:
+    """Draw the root mean square error over the time predicted.
+
+    Fitted models are broad lines, the reference thin dashed ones in the same colours. A vertical
+    line marks when tables report the error.
+    """
+    figure = new_figure(PAGE_WIDTH, 3.5)
+    broad = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
+    dashed: dict[str, Any] = {"lw": 1.1, "ls": DASHED, "zorder": 3}
+    for channel, (axes, (name, unit, factor)) in enumerate(
+        zip(figure.subplots(1, 3), ERRORS, strict=True)
+    ):
+        for evaluations, style in ((fitted, broad), (reference, dashed)):
+            for one in evaluations:
+                time = one.sample_period * np.arange(1, len(one.errors) + 1)
+                rmse = factor * one.rmse_over_horizon[:, channel]
+                axes.plot(time, rmse, color=rung_color(one.model), **style)
+        reported = fitted[0].horizon_step * fitted[0].sample_period
+        axes.axvline(reported, color=GREY, lw=0.8, ls=":")
+        place = {"transform": axes.get_xaxis_transform(), "ha": "right", "va": "top"}
+        axes.text(reported, 0.99, f"{reported:.2g} s ", color=GREY, fontsize=8, **place)
+        axes.set(xlabel="time predicted [s]", ylabel=f"RMSE of {name} [{unit}]")
+        axes.set(xlim=(0, None), ylim=(0, None))
+    names = dict.fromkeys(evaluation.model for evaluation in (*fitted, *reference))
+    handles = [key(name, rung_color(name), lw=3) for name in names]
+    if reference:
+        handles.append(key("broad: fitted here", lw=3, alpha=0.45))
+        handles.append(key(f"dashed: {reference_label}", lw=1.1, ls=DASHED))
+    top_legend(figure, handles)
+    return figure
+
+
+@styled
+def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
+    """Draw the cumulative distribution of the absolute errors of each model.
+
+    Dots mark the RMSE on each curve, which a few large errors put far to the right of the median.
+    """
+    figure = new_figure(PAGE_WIDTH, 3.3)
+    for channel, (axes, (name, unit, factor)) in enumerate(
+        zip(figure.subplots(1, 3, sharey=True), ERRORS, strict=True)
+    ):
+        lowest = []
+        for evaluation in evaluations:
+            size = np.sort(factor * np.abs(evaluation.at_horizon[channel]))
+            share = 100 * np.arange(1, len(size) + 1) / len(size)
+            color = rung_color(evaluation.model)
+            axes.plot(size, share, color=color, lw=1.4)
+            rmse = factor * evaluation.rmse[channel]
+            axes.plot(rmse, np.interp(rmse, size, share), "o", color=color, mec="white", ms=6)
+            lowest.append(float(np.percentile(size, 3)))
+        axes.axhline(50, color=BLACK, lw=0.7, ls=":")
+        axes.set(xscale="log", xlabel=f"error of {name} [{unit}]", ylim=(0, 101))
+        axes.set_xlim(left=max(min(lowest), 1e-12))
+        axes.xaxis.set_major_formatter("{x:g}")
+        if channel == 0:
+            axes.set_ylabel("windows with a smaller error [%]")
+    handles = [key(one.model, rung_color(one.model)) for one in evaluations]
+    top_legend(figure, [*handles, key("RMSE", ls="", marker="o", mec="white")])
+    return figure
+
+
+@styled
+def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -> Figure:
+    """Draw the error of every window along the flight.
+
+    The worst windows are red, and the title gives the share of the summed squared error that they
+    hold; known faults of the recording are shaded.
+    """
+    figure = new_figure(PAGE_WIDTH, 5.4)
+    panels = figure.subplots(3, 1, sharex=True)
+    for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, ERRORS, strict=True)):
+        errors = evaluation.at_horizon[channel]
+        for fault in faults:
+            axes.axvspan(fault.start, fault.stop, color=LIGHT, lw=0)
+        draw_window_errors(axes, evaluation.start, factor * np.abs(errors), worst_windows(errors))
+        median, rmse = factor * evaluation.median_abs[channel], factor * evaluation.rmse[channel]
+        axes.axhline(median, color=BLACK, lw=0.9)
+        axes.axhline(rmse, color=BLACK, lw=0.9, ls=DASHED)
+        axes.set_ylabel(f"error of {name} [{unit}]")
+        axes.margins(x=0.01)
+        axes.set_title(
+            f"median {median:.3g} {unit}, RMSE {rmse:.3g} {unit}; the worst {100 * WORST:.0f} % of "
+            f"windows hold {100 * share_of_squares(errors):.0f} % of the squared error",
+            loc="left",
+            fontsize=8.5,
+            fontweight="normal",
+        )
+    panels[-1].set_xlabel("start of the prediction [s]")
+    handles: list[Artist] = [
+        key("windows", BLUE, marker="."),
+        key(f"worst {100 * WORST:.0f} %", VERMILLION, marker="."),
+        key("median", lw=0.9),
+        key("RMSE", lw=0.9, ls=DASHED),
+    ]
+    if faults:
+        handles.append(Patch(color=LIGHT, label="known faults"))
+        _name_faults(panels[0], faults)
+    top_legend(figure, handles)
+    return figure
+
+
+def _name_faults(axes: Axes, faults: Sequence[Span]) -> None:
+    """Write the cause of each fault beside its shade; lower where it would meet the one before."""
+    axes.set_ylim(0, 1.15 * axes.get_ylim()[1])
+    height, free_from = 0.98, -np.inf
+    for fault in faults:
+        height = 0.84 if fault.stop < free_from and height > 0.9 else 0.98
+        axes.annotate(
+            fault.cause,
+            (fault.stop, height),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(3, 0),
+            textcoords="offset points",
+            ha="left",
+            va="top",
+            fontsize=7,
+            color=GREY,
+        )
+        # About how far a text of this size reaches, as a part of the time axis.
+        free_from = fault.stop + 0.0085 * len(fault.cause) * np.ptp(axes.get_xlim())

@@ -1,0 +1,288 @@
+"""What a fit found and how: losses, thrust curves, parameters, the delays of packets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.gauge import largest_accelerations, physical_thrust
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.packet_delays import PacketDelays
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust
+from airpuck.report.style import (
+    BLACK,
+    BLUE,
+    DASHED,
+    GREY,
+    LIGHT,
+    PAGE_WIDTH,
+    SKY,
+    VERMILLION,
+    key,
+    new_figure,
+    panels,
+    propeller_groups,
+    rung_color,
+    styled,
+    top_legend,
+)
+
+#: Width of a bin of commands, and the share of samples at the top of the right-hand scale [%].
+_BIN, _TOP = 0.05, 30.0
+#: Bins of the histogram of packet delays.
+_DELAY_BINS = 24
+
+
+@styled
+def loss_history_figure(
+    fits: Sequence[Fit],
+    reference: Mapping[str, float] | None = None,
+    *,
+    reference_label: str = "published",
+) -> Figure:
+    """Draw the loss of each fit over the iterations of its optimiser.
+
+    Dashed: the reference parameters on the same windows. Thin: windows that an optimiser held out.
+    """
+    figure = new_figure(6.4, 3.6)
+    axes = figure.add_subplot()
+    reference = reference or {}
+    every = [iteration.loss for fit in fits for iteration in fit.history] + list(reference.values())
+    narrow = max(every) < 10 * min(every)
+    # Within a decade, small numbers with a common exponent; beyond, powers of ten.
+    exponent = int(np.floor(np.log10(max(min(every), 1e-300)))) if narrow else 0
+    scale = 10.0**-exponent
+    for fit in fits:
+        color = rung_color(fit.model.name)
+        numbers = [iteration.number for iteration in fit.history]
+        losses = [scale * iteration.loss for iteration in fit.history]
+        axes.plot(numbers, losses, marker="o" if len(numbers) < 60 else None, ms=4, color=color)
+        held_out = [i.test_loss for i in fit.history if i.test_loss is not None]
+        if len(held_out) == len(numbers):
+            axes.plot(numbers, scale * np.array(held_out), lw=0.8, color=color)
+        if fit.model.name in reference:
+            axes.axhline(scale * reference[fit.model.name], color=color, lw=0.9, ls=DASHED)
+    unit = f"$10^{{{exponent}}}$" if narrow else "–"
+    axes.set(yscale="log", xlabel="iteration [–]", ylabel=f"loss [{unit}]")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if narrow:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    handles = [key(fit.model.name, rung_color(fit.model.name), marker="o", ms=4) for fit in fits]
+    if reference:
+        handles.append(key(reference_label, lw=0.9, ls=DASHED))
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
+    return figure
+
+
+@styled
+def thrust_figure(
+    models: Sequence[Model],
+    trajectory: Trajectory | None = None,
+    reference: Sequence[Model] = (),
+    *,
+    reference_label: str = "published",
+) -> Figure:
+    """Draw the thrust of every motor over its speed, and which speeds were commanded.
+
+    Broad: fitted, with 95 % bands where a model knows its uncertainty; dashed: the reference. Grey
+    bars give the share of the training samples at each command, the bracket below them the range
+    that was commanded. All curves are in newtons, at the physical scale.
+    """
+    vehicle = models[0].vehicle
+    order, columns = _arrangement(vehicle)
+    rows = -(-len(order) // columns)
+    figure = new_figure(PAGE_WIDTH if columns > 2 else 6.4, 0.6 + 2.25 * rows)
+    grid = panels(figure, len(order), columns, sharex=True, sharey=True)
+    speed = np.linspace(0, 1, 201)
+    bands = [_band(model, speed) for model in models]
+    highest = 0.0
+    for axes, motor in zip(grid, order, strict=True):
+        for model, band in zip(models, bands, strict=True):
+            color, curve = rung_color(model.name), _curves(model, speed)[motor]
+            highest = max(highest, float(curve.max()))
+            axes.plot(speed, curve, color=color, lw=3.0, alpha=0.45, zorder=2)
+            if band is not None:
+                axes.fill_between(speed, *band[:, motor], color=color, alpha=0.18, lw=0, zorder=1.5)
+        for model in reference:
+            curve = _curves(model, speed)[motor]
+            highest = max(highest, float(curve.max()))
+            axes.plot(speed, curve, color=rung_color(model.name), lw=1.1, ls=DASHED, zorder=3)
+        axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
+    # A band that knows nothing must not flatten the curves.
+    widest = [np.nanmax(band[1], initial=0.0) for band in bands if band is not None]
+    highest = max([highest, *(min(top, 1.3 * highest) for top in widest)])
+    for number, (axes, motor) in enumerate(zip(grid, order, strict=True)):
+        axes.set(xlim=(0, 1), ylim=(0, 1.08 * highest))
+        axes.set(xlabel="motor speed φ, command u [–]", ylabel="thrust [N]")
+        axes.label_outer()
+        if trajectory is not None:
+            used = trajectory.input[trajectory.usable, motor]
+            _draw_commands(axes, used, last=number % columns == columns - 1)
+    handles: list[Artist] = [
+        key(_label(model), rung_color(model.name), lw=3, alpha=0.6) for model in models
+    ]
+    if any(band is not None for band in bands):
+        color = rung_color(models[0].name) if len(models) == 1 else SKY
+        handles.append(Patch(color=color, alpha=0.25, lw=0, label="95 % interval"))
+    if reference:
+        handles.append(key(reference_label, lw=1.1, ls=DASHED))
+    if trajectory is not None:
+        handles.append(Patch(color=LIGHT, label="commands in training"))
+    top_legend(figure, handles)
+    return figure
+
+
+def _curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "n K"]:
+    """Compute the thrust of every motor over its speed, at the physical scale [N]."""
+    coefficients = physical_thrust(model)
+    return thrust(coefficients, np.broadcast_to(speed, (len(coefficients), len(speed))))
+
+
+def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"] | None:
+    """Return the ends of the 95 % intervals of all thrust curves; None where there are none."""
+    if model.uncertainty is None:
+        return None
+    reach = model.uncertainty.quantile * model.standard_error(lambda m: _curves(m, speed))
+    middle = _curves(model, speed)
+    return np.stack([middle - reach, middle + reach])
+
+
+def _label(model: Model) -> str:
+    """Name a model, noting where its scale was fixed after the fit."""
+    direct = model.parameters.configuration_matrix is not None
+    return f"{model.name} (scale fixed)" if direct else model.name
+
+
+def _arrangement(vehicle: Vehicle) -> tuple[list[int], int]:
+    """Return the order of the motors in a grid, and its columns; up to four pairs stand upright."""
+    groups = propeller_groups(vehicle)
+    if len(groups) <= 4 and {len(group) for group in groups} == {2}:
+        return [group[row] for row in (0, 1) for group in groups], len(groups)
+    return list(range(vehicle.n_propellers)), min(vehicle.n_propellers, 4)
+
+
+def _draw_commands(axes: Axes, commands: Float[np.ndarray, " N"], *, last: bool) -> None:
+    """Draw the share of samples in each bin of commands, on a scale of its own."""
+    share, edges = np.histogram(commands, bins=np.arange(0, 1 + _BIN / 2, _BIN))
+    share = 100 * share / max(len(commands), 1)
+    scale = axes.twinx()
+    scale.set_zorder(axes.get_zorder() - 1)
+    axes.patch.set_visible(False)
+    scale.grid(False)
+    scale.bar(edges[:-1], share, _BIN, align="edge", color=LIGHT, edgecolor="white", lw=0.6)
+    scale.set(ylim=(0, _TOP), yticks=(0, 5, 10))
+    scale.tick_params(colors=GREY, labelright=last, right=last)
+    if last:
+        scale.set_ylabel("samples [%]", color=GREY, loc="bottom")
+    small = {"fontsize": 7.5, "color": GREY}
+    for left, value in zip(edges[:-1], share, strict=True):
+        if value > _TOP:
+            scale.text(left + 1.2 * _BIN, 0.97 * _TOP, f"{value:.0f} %", va="top", **small)
+    low, high = float(commands.min()), float(commands.max())
+    axes.set_title(f"u from {low:.2g} to {high:.2g}", loc="right", fontweight="normal", **small)
+    bracket = {"arrowstyle": "|-|", "mutation_scale": 3, "color": BLACK, "shrinkA": 0, "shrinkB": 0}
+    scale.annotate("", (low, 0.0), (high, 0.0), arrowprops=bracket, annotation_clip=False)
+
+
+@styled
+def parameter_figure(
+    fitted: Sequence[Model],
+    reference: Mapping[str, Model],
+    *,
+    reference_label: str = "published",
+) -> Figure:
+    """Draw relative differences between fitted and reference parameters.
+
+    Shows the linear and angular acceleration of each propeller at full speed, then inertia and time
+    constant where they are learned. Accelerations are products of Π and thrust, so that models that
+    learn Π can be compared too.
+    """
+    models = [model for model in fitted if model.name in reference]
+    names = models[0].vehicle.propeller_names
+    figure = new_figure(PAGE_WIDTH, 1.35 + 0.3 * len(names))
+    linear, angular, scalars = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
+    for kind, axes, quantity in ((0, linear, "linear"), (1, angular, "angular")):
+        ratios = {
+            m.name: largest_accelerations(m)[kind] / largest_accelerations(reference[m.name])[kind]
+            for m in models
+        }
+        _draw_ratios(axes, names, ratios)
+        axes.set_title(f"{quantity} acceleration at φ = 1", loc="left")
+    angular.set_yticklabels([])
+    ratios = {
+        m.name: np.array(
+            [_ratio(m, reference[m.name], q) for q in ("inertia", "motor_time_constant")]
+        )
+        for m in models
+    }
+    _draw_ratios(scalars, ("inertia I", "lag τ"), ratios)
+    scalars.set_title("where learned", loc="left")
+    for axes in (linear, angular, scalars):
+        axes.set_xlabel(f"fitted against {reference_label} [%]")
+    top_legend(figure, [key(m.name, rung_color(m.name), ls="", marker="o") for m in models])
+    return figure
+
+
+def _ratio(model: Model, reference: Model, quantity: str) -> float:
+    """Divide a quantity by the reference's; NaN where the model does not learn it."""
+    if not model.free[model.parameters.mask(frozenset({quantity}))].any():
+        return float("nan")
+    return getattr(model.parameters, quantity) / getattr(reference.parameters, quantity)
+
+
+def _draw_ratios(
+    axes: Axes, labels: Sequence[str], ratios: Mapping[str, Float[np.ndarray, " K"]]
+) -> None:
+    """Draw ratios as differences in percent: a line of dots for each label, a colour per model."""
+    rows = -np.arange(len(labels), dtype=float)
+    spread = np.linspace(0.26, -0.26, max(len(ratios), 2))
+    for offset, (name, ratio) in zip(spread, ratios.items(), strict=False):
+        axes.plot(100 * (ratio - 1), rows + offset, "o", color=rung_color(name), ms=4.5)
+    for row in rows[:-1]:
+        axes.axhline(row - 0.5, color="#e6e6e6", lw=0.6)
+    axes.axvline(0, color=BLACK, lw=0.8)
+    axes.grid(visible=False, axis="y")
+    axes.set_yticks(rows, labels)
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(rows[-1] - 0.5, 0.5)
+
+
+@styled
+def packet_delay_figure(
+    sent: Float[np.ndarray, " K"], delays: PacketDelays, model: Model
+) -> Figure:
+    """Draw the delay of every packet that is known, ± two standard errors, and the distribution."""
+    figure = new_figure(PAGE_WIDTH, 2.9)
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
+    mean = 1e3 * model.transport_delay
+    delay, reach = mean + 1e3 * delays.deviation, 2e3 * delays.standard_error
+    left.errorbar(sent[delays.packet], delay, reach, ls="", marker="o", ms=2.6, lw=0.7, color=BLUE)
+    handles = [left.axhline(mean, color=GREY, lw=1.0, label="mean, as learned with the model")]
+    left.set(xlabel="time [s]", ylabel="delay of a packet [ms]")
+    count, edges, _ = right.hist(
+        delay, _DELAY_BINS, orientation="horizontal", color=BLUE, alpha=0.55
+    )
+    right.axhline(mean, color=GREY, lw=1.0)
+    right.set(xlabel="packets", xlim=(0, 1.08 * count.max()))
+    jitter = model.delay_jitter
+    if jitter is not None and jitter.standard_deviation_s > 0:
+        spread, center = 1e3 * jitter.standard_deviation_s, float(np.mean(delay))
+        at = np.linspace(edges[0], edges[-1], 200)
+        density = np.exp(-(((at - center) / spread) ** 2) / 2) / (spread * np.sqrt(2 * np.pi))
+        expected = density * len(delay) * (edges[1] - edges[0])
+        label = f"normal, jitter of {spread:.1f} ms"
+        handles += right.plot(expected, at, color=VERMILLION, label=label)
+    top_legend(figure, handles)
+    return figure
