@@ -47,9 +47,8 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
     dots: dict[str, Any] = {"ls": "", "ms": 5.5}
     handles = []
     if checked is None and np.isfinite(found.relative_before).any():
-        handles += axes.plot(
-            100 * found.relative_before, rows, marker="s", color=GREY, label="now", **dots
-        )
+        now = 100 * found.relative_before
+        handles += axes.plot(now, rows, marker="s", color=GREY, label="now", **dots)
     dots["marker"] = "o"
     label = "usual excitation, predicted"
     handles += axes.plot(usual, rows, color=GREY, mfc="white", label=label, **dots)
