@@ -25,8 +25,9 @@ from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.rollout import rollout
 from airpuck.recording.dataset import dataset_folder
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
-from airpuck.twin.twin import Twin, build_plant
+from airpuck.twin.twin import Twin
 
 DURATION, SEEDS, STEP = 98.0, (2, 3, 4), 48
 HOW = (

@@ -29,8 +29,9 @@ from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
 from airpuck.recording.stream import Recording
+from airpuck.twin.sensors import EPOCH_NS
 from airpuck.twin.settings import Stall, TwinSettings, default_twin_settings
-from airpuck.twin.twin import EPOCH_NS, Twin
+from airpuck.twin.twin import Twin
 
 KINDS = ("stalled", "radio out", "frozen pose", "stalled", "radio out", "jumping pose")
 DURATIONS = (0.15, 0.2, 0.3, 0.5, 1.0)

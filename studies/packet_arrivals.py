@@ -24,9 +24,9 @@ from airpuck.identification import fit as fit_module
 from airpuck.model.model_file import Model
 from airpuck.twin import experiments
 from airpuck.twin import twin as twin_module
-from airpuck.twin.plant import Plant
+from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
-from airpuck.twin.twin import Twin, build_plant
+from airpuck.twin.twin import Twin
 
 QUANTITIES = ("inertia %", "tau ms", "delay ms", "F(1) %")
 

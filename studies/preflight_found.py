@@ -24,9 +24,9 @@ from airpuck.flight.loop import fly
 from airpuck.flight.preflight import Preflight, judge_pulses
 from airpuck.flight.pulses import PulseTest
 from airpuck.model.model_file import Model, nominal_model, published_model
-from airpuck.twin.plant import Plant
+from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.settings import Motors, Weakness, default_twin_settings
-from airpuck.twin.twin import Twin, build_plant
+from airpuck.twin.twin import Twin
 
 MODEL = published_model("M3")
 #: What is known before the first identification.

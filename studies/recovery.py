@@ -17,10 +17,9 @@ from airpuck.campaigns.items import recovery_errors
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import Model, published_model
 from airpuck.twin.experiments import excite
-from airpuck.twin.plant import Plant
+from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import build_plant
 
 #: What must not be exceeded; thrust: of the worst motor.
 BOUNDS = {

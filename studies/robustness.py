@@ -20,9 +20,9 @@ from airpuck.control.reference import SetPoints
 from airpuck.flight.track import Track
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS
-from airpuck.twin.twin import build_plant
 
 DWELL, LONGEST_JITTER, LOSS, OUTAGE, OUTAGES_PER_S = 6.0, 0.06, 0.3, 0.1, 0.5
 #: Mean over the last second of a dwell, for a set point to count as reached [m, m, rad].

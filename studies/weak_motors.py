@@ -21,8 +21,8 @@ from airpuck.flight.track import Track
 from airpuck.model.model_file import published_model
 from airpuck.physics.angle import pose_difference
 from airpuck.twin.experiments import track
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, Stall, TwinSettings, Weakness, default_twin_settings
-from airpuck.twin.twin import build_plant
 
 POINTS = [(0, 0, 0), (0.3, 0.1, 1.0), (0.0, -0.2, -0.5), (0.3, -0.1, 0.7), (0, 0, 0)]
 DWELL, FAULT = 3.0, 3.0

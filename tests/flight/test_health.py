@@ -15,8 +15,8 @@ from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, TwinSettings, Weakness, default_twin_settings
-from airpuck.twin.twin import build_plant
 
 MODEL = published_model("M4")
 NAMES = MODEL.vehicle.propeller_names

@@ -25,8 +25,9 @@ from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.recording.stream import Recording
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
-from airpuck.twin.twin import Twin, build_plant
+from airpuck.twin.twin import Twin
 from tests.report.conftest import four_propellers
 
 MODEL = published_model("M3")

@@ -17,8 +17,9 @@ from airpuck.flight.track import Track
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
+from airpuck.twin.plant import build_plant
+from airpuck.twin.sensors import EPOCH_NS
 from airpuck.twin.settings import MotionCapture, Radio, default_twin_settings
-from airpuck.twin.twin import EPOCH_NS, build_plant
 
 M4 = published_model("M4")
 LEAST = M4.vehicle.command_min

@@ -14,10 +14,10 @@ from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin import experiments
 from airpuck.twin import twin as twin_module
-from airpuck.twin.plant import Plant
+from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck.twin.twin import Twin, build_plant
+from airpuck.twin.twin import Twin
 
 #: The craft: the published M3, its centre of mass fixed to the body.
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")

@@ -8,8 +8,8 @@ from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model, read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Effects, Radio, default_twin_settings
-from airpuck.twin.twin import build_plant
 
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
 

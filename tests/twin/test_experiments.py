@@ -17,9 +17,9 @@ from airpuck.identification.fit import identify
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite, track
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, Radio, Stall, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
-from airpuck.twin.twin import build_plant
 
 from ..recovered import assert_recovered
 

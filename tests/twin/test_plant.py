@@ -15,9 +15,8 @@ from airpuck.model.model_file import published_model
 from airpuck.physics.effects import GRAVITY
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import step
-from airpuck.twin.plant import LONGEST_STEP, Disc, advance
+from airpuck.twin.plant import LONGEST_STEP, Disc, Plant, advance, build_plant
 from airpuck.twin.settings import Effects, default_twin_settings
-from airpuck.twin.twin import build_plant
 
 PUBLISHED = published_model("M3")
 #: The published craft with an offset that matters, fixed to the body.
@@ -68,7 +67,7 @@ def craft(x=0.0, y=0.0, yaw=0.0, vx=0.0, vy=0.0, spin=0.0):
 def hit(state, table, center_of_mass=(0.0, 0.0)):
     """One step; the state must be one that meets a rail."""
     before = state[3:6].copy()
-    after = advance(np, coasting(center_of_mass), DISC, table, state, IDLE, 1e-4)
+    after = advance(np, Plant(coasting(center_of_mass), DISC, table), state, IDLE, 1e-4)
     assert not np.allclose(after[3:6], before, atol=1e-6)
     return after
 
@@ -116,7 +115,9 @@ def test_elastic_rails_without_friction_conserve_energy():
     first, hits = energy(state, r), np.zeros(20)
     # At the longest step the spins above 20 rad/s that come about cost 1e-8 between the rails.
     for _ in range(10 * 480):
-        new = advance(np, coasting(r), DISC, table, state, np.zeros((6, 20)), LONGEST_STEP / 2)
+        new = advance(
+            np, Plant(coasting(r), DISC, table), state, np.zeros((6, 20)), LONGEST_STEP / 2
+        )
         hits += np.abs(center_velocity(new, r) - center_velocity(state, r)).max(axis=0) > 1e-3
         state = new
     assert np.median(hits) > 12
@@ -196,7 +197,7 @@ def test_a_disc_that_rolls_along_the_rail_feels_no_friction():
 
 def test_leaving_a_rail_costs_nothing():
     state = craft(x=1.031, vx=-0.5, vy=0.3, spin=2.0)
-    after = advance(np, coasting(), DISC, Table(), state, IDLE, 1e-4)
+    after = advance(np, Plant(coasting(), DISC, Table()), state, IDLE, 1e-4)
     np.testing.assert_array_equal(after[3:6], state[3:6])
 
 
@@ -213,7 +214,7 @@ def gained(motion, position, restitution, friction, r):
     yaw, vx, vy, spin = np.array(motion) * [3, 2, 2, 20]
     table = Table(restitution=restitution, friction=friction)
     state = craft(*position, yaw, vx, vy, spin)
-    after = advance(np, coasting(r), DISC, table, state, IDLE, 1e-9)
+    after = advance(np, Plant(coasting(r), DISC, table), state, IDLE, 1e-9)
     return energy(after, r) / max(energy(state, r), 1e-12) - 1
 
 
@@ -265,7 +266,7 @@ def test_a_craft_at_full_power_stays_on_the_table(plant_with_effects, restitutio
     for k in range(6 * 240):
         if k % 120 == 0:
             command = rng.uniform(0, 1, (6, count))
-        state = advance(np, plant_with_effects.dynamics, disc, table, state, command, LONGEST_STEP)
+        state = advance(np, replace(plant_with_effects, table=table), state, command, LONGEST_STEP)
         assert (np.abs(state[:2]) <= reach + 1e-4).all()
         touched += (np.abs(state[:2]) > reach - 0.02).any(axis=0).sum()
     assert touched > 100
@@ -275,9 +276,7 @@ def test_a_craft_on_a_tilted_table_comes_to_rest_in_its_lowest_corner():
     plant = build_plant(MODEL, TILTED)
     state = crafts(np.random.default_rng(4), 5)
     for _ in range(12 * 240):
-        state = advance(
-            np, plant.dynamics, plant.disc, plant.table, state, np.zeros((6, 5)), LONGEST_STEP
-        )
+        state = advance(np, plant, state, np.zeros((6, 5)), LONGEST_STEP)
     x, y = plant.table.reach(plant.disc.radius)
     np.testing.assert_allclose(state[0], x, atol=2e-3)
     np.testing.assert_allclose(state[1], -y, atol=2e-3)
@@ -291,14 +290,9 @@ def test_a_batch_is_many_single_craft(plant_with_effects, xp):
     batch[1, 10:15], batch[4, 10:15] = -0.4799, -1.0
     batch[6:] = rng.uniform(0, 1, (6, 40))
     command = rng.uniform(0, 1, (6, 40))
-    rest = (plant.disc, plant.table)
     with jax.enable_x64(True):
-        together = np.asarray(
-            advance(xp, plant.dynamics, *rest, xp.asarray(batch), xp.asarray(command), 1 / 240)
-        )
-    single = [
-        advance(np, plant.dynamics, *rest, batch[:, i], command[:, i], 1 / 240) for i in range(40)
-    ]
+        together = np.asarray(advance(xp, plant, xp.asarray(batch), xp.asarray(command), 1 / 240))
+    single = [advance(np, plant, batch[:, i], command[:, i], 1 / 240) for i in range(40)]
     assert (np.sign(together[3, :10]) == -1).all()
     np.testing.assert_allclose(together, np.stack(single, axis=1), rtol=1e-12, atol=1e-13)
 
@@ -309,7 +303,7 @@ def test_compiled_and_numpy_agree(plant_with_effects):
         state, command = crafts(rng, 1)[:, 0] * 1.2, rng.uniform(0, 1, 6)
         state[6:] = rng.uniform(0, 1, 6)
         compiled, met = plant.advance(state, command, 1 / 300, np.ones(6))
-        plain = advance(np, plant.dynamics, plant.disc, plant.table, state, command, 1 / 300)
+        plain = advance(np, plant, state, command, 1 / 300)
         assert met == (plain != step(np, plant.dynamics, state, command, 1 / 300)).any()
         bounces += met
         np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-13)

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from airpuck.twin.sensors import Sensor
+from airpuck.twin.sensors import EPOCH_NS, Sensor
 
 NOISE = (1e-3, 2e-3, 5e-3)
-EPOCH = 1_000_000_000_000
 
 
 def sensor(seed=0, kind="pose", **values):
@@ -22,11 +21,11 @@ def sensor(seed=0, kind="pose", **values):
 def measured(one, count, truth=(0.1, 0.2, 0.3)):
     for _ in range(count):
         one.measure(np.array(truth))
-    return one.stream(EPOCH)
+    return one.stream()
 
 
 def seconds(stamps):
-    return (stamps - EPOCH) * 1e-9
+    return (stamps - EPOCH_NS) * 1e-9
 
 
 def test_samples_come_at_the_rate_and_without_rounding_adding_up():
@@ -34,7 +33,7 @@ def test_samples_come_at_the_rate_and_without_rounding_adding_up():
     for k in range(24_000):
         assert one.due == k / 240
         one.measure(np.zeros(3))
-    stream = one.stream(EPOCH)
+    stream = one.stream()
     assert np.abs(seconds(stream.stamp_ns) - np.arange(24_000) / 240).max() < 1e-9
 
 
@@ -156,13 +155,13 @@ def test_each_measurement_is_delivered_once_and_none_before_it_arrives(
             assert measurement.stamp + least - 1e-12 <= arrival <= now
             delivered.append((measurement.stamp, arrival))
         assert one.arrived(now) == []
-        waiting = seconds(one.stream(EPOCH).received_ns)
+        waiting = seconds(one.stream().received_ns)
         assert (waiting <= now - 1e-8).sum() <= len(delivered) <= (waiting <= now + 1e-8).sum()
     stamps = [stamp for stamp, _ in delivered]
     assert stamps == sorted(set(stamps))
-    assert len(stamps) == len(one.stream(EPOCH))
+    assert len(stamps) == len(one.stream())
 
 
 def test_a_sensor_that_measured_nothing_has_an_empty_stream():
-    assert len(sensor().stream(EPOCH)) == 0
+    assert len(sensor().stream()) == 0
     assert sensor().arrived(1.0) == []

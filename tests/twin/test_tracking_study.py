@@ -10,9 +10,9 @@ from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
 from airpuck.report.tracking_report import tracking_sections
 from airpuck.twin.experiments import track
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
-from airpuck.twin.twin import build_plant
 
 M4 = published_model("M4")
 #: One more than the paper's: the start, and four moves.

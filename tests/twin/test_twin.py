@@ -14,8 +14,9 @@ from airpuck.physics.rollout import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Effects, MotionCapture, Motors, OnBoard, Radio, TwinSettings
-from airpuck.twin.twin import Twin, build_plant
+from airpuck.twin.twin import Twin
 
 MODEL = replace(
     published_model("M3"),

@@ -37,8 +37,8 @@ def demo(
     from airpuck.report.fit_report import fit_report
     from airpuck.report.tracking_report import tracking_sections
     from airpuck.twin.experiments import excite
+    from airpuck.twin.plant import build_plant
     from airpuck.twin.tracking_study import tracking_study
-    from airpuck.twin.twin import build_plant
 
     out = Path(out)
     bags = _own_folder(out / "bags")

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cache
 from numbers import Integral
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -26,10 +26,11 @@ from airpuck.model.model_file import Model
 from airpuck.physics.pytrees import register_pytrees
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.recording.stream import Recording
-from airpuck.twin.plant import LONGEST_STEP, Disc, advance, scaled
+from airpuck.twin.plant import LONGEST_STEP, Disc, Plant, advance, build_plant, scaled
 from airpuck.twin.radio import heard_commands
+from airpuck.twin.sensors import command_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck.twin.twin import EPOCH_NS, build_plant, check_seed, command_stream, pose_sensor
+from airpuck.twin.twin import check_seed
 
 #: Craft of one batch on a CPU: enough that the loop costs little, few enough for its cache.
 BATCH = 512
@@ -72,7 +73,7 @@ class FleetFlight:
             sensor.measure(pose)
         sent = list(zip(self.command_time.tolist(), self.command[:, :, craft], strict=True))
         names = self.models[craft].vehicle.propeller_names
-        streams = {"pose": sensor.stream(EPOCH_NS), "command": command_stream(sent, names)}
+        streams = {"pose": sensor.stream(), "command": command_stream(sent, names)}
         return Recording(streams=streams, source=f"craft {craft} of a fleet")
 
 
@@ -137,9 +138,9 @@ def fly_fleet(
     command = np.asarray(command, dtype=float)
     poses = np.zeros((3, 1)) if poses is None else np.asarray(poses, dtype=float)
     delays = np.array(_delays(settings, models) if delays is None else delays, dtype=float)
-    _check(models, command, period, seeds, delays, poses, settings, every)
-    if precision not in ("double", "single"):
-        raise InputError(f"must be 'double' or 'single', not {precision!r}", field="precision")
+    _check_models(models, settings)
+    _check_arrays(command, delays, poses, models[0].vehicle.n_propellers)
+    _check_numbers(period, seeds, every, precision)
     size = _common_size(
         models=len(models),
         command=command.shape[2] if command.ndim == 3 else 1,
@@ -150,29 +151,31 @@ def fly_fleet(
     n = models[0].vehicle.n_propellers
     sent = period * np.arange(len(command))
     frames, stride = _frames(settings, len(command) * period, every)
-    # Craft that differ in neither hear the same.
+    # Craft of one seed and one delay share their radio.
     radios = max(len(seeds), len(delays))
     times, heard = heard_commands(
         settings, sent, _each(seeds, radios), _each(delays.tolist(), radios)
     )
+    dtype = np.dtype("float64" if precision == "double" else "float32")
     # One more, for motors that stop.
     commands = np.concatenate([command, np.zeros((1, *command.shape[1:]))])
+    begin = np.concatenate([np.broadcast_to(poses, (3, size)), np.zeros((3 + n, size))])
     fleet = _Fleet(
-        dynamics=_stacked([build_plant(model, settings).dynamics for model in models]),
-        inertia=np.array([float(model.parameters.inertia) for model in models]),
-        commands=commands.reshape(len(commands), n, -1),
+        dynamics=_stacked(models, settings, dtype),
+        inertia=np.array([float(model.parameters.inertia) for model in models], dtype),
+        commands=commands.reshape(len(commands), n, -1).astype(dtype),
         times=times,
         heard=heard,
-        state=np.concatenate([np.broadcast_to(poses, (3, size)), np.zeros((3 + n, size))]),
+        state=begin.astype(dtype),
     )
-    state, steps = _integrate(fleet, models[0], settings, frames, stride, precision)
+    state, steps = _integrate(fleet, models[0], settings, frames, stride)
     return FleetFlight(
         time=frames[::stride],
         state=state,
         models=_each(models, size),
         seeds=_each(seeds, size),
         command_time=sent,
-        command=np.broadcast_to(fleet.commands[:-1], (len(command), n, size)),
+        command=np.broadcast_to(command.reshape(len(command), n, -1), (len(command), n, size)),
         settings=settings,
         steps=steps,
         every=every,
@@ -195,29 +198,15 @@ def _common_size(**sizes: int) -> int:
     """Return the number of craft."""
     several = {name: size for name, size in sizes.items() if size != 1}
     if len(set(several.values())) > 1:
-        told = ", ".join(f"{size} {name}" for name, size in several.items())
-        raise InputError(f"these should be as many as there are craft: {told}")
+        found = ", ".join(f"{size} {name}" for name, size in several.items())
+        raise InputError(f"these should be as many as there are craft: {found}")
     return max(several.values(), default=1)
 
 
-def _check(
-    models: tuple[Model, ...],
-    command: Float[np.ndarray, "..."],
-    period: float,
-    seeds: Sequence[int],
-    delays: Float[np.ndarray, " B"],
-    poses: Float[np.ndarray, "..."],
-    settings: TwinSettings,
-    every: int,
-) -> None:
-    """Refuse what cannot be flown."""
+def _check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
+    """Refuse craft that no one program can fly, and motors that only `Twin` simulates."""
     if not models:
         raise InputError("is empty", field="models")
-    if not len(seeds):
-        raise InputError("is empty", field="seeds")
-    for seed in seeds:
-        check_seed(seed, "seeds")
-    n = models[0].vehicle.n_propellers
     kinds = {
         (
             m.frame,
@@ -234,22 +223,41 @@ def _check(
             "of the centre of mass, mass, radius and kinds of effects",
             field="models",
         )
-    if command.ndim not in (2, 3) or command.shape[1] != n or not command.size:
-        raise InputError(f"must have the shape (K, {n}) or (K, {n}, B)", field="command")
-    if not np.isfinite(command).all() or command.min() < 0 or command.max() > 1:
-        raise InputError("must lie in [0, 1]", field="command")
-    if not (math.isfinite(period) and period > 0):
-        raise InputError("must be positive", field="period")
-    if delays.ndim != 1 or not delays.size or not np.isfinite(delays).all() or (delays < 0).any():
-        raise InputError("must be a list of numbers that are not negative", field="delays")
-    if poses.ndim != 2 or len(poses) != 3 or not poses.size or not np.isfinite(poses).all():
-        raise InputError("must have the shape (3, B) and be finite", field="poses")
-    if not isinstance(every, Integral) or every < 1:
-        raise InputError("must be a whole number, at least 1", field="every")
     if settings.motors.starting_delay_s or settings.motors.stalls or settings.motors.weak:
         raise InputError(
             "motors of a fleet neither start late nor stall; use Twin", field="settings.motors"
         )
+
+
+def _check_arrays(
+    command: Float[np.ndarray, "..."],
+    delays: Float[np.ndarray, "..."],
+    poses: Float[np.ndarray, "..."],
+    n: int,
+) -> None:
+    """Refuse arrays of a wrong shape, or with numbers out of range."""
+    if command.ndim not in (2, 3) or command.shape[1] != n or not command.size:
+        raise InputError(f"must have the shape (K, {n}) or (K, {n}, B)", field="command")
+    if not np.isfinite(command).all() or command.min() < 0 or command.max() > 1:
+        raise InputError("must lie in [0, 1]", field="command")
+    if delays.ndim != 1 or not delays.size or not np.isfinite(delays).all() or (delays < 0).any():
+        raise InputError("must be a list of numbers that are not negative", field="delays")
+    if poses.ndim != 2 or len(poses) != 3 or not poses.size or not np.isfinite(poses).all():
+        raise InputError("must have the shape (3, B) and be finite", field="poses")
+
+
+def _check_numbers(period: float, seeds: Sequence[int], every: int, precision: str) -> None:
+    """Refuse numbers out of range."""
+    if not len(seeds):
+        raise InputError("is empty", field="seeds")
+    for seed in seeds:
+        check_seed(seed, "seeds")
+    if not (math.isfinite(period) and period > 0):
+        raise InputError("must be positive", field="period")
+    if not isinstance(every, Integral) or every < 1:
+        raise InputError("must be a whole number, at least 1", field="every")
+    if precision not in ("double", "single"):
+        raise InputError(f"must be 'double' or 'single', not {precision!r}", field="precision")
 
 
 def _frames(
@@ -263,8 +271,7 @@ def _frames(
     return frames, pieces * every
 
 
-@dataclass(frozen=True)
-class _Fleet:
+class _Fleet(NamedTuple):
     """All that may differ: the last axis of every array has one entry for each craft, or one."""
 
     #: Coefficients.
@@ -273,7 +280,7 @@ class _Fleet:
     inertia: Any
     #: What was sent, and zeros.
     commands: Any
-    #: When what the motors follow changes, infinite at the end [s].
+    #: When the command that the motors follow changes, infinite at the end [s].
     times: Any
     #: The number of the command that they follow from then on.
     heard: Any
@@ -291,28 +298,17 @@ class _Fleet:
 
         for begin in range(0, self.size, size):
             chosen = np.minimum(np.arange(begin, begin + size), self.size - 1)
-
-            def cut(array: Any, chosen: Any = chosen) -> Any:
-                return array[..., chosen] if array.shape[-1] > 1 else array
-
-            yield jax.tree.map(cut, self), slice(begin, min(begin + size, self.size))
+            part = jax.tree.map(lambda a, c=chosen: a[..., c] if a.shape[-1] > 1 else a, self)
+            yield part, slice(begin, min(begin + size, self.size))
 
 
-def _stacked(each: list[Dynamics]) -> Dynamics:
+def _stacked(models: tuple[Model, ...], settings: TwinSettings, dtype: np.dtype) -> Dynamics:
     """Stack the coefficients of all craft."""
     import jax
 
-    _register()
-    return jax.tree.map(lambda *values: np.stack(values, axis=-1).astype(float), *each)
-
-
-@cache
-def _register() -> None:
-    """Let JAX see into the dataclasses that make up a fleet."""
-    from jax.tree_util import register_dataclass
-
     register_pytrees()
-    register_dataclass(_Fleet, [field.name for field in fields(_Fleet)], [])
+    each = [build_plant(model, settings).dynamics for model in models]
+    return jax.tree.map(lambda *values: np.stack(values, axis=-1).astype(dtype), *each)
 
 
 @cache
@@ -335,12 +331,12 @@ def _program(table: Table, mass: float, radius: float, sag: float) -> Any:
             if sag:
                 truth = scaled(truth, jnp.maximum(1 - sag * now, 0.0).astype(dtype))
             duration = (until - now).astype(dtype)
-            state = advance(jnp, truth, disc, table, state, command, duration)
+            state = advance(jnp, Plant(truth, disc, table), state, command, duration)
             seen, hears = due <= until, arrival <= until
             following = jnp.where(hears, fleet.heard[change, radio], following)
             frame = jnp.minimum(frame + seen, len(frames) - 2)
             carry = state, until, frame, change + hears, following
-            # A craft's state in one piece, for the one who picks it from the batch.
+            # The state of each craft in one piece: faster to pick out of the batch.
             return carry, (state.T, jnp.where(seen, frame, -1))
 
         return jax.lax.scan(one, carry, length=SEGMENT)
@@ -354,7 +350,6 @@ def _integrate(
     settings: TwinSettings,
     frames: Float[np.ndarray, " F"],
     stride: int,
-    precision: str,
 ) -> tuple[Float[np.ndarray, "N s B"], int]:
     """Integrate all craft; return states at every `stride`-th frame, and the number of steps."""
     import jax
@@ -366,26 +361,17 @@ def _integrate(
     # A frozen pydantic model has a hash, which the type checker does not see.
     rails: Any = settings.table
     program = _program(rails, vehicle.mass_kg, vehicle.radius_m, sag)
-    dtype = np.dtype("float64" if precision == "double" else "float32")
-    state = np.empty((-(-len(frames) // stride), fleet.size, len(fleet.state)), dtype)
+    shape = -(-len(frames) // stride), fleet.size, len(fleet.state)
+    state = np.empty(shape, fleet.state.dtype)
     steps = len(frames) - 1 + np.count_nonzero(fleet.times < frames[-1], axis=0)
 
     def fly(batch: tuple[_Fleet, slice]) -> None:
         part, place = batch
-        # Times are double in any case.
-        part = replace(_of_type(part, dtype), times=part.times)
         _fly_batch(program, part, frames, stride, int(steps.max()), state[:, place])
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(fly, fleet.batches(size)))
     return state.transpose(0, 2, 1), int(np.broadcast_to(steps, fleet.size).sum())
-
-
-def _of_type(fleet: _Fleet, dtype: np.dtype) -> _Fleet:
-    """Convert all numbers that are no counts."""
-    import jax
-
-    return jax.tree.map(lambda a: a.astype(dtype) if a.dtype.kind == "f" else a, fleet)
 
 
 def _fly_batch(

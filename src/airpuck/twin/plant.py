@@ -13,16 +13,61 @@ from airpuck.compute.arrays import if_any
 from airpuck.compute.compiled import program
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
+from airpuck.model.parameters import thrust_scale
+from airpuck.physics.effects import Effect, make_effects
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import step
+from airpuck.twin.settings import Effects, TwinSettings, default_twin_settings
 
 #: Longest step of the integration [s]: below half the period of control.
 LONGEST_STEP = 1 / 240
 
 
+def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
+    """Put a craft on a table, with the effects of its model and those of the settings.
+
+    Parameters
+    ----------
+    model : Model
+        The truth.
+    settings : TwinSettings, optional
+        Table and effects; by default the packaged ones.
+
+    Returns
+    -------
+    Plant
+        Compiled once, however many twins fly it.
+    """
+    settings = settings or default_twin_settings()
+    dynamics = replace(model.dynamics, effects=_effects(model, settings.effects))
+    vehicle, inertia = model.vehicle, float(model.parameters.inertia)
+    return Plant(dynamics, Disc(vehicle.mass_kg, inertia, vehicle.radius_m), settings.table)
+
+
+def _effects(model: Model, settings: Effects) -> tuple[Effect, ...]:
+    """Return the effects of the truth, and those that are switched on in addition."""
+    s = settings
+    drag = (
+        s.drag_linear_1_s,
+        s.drag_quadratic_1_m,
+        s.spin_drag_linear_1_s,
+        s.spin_drag_quadratic_1_rad,
+    )
+    return model.dynamics.effects + make_effects(
+        model.vehicle,
+        drag=drag if any(drag) else None,
+        inflow=s.inflow_s_m or None,
+        pair_interaction=s.pair_interaction_1_N or None,
+        voltage_sag=s.voltage_sag_1_N or None,
+        tilt=s.tilt_rad if any(s.tilt_rad) else None,
+        angle_offset=float(model.parameters.angle_offset),
+        scale=thrust_scale(np, model.parameters, model.vehicle),
+    )
+
+
 @dataclass(frozen=True)
 class Disc:
-    """What a rail meets."""
+    """The craft as a rail meets it."""
 
     #: [kg].
     mass: Any
@@ -34,27 +79,11 @@ class Disc:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A craft on a table.
+    """A craft on a table: coefficients with all effects, disc and rails."""
 
-    Attributes
-    ----------
-    model : Model
-        The truth of this world.
-    table : Table
-        Its rails.
-    dynamics : Dynamics
-        The model's coefficients, with optional effects.
-    """
-
-    model: Model
-    table: Table
     dynamics: Dynamics
-
-    @property
-    def disc(self) -> Disc:
-        """What a rail meets."""
-        vehicle = self.model.vehicle
-        return Disc(vehicle.mass_kg, float(self.model.parameters.inertia), vehicle.radius_m)
+    disc: Disc
+    table: Table
 
     @cached_property
     def advance(self) -> Callable[..., Any]:
@@ -66,12 +95,12 @@ class Plant:
         def advanced(
             xp: Any, state: Any, command: Any, duration: Any, scale: Any
         ) -> tuple[Any, Any]:
-            dynamics = scaled(self.dynamics, scale[:, None])
-            free = step(xp, dynamics, state, command, duration)
-            state = rebound(xp, dynamics, self.disc, self.table, free)
+            plant = replace(self, dynamics=scaled(self.dynamics, scale[:, None]))
+            free = step(xp, plant.dynamics, state, command, duration)
+            state = rebound(xp, plant, free)
             return state, (state != free).any()
 
-        n = self.model.vehicle.n_propellers
+        n = self.dynamics.configuration.shape[1]
         return program(advanced, np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n), compiled=True)
 
 
@@ -80,34 +109,31 @@ def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
     return replace(dynamics, thrust=dynamics.thrust * factor)
 
 
-def advance(
-    xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any, command: Any, duration: Any
-) -> Any:
-    """Advance a craft by one step of the integration; rails push it back."""
-    return rebound(xp, dynamics, disc, table, step(xp, dynamics, state, command, duration))
+def advance(xp: Any, plant: Plant, state: Any, command: Any, duration: Any) -> Any:
+    """Advance a craft, or a batch, by one step of the integration; rails push it back."""
+    return rebound(xp, plant, step(xp, plant.dynamics, state, command, duration))
 
 
-def rebound(xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any) -> Any:
+def rebound(xp: Any, plant: Plant, state: Any) -> Any:
     """Push a craft back that went beyond a rail."""
-    x_reach, y_reach = table.reach(disc.radius)
+    x_reach, y_reach = plant.table.reach(plant.disc.radius)
     beyond = (xp.abs(state[0]) > x_reach) | (xp.abs(state[1]) > y_reach)
 
     def bounced(state: Any) -> Any:
-        state = _bounce(xp, dynamics, disc, table, state, axis=0, reach=x_reach)
-        return _bounce(xp, dynamics, disc, table, state, axis=1, reach=y_reach)
+        state = _bounce(xp, plant, state, axis=0, reach=x_reach)
+        return _bounce(xp, plant, state, axis=1, reach=y_reach)
 
     # A rail is met rarely, and its impulse costs more than the step of the integration.
     return if_any(xp, beyond, bounced, state)
 
 
-def _bounce(
-    xp: Any, dynamics: Dynamics, disc: Disc, table: Table, state: Any, *, axis: int, reach: float
-) -> Any:
+def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> Any:
     """Apply the impulse of the rails across one axis.
 
     Newton's law of restitution in the normal direction; in the tangential one an impulse that
     stops the slip if the cone of friction allows that, and otherwise lies on the cone.
     """
+    dynamics, disc, table = plant.dynamics, plant.disc, plant.table
     position, speed = state[axis], state[3 + axis]
     side = xp.sign(position)
     depth = xp.abs(position) - reach
@@ -152,7 +178,7 @@ def _bounce(
     gained_x = (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
     gained_y = (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
     zero = 0.0 * position
-    # What it went too far it comes back, at the speed it has now.
+    # It comes back by the depth, scaled like the speed.
     back = -side * depth * (1 + table.restitution)
     change = [back if axis == 0 else zero, back if axis == 1 else zero]
     change += [zero, gained_x, gained_y, turned]

@@ -1,14 +1,20 @@
-"""A sensor: samples at its own rate, on its own clock, with noise; its messages arrive later."""
+"""Sensors: they sample at their own rate and on their own clock, with noise, and arrive late."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from airpuck.flight.link import Kind, Measurement
 from airpuck.recording.stream import COLUMNS, Stream
+from airpuck.twin.settings import MotionCapture, TwinSettings
+
+#: Time of the recorder at the start of a flight [ns since 1970].
+EPOCH_NS = 1_700_000_000_000_000_000
 
 
 class Sensor:
@@ -73,11 +79,66 @@ class Sensor:
             self._delivered = 0
         return found
 
-    def stream(self, epoch_ns: int) -> Stream:
+    def stream(self) -> Stream:
         """Return everything that was measured so far."""
         columns = COLUMNS[self.kind]
-        stamps = np.array([entry[0] for entry in self._logged])
-        arrivals = np.array([entry[1] for entry in self._logged])
-        values = np.array([entry[2] for entry in self._logged]).reshape(-1, len(columns))
-        stamp, received = (epoch_ns + np.rint(t * 1e9).astype(np.int64) for t in (stamps, arrivals))
-        return Stream(stamp, received, values, columns)
+        stamps, arrivals, values = zip(*self._logged, strict=True) if self._logged else ((), (), ())
+        table = np.array(values).reshape(-1, len(columns))
+        return Stream(_nanoseconds(stamps), _nanoseconds(arrivals), table, columns)
+
+
+def _nanoseconds(times: Sequence[float]) -> Int[np.ndarray, " N"]:
+    """Convert times of the flight to those of the recorder."""
+    return EPOCH_NS + np.rint(np.array(times, dtype=float) * 1e9).astype(np.int64)
+
+
+def pose_sensor(capture: MotionCapture, seed: int, logs: bool = True) -> Sensor:
+    """Build the motion capture of a twin."""
+    return Sensor(
+        "pose",
+        rate=capture.rate_hz,
+        noise=(capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad),
+        latency=(capture.latency_s, capture.latency_jitter_s),
+        rng=np.random.default_rng([seed, 1]),
+        dropped=capture.dropped,
+        gaps=capture.gaps_s,
+        clock=(capture.clock_offset_s, capture.clock_drift),
+        logs=logs,
+    )
+
+
+def build_sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]:
+    """Build the sensors, each with random numbers of its own."""
+    board = settings.on_board
+    sensors = [pose_sensor(settings.motion_capture, seed, logs)]
+    if board.rate_hz == 0:
+        return sensors
+    inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
+    optical = (board.mouse_noise_m_s,) * 2
+    on_board: tuple[tuple[Kind, tuple[float, ...]], ...] = (("imu", inertial), ("mouse", optical))
+    for number, (kind, noise) in enumerate(on_board, start=2):
+        sensors.append(
+            Sensor(
+                kind,
+                rate=board.rate_hz,
+                noise=noise,
+                latency=(board.latency_s, 0.0),
+                rng=np.random.default_rng([seed, number]),
+                logs=logs,
+            )
+        )
+    return sensors
+
+
+def command_stream(
+    sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
+) -> Stream:
+    """Lay out commands as a recorder logs them."""
+    return log_stream(sent, names, latency=1e-4)
+
+
+def log_stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
+    """Lay out messages that carry the controller's time."""
+    times, values = zip(*logged, strict=True)
+    stamp = _nanoseconds(times)
+    return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)

@@ -17,8 +17,8 @@ from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
+from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck.twin.twin import build_plant
 
 #: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from and back to the middle.
 SET_POINTS = ((0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.5, -0.3, -1.0), (0.0, 0.0, 0.0))

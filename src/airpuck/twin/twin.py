@@ -12,48 +12,16 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.flight.link import Kind, Measurement
+from airpuck.flight.link import Measurement
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import thrust_scale
-from airpuck.physics.effects import Effect, Tilt, make_effects
+from airpuck.physics.effects import Tilt
 from airpuck.physics.rigid_body import acceleration
-from airpuck.recording.stream import COLUMNS, Recording, Stream
+from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.motors import MotorUnit
-from airpuck.twin.plant import LONGEST_STEP, Plant, scaled
+from airpuck.twin.plant import LONGEST_STEP, Plant, build_plant, scaled
 from airpuck.twin.radio import RadioLink
-from airpuck.twin.sensors import Sensor
-from airpuck.twin.settings import Effects, MotionCapture, TwinSettings, default_twin_settings
-
-#: Time of the recorder at the start of a flight [ns since 1970].
-EPOCH_NS = 1_700_000_000_000_000_000
-
-
-def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
-    """Put a craft on a table."""
-    settings = settings or default_twin_settings()
-    effects = _effects(model, settings.effects)
-    return Plant(model, settings.table, replace(model.dynamics, effects=effects))
-
-
-def _effects(model: Model, settings: Effects) -> tuple[Effect, ...]:
-    """Return the effects of the truth, and those that are switched on besides."""
-    s = settings
-    drag = (
-        s.drag_linear_1_s,
-        s.drag_quadratic_1_m,
-        s.spin_drag_linear_1_s,
-        s.spin_drag_quadratic_1_rad,
-    )
-    return model.dynamics.effects + make_effects(
-        model.vehicle,
-        drag=drag if any(drag) else None,
-        inflow=s.inflow_s_m or None,
-        pair_interaction=s.pair_interaction_1_N or None,
-        voltage_sag=s.voltage_sag_1_N or None,
-        tilt=s.tilt_rad if any(s.tilt_rad) else None,
-        angle_offset=float(model.parameters.angle_offset),
-        scale=thrust_scale(np, model.parameters, model.vehicle),
-    )
+from airpuck.twin.sensors import build_sensors, command_stream, log_stream
+from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 
 class Twin:
@@ -112,7 +80,7 @@ class Twin:
         self._radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
         self._motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
         self._logs = logs
-        self._sensors = _sensors(settings, seed, logs)
+        self._sensors = build_sensors(settings, seed, logs)
         self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
         self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
@@ -190,12 +158,12 @@ class Twin:
             ``mouse``; stamps as the senders put them, arrivals on the recorder's clock.
         """
         names = self.model.vehicle.propeller_names
-        streams = {sensor.kind: sensor.stream(EPOCH_NS) for sensor in self._sensors}
+        streams = {sensor.kind: sensor.stream() for sensor in self._sensors}
         streams = {kind: stream for kind, stream in streams.items() if len(stream)}
         if self._sent:
             streams["command"] = command_stream(self._sent, names)
         if self._announced:
-            streams["reference"] = _stream(self._announced, COLUMNS["reference"], latency=0.0)
+            streams["reference"] = log_stream(self._announced, COLUMNS["reference"], latency=0.0)
         return Recording(streams=streams, source=f"twin of {self.model.name}")
 
     def _advance(self, time: float) -> None:
@@ -246,55 +214,3 @@ def _check_pose(pose: Any, table: Table, radius: float) -> None:
             f"is beyond the rails; x must lie within ±{reach[0]:g} m, y within ±{reach[1]:g} m",
             field="pose",
         )
-
-
-def pose_sensor(capture: MotionCapture, seed: int, logs: bool = True) -> Sensor:
-    """Build the motion capture of a twin."""
-    return Sensor(
-        "pose",
-        rate=capture.rate_hz,
-        noise=(capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad),
-        latency=(capture.latency_s, capture.latency_jitter_s),
-        rng=np.random.default_rng([seed, 1]),
-        dropped=capture.dropped,
-        gaps=capture.gaps_s,
-        clock=(capture.clock_offset_s, capture.clock_drift),
-        logs=logs,
-    )
-
-
-def _sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]:
-    """Build the sensors, each with random numbers of its own."""
-    board = settings.on_board
-    sensors = [pose_sensor(settings.motion_capture, seed, logs)]
-    if board.rate_hz == 0:
-        return sensors
-    inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
-    optical = (board.mouse_noise_m_s,) * 2
-    on_board: tuple[tuple[Kind, tuple[float, ...]], ...] = (("imu", inertial), ("mouse", optical))
-    for number, (kind, noise) in enumerate(on_board, start=2):
-        sensors.append(
-            Sensor(
-                kind,
-                rate=board.rate_hz,
-                noise=noise,
-                latency=(board.latency_s, 0.0),
-                rng=np.random.default_rng([seed, number]),
-                logs=logs,
-            )
-        )
-    return sensors
-
-
-def command_stream(
-    sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
-) -> Stream:
-    """Lay out commands as a recorder logs them."""
-    return _stream(sent, names, latency=1e-4)
-
-
-def _stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
-    """Lay out messages that carry the controller's time."""
-    times, values = zip(*logged, strict=True)
-    stamp = EPOCH_NS + np.rint(np.array(times) * 1e9).astype(np.int64)
-    return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)
