@@ -83,7 +83,7 @@ def step(options):
 
     loss = problem(options.stride, options.horizon, options.copies, options.share)
     # M4 has more free parameters than M3.
-    start = named_rung(options.model).initial(loss.vehicle, options.degree)
+    start = named_rung(options.model, degree=options.degree).initial(loss.vehicle)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     times = repeated(lambda: loss.quadratic(start), options.runs)
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -122,13 +122,14 @@ def peer(options):
 
 def adam(options):
     """Adam with the settings of the published fits, until its loss is that of the peer's fit."""
-    from airpuck import Adam, LevenbergMarquardt, identify
+    from airpuck import Adam, Loss, identify
 
     class Reached(Exception):
         pass
 
     (trajectory,) = training()
-    goal = identify(trajectory, "M3", method=LevenbergMarquardt(), stride=1).loss
+    every = Loss(stride=1)
+    goal = identify(trajectory, "M3", loss=every).loss
     begun, told = time.perf_counter(), []
 
     def progress(iteration):
@@ -138,7 +139,9 @@ def adam(options):
 
     reached = True
     try:
-        identify(trajectory, "M3", method=Adam(epochs=options.epochs), stride=1, progress=progress)
+        identify(
+            trajectory, "M3", loss=every, method=Adam(epochs=options.epochs), progress=progress
+        )
         reached = False
     except Reached:
         pass
@@ -151,17 +154,10 @@ def bootstrap(options):
     import jax
 
     from airpuck import identify
-    from airpuck.identification.blocks import cluster_windows
-    from airpuck.identification.bootstrap import bootstrap as resample
+    from airpuck.identification.bootstrap import resampled_estimates
 
     fit = identify(training()[0], "M3")
-    loss = problem()
-    clusters = cluster_windows(loss.windows)
-
-    def fits():
-        resample(loss, fit.model.parameters, fit.model.free, clusters, options.replicates)
-
-    wall = statistics.median(repeated(fits, 1))
+    wall = statistics.median(repeated(lambda: resampled_estimates(fit, options.replicates), 1))
     device = jax.devices()[0].device_kind
     return {"wall_s": wall, "fits_per_s": options.replicates / wall, "device": device}
 

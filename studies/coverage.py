@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from recovery import true_delay, truth
 
-from airpuck import identify, preprocess
+from airpuck import bootstrap, identify, preprocess
 from airpuck.compute.process import usable_cores
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
@@ -42,10 +42,12 @@ def labels(model: Model) -> list[str]:
     return model.parameters.labels(names) + [f"F({v:g}) {n}" for n in names for v in SPEEDS]
 
 
-def errors_of(seed: int, duration: float, bootstrap: int) -> np.ndarray:
+def errors_of(seed: int, duration: float, replicates: int) -> np.ndarray:
     """Fly, identify; return errors, standard errors and ends of the bootstrap's intervals."""
     model = truth()
-    fit = identify(preprocess(excite(model, duration, seed)), "M3", bootstrap=bootstrap, seed=seed)
+    fit = identify(preprocess(excite(model, duration, seed)), "M3")
+    if replicates:
+        fit = bootstrap(fit, replicates, seed=seed)
     known = fit.uncertainty
     assert known is not None
     true = model.with_delay(true_delay(model)).parameters.to_vector()
@@ -101,7 +103,7 @@ def main() -> None:
     parser.add_argument("--bootstrap", type=int, default=0)
     parser.add_argument("--workers", type=int, default=usable_cores())
     options = parser.parse_args()
-    task = partial(errors_of, duration=options.duration, bootstrap=options.bootstrap)
+    task = partial(errors_of, duration=options.duration, replicates=options.bootstrap)
     # JAX has threads, which do not live through a fork.
     context = multiprocessing.get_context("spawn")
     with context.Pool(options.workers) as pool:

@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 from recovery import truth
 
-from airpuck import Span, find_faults, identify, preprocess
+from airpuck import Loss, Span, find_faults, identify, preprocess
 from airpuck.compute.process import usable_cores
 from airpuck.control.excitation import Excitation
 from airpuck.data.trajectory import hold, runs
@@ -151,7 +151,7 @@ def flown(seed: int, duration: float, healthy: bool) -> Outcome:
     recording = with_bad_poses(twin.recording(), faults, rng)
     trajectory = preprocess(recording)
     begin = (recording["command"].stamp_ns[0] - EPOCH_NS) / 1e9 - trajectory.command_time[0]
-    told = find_faults(trajectory, identify(trajectory, "M3", robust=True).model)
+    told = find_faults(trajectory, identify(trajectory, "M3", loss=Loss(robust=True)).model)
     spans = [replace(s, start=s.start + begin, stop=s.stop + begin) for s in told]
     measured = [replace(s, start=s.start + begin, stop=s.stop + begin) for s in trajectory.excluded]
     held = hold(

@@ -17,10 +17,9 @@ from unittest import mock
 import numpy as np
 from recovery import true_delay, truth
 
-from airpuck import identify, preprocess
+from airpuck import Preparation, identify, preprocess
 from airpuck.campaigns.items import thrust_error
 from airpuck.data.trajectory import Trajectory
-from airpuck.identification import fit as fit_module
 from airpuck.model.model_file import Model
 from airpuck.twin import experiments
 from airpuck.twin import twin as twin_module
@@ -89,13 +88,12 @@ def main() -> None:
         state = np.concatenate([arrived.state[:, :3], rates], axis=1)
         ways = {
             "every packet after the mean delay": (trajectory, 0),
-            "packets where the poses tell (identify)": (trajectory, fit_module._REFINEMENTS),
+            "packets where the poses tell (identify)": (trajectory, Preparation().retimings),
             "true times of arrival": (arrived, 0),
             "true times and velocities": (replace(arrived, state=state), 0),
         }
         for name, (data, passes) in ways.items():
-            with mock.patch.object(fit_module, "_REFINEMENTS", passes):
-                fit = identify(data, "M3")
+            fit = identify(data, "M3", preparation=Preparation(retimings=passes))
             error = np.append(quantities(fit.model), 100 * thrust_error(fit.model, model).max())
             spread = np.append(fit.model.standard_error(quantities), np.nan)
             results.setdefault(name, []).append(np.stack([error, spread]))

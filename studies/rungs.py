@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airpuck import Model, evaluate, identify, load_trajectory
+from airpuck import Loss, Model, Preparation, evaluate, identify, load_trajectory
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import ENCODERS
 from airpuck.model.parameters import QUANTITIES
@@ -59,7 +59,10 @@ def main() -> None:
         for rung in rungs:
             # Delay and windows as prepared, faults as found: the same for all rungs.
             model = identify(
-                training, rung, robust=options.robust, delay="fixed", faults="exclude"
+                training,
+                rung,
+                loss=Loss(robust=options.robust),
+                preparation=Preparation(delay="fixed", faults="exclude"),
             ).model
             print(f"  {rung.name}  {coefficients(model)}")
             for encoder in ENCODERS:

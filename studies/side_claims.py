@@ -21,7 +21,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from airpuck import evaluate, identify, load_trajectory
+from airpuck import Loss, Preparation, evaluate, identify, load_trajectory, named_rung
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
@@ -53,6 +53,7 @@ from airpuck.report.style import (
     top_legend,
 )
 
+ALL_DATA = Preparation(faults="keep")
 _PROTOCOL = "Errors: protocol “paper” on the validation recording; losses: on the training one."
 
 
@@ -99,7 +100,11 @@ def try_degrees(
     works best for our system."
     """
     return [
-        judge(f"degree {d}", identify(training, "M3", degree=d, faults="keep"), validation)
+        judge(
+            f"degree {d}",
+            identify(training, named_rung("M3", degree=d), preparation=ALL_DATA),
+            validation,
+        )
         for d in degrees
     ]
 
@@ -120,7 +125,8 @@ def drop_monotonicity(
     method = LevenbergMarquardt(monotone=False)
     trials = []
     for name, degree in cases:
-        fit = identify(training, name, degree=degree, method=method, faults="keep")
+        rung = named_rung(name, degree=degree)
+        fit = identify(training, rung, method=method, preparation=ALL_DATA)
         trials.append(judge(f"{name}, degree {degree}", fit, validation))
     return trials
 
@@ -138,7 +144,8 @@ def fit_whole_trajectory(
         ("full_from_nominal", "from nominal values", None),
         ("full_from_batched", "from the batched optimum", batched.model.parameters),
     ):
-        fit = identify(training, batched.model.name, initial=initial, prediction_length=None)
+        whole = Loss(prediction_length=None)
+        fit = identify(training, batched.model.name, initial=initial, loss=whole)
         trials[name] = judge(f"full trajectory, {label}", fit, validation)
     return trials
 
@@ -429,7 +436,7 @@ def side_claims(out: Path) -> dict[str, Any]:
     training, validation = (
         load_trajectory(folder / name / "data.pt") for name in (TRAINING, VALIDATION)
     )
-    m3, m4 = (identify(training, name, faults="keep") for name in ("M3", "M4"))
+    m3, m4 = (identify(training, name, preparation=ALL_DATA) for name in ("M3", "M4"))
     degrees = try_degrees(training, validation)
     unconstrained = drop_monotonicity(training, validation)
     full = fit_whole_trajectory(training, validation, m3)

@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from airpuck import excite, identify, load_trajectory, preprocess
+from airpuck import Loss, Preparation, excite, identify, load_trajectory, preprocess
 from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
@@ -25,7 +25,9 @@ STRIDES = (4, 7, 14, 28)
 
 def fitted(trajectory: Trajectory, stride: int) -> Uncertainty:
     """Return what a fit to the windows of a stride says, and how surely."""
-    known = identify(trajectory, stride=stride, faults="keep").model.uncertainty
+    known = identify(
+        trajectory, loss=Loss(stride=stride), preparation=Preparation(faults="keep")
+    ).model.uncertainty
     assert known is not None
     return known
 

@@ -54,11 +54,14 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.flight.preflight import preflight as preflight
     from airpuck.flight.replay import Replay as Replay, replay as replay
     from airpuck.identification.adam import Adam as Adam
+    from airpuck.identification.bootstrap import bootstrap as bootstrap
     from airpuck.identification.fit import identifiability as identifiability, identify as identify
     from airpuck.identification.fit_result import Fit as Fit
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+    from airpuck.identification.problem import Loss as Loss, Preparation as Preparation
     from airpuck.model.model_file import Model as Model, read_model as read_model
     from airpuck.model.parameters import Parameters as Parameters
+    from airpuck.model.rungs import named_rung as named_rung
     from airpuck.preprocessing.load import load_trajectory as load_trajectory
     from airpuck.preprocessing.pipeline import preprocess as preprocess
     from airpuck.recording.bag_writer import write_bag as write_bag
@@ -99,11 +102,14 @@ _NAMES = {
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
     "identification.adam": "Adam",
+    "identification.bootstrap": "bootstrap",
     "identification.fit": "identifiability identify",
     "identification.fit_result": "Fit",
     "identification.levenberg_marquardt": "LevenbergMarquardt",
+    "identification.problem": "Loss Preparation",
     "model.model_file": "Model read_model",
     "model.parameters": "Parameters",
+    "model.rungs": "named_rung",
     "preprocessing.load": "load_trajectory",
     "preprocessing.pipeline": "preprocess",
     "recording.bag_writer": "write_bag",

@@ -1,16 +1,21 @@
 """Adam, the paper's optimiser."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identification.adam import Adam
+from airpuck.identification.adam import Adam, monotone_penalty
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS
+from airpuck.physics.thrust import lowest_slope
 
 from ..synthetic import fly
 
@@ -71,3 +76,29 @@ def test_the_regulariser_keeps_curves_rising(loss):
     free = RUNGS["M3"].mask(start)
     adam = Adam(learning_rate=1e-3, epochs=10, batch_size=64)
     assert adam.minimize(loss, start, free).parameters.thrust[0, 0] > -1e-3
+
+
+coefficient = st.floats(-2, 2).map(lambda x: round(x, 3))
+
+
+@given(st.tuples(coefficient, coefficient, coefficient))
+def test_penalty_is_the_papers(abc):
+    a, b, c = abc
+    expected = max(0, -a) + max(0, -a - 2 * b - 3 * c)
+    if c > 0 and 0 <= -b / (3 * c) <= 1:
+        expected += max(0, b**2 / (3 * c) - a)
+    assert monotone_penalty(np, np.array([abc])) == pytest.approx(expected, abs=1e-9)
+
+
+@given(st.lists(coefficient, min_size=1, max_size=5))
+def test_penalty_vanishes_exactly_where_the_curve_rises(coefficients):
+    curve = np.array([coefficients])
+    slope, _ = lowest_slope(curve)
+    # Between the points of the grid for high degrees, a slope can dip a little.
+    if abs(slope[0]) > 1e-2:
+        assert (monotone_penalty(np, curve) == 0) == (slope[0] > 0)
+
+
+def test_penalty_has_finite_gradients_for_cubics_without_a_cubic_term():
+    gradient = jax.grad(lambda c: monotone_penalty(jnp, c))(jnp.array([[-0.1, 1.0, 0.0]]))
+    assert np.isfinite(gradient).all()

@@ -9,6 +9,7 @@ from airpuck.data.trajectory import Span
 from airpuck.identification import fault_exclusion
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
+from airpuck.identification.problem import Loss, Preparation
 from airpuck.model.model_file import read_model
 from airpuck.physics.rollout import rollout
 
@@ -38,11 +39,11 @@ def faulty():
 
 @pytest.fixture(scope="module")
 def fit(faulty):
-    return identify(faulty, "M3", faults="exclude")
+    return identify(faulty, "M3", preparation=Preparation(faults="exclude"))
 
 
 def test_faults_do_not_move_the_estimate(fit, faulty):
-    kept = identify(faulty, "M3", faults="keep")
+    kept = identify(faulty, "M3", preparation=Preparation(faults="keep"))
     assert off(kept) > 0.05
     assert off(fit) < 0.1 * off(kept)
     assert kept.exclusion is None
@@ -52,7 +53,9 @@ def test_faults_do_not_move_the_estimate(fit, faulty):
 
 
 def test_a_clean_flight_loses_nothing(clean):
-    fit, kept = (identify(clean, "M3", faults=f) for f in ("exclude", "keep"))
+    fit, kept = (
+        identify(clean, "M3", preparation=Preparation(faults=f)) for f in ("exclude", "keep")
+    )
     assert fit.exclusion.share == 0
     assert fit.exclusion.faults == ((),)
     assert fit.windows == kept.windows
@@ -76,7 +79,7 @@ def test_iterations_go_on_after_the_faults_are_out(fit):
 
 @pytest.mark.study
 def test_adam_leaves_them_out_too(faulty, fit):
-    other = identify(faulty, "M3", method=Adam(epochs=1), faults="exclude")
+    other = identify(faulty, "M3", method=Adam(epochs=1), preparation=Preparation(faults="exclude"))
     # Its first fit takes the delay as it is: confidences differ a little.
     assert [[(s.start, s.stop, s.cause) for s in spans] for spans in other.exclusion.faults] == [
         [(s.start, s.stop, s.cause) for s in spans] for spans in fit.exclusion.faults
@@ -97,4 +100,4 @@ def test_where_most_looks_faulty_the_model_is_doubted(clean, monkeypatch):
 
 def test_one_window_over_the_whole_flight_is_not_cut(clean):
     short = clean.slice(0, 0.1)
-    assert identify(short, "M0", prediction_length=None).exclusion is None
+    assert identify(short, "M0", loss=Loss(prediction_length=None)).exclusion is None

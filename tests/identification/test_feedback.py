@@ -7,13 +7,12 @@ import pytest
 
 from airpuck.data.trajectory import Span
 from airpuck.identification import feedback
-from airpuck.identification.blocks import shared_at_borders
-from airpuck.identification.delay_jitter import variance_of_mean
 from airpuck.identification.feedback import Feedback, preparation_feedback
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.refinement import refined
-from airpuck.identification.uncertainty import sandwich, widened
+from airpuck.identification.problem import Preparation
+from airpuck.identification.retiming import retime_packets, variance_of_mean
+from airpuck.identification.uncertainty import sandwich, shared_at_borders, widened
 
 from .flown import TRUTH, flown
 
@@ -31,7 +30,7 @@ def flight():
 
 @pytest.fixture(scope="module")
 def fit(flight):
-    return identify(flight, faults="keep")
+    return identify(flight, preparation=Preparation(faults="keep"))
 
 
 def found(fit, flights, delays=None):
@@ -71,7 +70,7 @@ def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, mon
         vector = parameters.to_vector()
         vector[entry] += sign * step
         other = replace(fit.model, parameters=parameters.with_vector(vector))
-        (prepared,), _ = refined([flight], other)
+        (prepared,), _ = retime_packets([flight], other)
         there = replace(windows, state=prepared.state, trajectories=(prepared,))
         return replace(fit.objective, windows=there).quadratic(parameters).gradient[known]
 
@@ -127,13 +126,13 @@ def test_a_part_of_long_recordings_says_enough(flight, fit, monkeypatch):
 def test_a_fit_has_all_of_it(flight, fit):
     """Blocks, what they share, what goes round, and packets that are a sample: put together."""
     loss, parameters = fit.objective, fit.model.parameters
-    shares = loss.by_cluster(parameters, loss.clusters)
-    shared = shared_at_borders(loss.windows, loss.clusters)
+    quadratic = loss.quadratic(parameters)
+    shared = shared_at_borders(loss)
     assert shared > 0.05
-    plain = sandwich(shares, parameters, fit.model.free, shared=shared)
+    plain = sandwich(quadratic, parameters, fit.model.free, shared=shared)
     errors = plain.standard_errors
     round_ = preparation_feedback(loss, [flight], fit.model, fit.packet_delays, errors, 2)
-    all_but = sandwich(shares, parameters, fit.model.free, shared=shared, feedback=round_)
+    all_but = sandwich(quadratic, parameters, fit.model.free, shared=shared, feedback=round_)
     variance = variance_of_mean(fit.packet_delays, fit.model.delay_jitter.standard_deviation_s)
     delay = parameters.mask(frozenset({"transport_delay"}))
     expected = widened(all_but, delay, variance)
@@ -142,5 +141,5 @@ def test_a_fit_has_all_of_it(flight, fit):
 
 
 def test_a_single_block_has_no_errors_and_no_feedback(flight):
-    short = identify(flight.slice(0.2, 0.25), faults="keep")
+    short = identify(flight.slice(0.2, 0.25), preparation=Preparation(faults="keep"))
     assert np.isnan(short.uncertainty.standard_errors).all()

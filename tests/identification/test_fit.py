@@ -10,8 +10,10 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
+from airpuck.identification.problem import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.parameters import Parameters
+from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import is_monotone
 
 from ..conftest import TRAINING, VALIDATION
@@ -29,7 +31,7 @@ TABLE_2 = {
 
 #: The encoder starts its motors at the first command of a window. After this many samples they
 #: have forgotten it; after the paper's 20 they have not, which biases thrust by a few percent.
-LONG = PaperEncoder(length=200)
+LONG = Loss(encoder=PaperEncoder(length=200), stride=3)
 
 
 def with_offset_center(model: Model) -> Model:
@@ -39,7 +41,7 @@ def with_offset_center(model: Model) -> Model:
 
 def test_exact_data_give_exact_parameters():
     truth = with_offset_center(published_model("M3"))
-    fit = identify(fly(truth, duration=12.0), stride=3, encoder=LONG)
+    fit = identify(fly(truth, duration=12.0), loss=LONG)
     np.testing.assert_allclose(
         fit.model.parameters.to_vector(), truth.parameters.to_vector(), rtol=2e-3, atol=2e-5
     )
@@ -49,7 +51,7 @@ def test_exact_data_give_exact_parameters():
 def test_two_recordings_at_once():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]
-    fit = identify(flights, stride=3, encoder=LONG)
+    fit = identify(flights, loss=LONG)
     assert fit.windows == sum(len(range(0, len(f) - 249, 3)) for f in flights)
     np.testing.assert_allclose(fit.model.parameters.inertia, truth.parameters.inertia, rtol=1e-3)
     assert len(fit.model.data) == 2
@@ -95,7 +97,7 @@ def four_propellers() -> Model:
 
 def test_a_craft_with_four_propellers():
     truth = four_propellers()
-    fit = identify(fly(truth, duration=8.0), vehicle=truth.vehicle, stride=3, encoder=LONG)
+    fit = identify(fly(truth, duration=8.0), vehicle=truth.vehicle, loss=LONG)
     np.testing.assert_allclose(
         fit.model.parameters.to_vector(), truth.parameters.to_vector(), rtol=1e-3, atol=1e-5
     )
@@ -103,7 +105,7 @@ def test_a_craft_with_four_propellers():
 
 @pytest.mark.parametrize("degree", [1, 2, 5])
 def test_any_degree(degree):
-    fit = identify(fly(published_model("M3"), duration=6.0), degree=degree)
+    fit = identify(fly(published_model("M3"), duration=6.0), named_rung("M3", degree=degree))
     assert fit.model.parameters.thrust.shape == (6, degree)
     assert is_monotone(fit.model.parameters.thrust).all()
 
@@ -163,7 +165,7 @@ def test_own_fits_reach_table_2(real):
     training, validation = real
     ratios = {}
     for name, published in TABLE_2.items():
-        fit = identify(training, name, faults="keep")
+        fit = identify(training, name, preparation=Preparation(faults="keep"))
         assert fit.iterations <= 30
         assert fit.converged
         assert is_monotone(fit.model.parameters.thrust).all()

@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt, SlopeConstraints
 from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.rollout import rollout
-from airpuck.physics.thrust import is_monotone
+from airpuck.physics.thrust import is_monotone, thrust_slope
 
 from ..synthetic import fly
 
@@ -124,3 +124,26 @@ def test_too_few_iterations_are_said_so():
     start = RUNGS["M3"].initial(VEHICLE)
     outcome = LevenbergMarquardt(max_iterations=1).minimize(loss, start, RUNGS["M3"].mask(start))
     assert not outcome.converged
+
+
+def test_rows_are_slopes():
+    constraints = SlopeConstraints(np.ones((2, 3), dtype=bool))
+    curves = np.random.default_rng(0).normal(size=(2, 3))
+    ends = np.tile([0.0, 1.0], (2, 1))
+    np.testing.assert_allclose(
+        constraints.rows() @ curves.ravel(), thrust_slope(curves, ends).ravel()
+    )
+
+
+def test_a_cut_is_made_where_the_curve_falls_most():
+    constraints = SlopeConstraints(np.ones((1, 3), dtype=bool))
+    falling = np.array([[0.2, -1.0, 1.0]])  # F' = 0.2 - 2φ + 3φ² is lowest at φ = 1/3
+    assert constraints.cut(falling)
+    np.testing.assert_allclose(constraints.rows()[-1], [1, 2 / 3, 1 / 3], atol=1e-12)
+    assert not constraints.cut(np.array([[0.5, 0.5, 0.5]]))
+
+
+def test_a_slope_that_nothing_can_change_is_not_constrained():
+    only_quadratic = np.array([[False, True]])
+    rows = SlopeConstraints(only_quadratic).rows()
+    np.testing.assert_array_equal(rows, [[1, 2]])

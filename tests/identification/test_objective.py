@@ -116,19 +116,16 @@ def test_gradient_by_finite_differences(windows, name, indexing):
         assert gradient[entry] == pytest.approx(difference, rel=1e-5, abs=1e-9)
 
 
-def test_shares_of_clusters_add_up(windows):
+def test_clusters_add_up(windows):
     parameters = moved("M3")
     plain = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS)
     clusters = np.arange(len(windows)) // 20
     result = replace(plain, clusters=clusters).quadratic(parameters)
     expected = plain.quadratic(parameters)
-    assert expected.shares is None
-    assert result.shares.loss.shape == (clusters.max() + 1,)
+    assert result.cluster_losses.shape == (clusters.max() + 1,)
     assert result.loss == pytest.approx(expected.loss, rel=1e-12)
     np.testing.assert_allclose(result.gradient, expected.gradient, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(
-        result.shares.hessian.sum(axis=0), expected.hessian, rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(result.hessian, expected.hessian, rtol=1e-9, atol=1e-12)
 
 
 def test_thinned_where_there_are_many(windows):

@@ -7,7 +7,8 @@ import pytest
 
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import delay_response, packet_delays
-from airpuck.identification.refinement import modelled_acceleration, retimed
+from airpuck.identification.problem import Preparation
+from airpuck.identification.retiming import modelled_acceleration, retimed
 from airpuck.model.model_file import read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.read import read_recording
@@ -77,7 +78,7 @@ def test_it_is_in_the_model_file_and_in_the_figures(fit, tmp_path):
 
 
 def test_a_delay_that_was_not_learned_has_none(flight):
-    found = identify(flight.trajectory, delay="fixed", faults="keep")
+    found = identify(flight.trajectory, preparation=Preparation(delay="fixed", faults="keep"))
     assert found.model.delay_jitter is None
     assert found.packet_delays == ()
 

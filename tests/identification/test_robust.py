@@ -12,6 +12,7 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.problem import Loss, Preparation
 from airpuck.identification.robust import window_weights
 from airpuck.model.model_file import published_model
 from airpuck.recording.torch_archive import read_authors_experiment
@@ -19,6 +20,7 @@ from airpuck.recording.torch_archive import read_authors_experiment
 from ..conftest import TRAINING, VALIDATION
 from ..synthetic import fly
 
+ROBUST, KEEP_FAULTS = Loss(robust=True), Preparation(faults="keep")
 MODEL = replace(published_model("M3"), indexing="start")
 
 
@@ -55,8 +57,8 @@ def off(fit):
 
 
 def test_unmarked_faults_hardly_move_the_estimate(faulty):
-    plain = identify(faulty, "M3", faults="keep")
-    robust = identify(faulty, "M3", robust=True, faults="keep")
+    plain = identify(faulty, "M3", preparation=KEEP_FAULTS)
+    robust = identify(faulty, "M3", loss=ROBUST, preparation=KEEP_FAULTS)
     assert off(plain) > 0.05
     assert off(robust) < 0.1 * off(plain)
     assert robust.converged
@@ -66,7 +68,7 @@ def test_unmarked_faults_hardly_move_the_estimate(faulty):
 
 
 def test_without_faults_nothing_is_lost(clean):
-    plain, robust = identify(clean, "M3"), identify(clean, "M3", robust=True)
+    plain, robust = identify(clean, "M3"), identify(clean, "M3", loss=ROBUST)
     assert off(robust) < 1.5 * off(plain) + 2e-3
 
 
@@ -82,7 +84,7 @@ def test_a_window_counts_as_student_says(faulty):
 
 def test_iterations_are_counted_on(faulty):
     seen = []
-    fit = identify(faulty, "M0", robust=True, faults="keep", progress=seen.append)
+    fit = identify(faulty, "M0", loss=ROBUST, preparation=KEEP_FAULTS, progress=seen.append)
     numbers = [step.number for step in fit.history]
     assert numbers == list(range(len(numbers)))
     assert max(step.number for step in seen) == fit.iterations
@@ -90,7 +92,7 @@ def test_iterations_are_counted_on(faulty):
 
 def test_adam_is_not_robust(clean):
     with pytest.raises(InputError, match="robust"):
-        identify(clean, "M3", method=Adam(epochs=1), robust=True)
+        identify(clean, "M3", method=Adam(epochs=1), loss=ROBUST)
 
 
 @pytest.mark.data
@@ -98,5 +100,5 @@ def test_medians_on_the_paper_s_experiments(experiments):
     training, validation = (
         read_authors_experiment(experiments / name / "data.pt") for name in (TRAINING, VALIDATION)
     )
-    model = identify(training, "M3", robust=True, faults="keep").model
+    model = identify(training, "M3", loss=ROBUST, preparation=KEEP_FAULTS).model
     assert (evaluate(model, validation).median_abs <= [0.0028, 0.0028, 0.11]).all()

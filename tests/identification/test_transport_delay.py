@@ -15,6 +15,7 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.problem import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.rollout import rollout
@@ -23,9 +24,10 @@ from ..random_flight import fast_rollout, random_flight
 from ..synthetic import fly
 
 VEHICLE = default_vehicle()
+FIXED, LEARNED = Preparation(delay="fixed"), Preparation(delay="fit")
 TRUTH = replace(published_model("M3"), frame="body", indexing="start").with_delay(0.01873)
 #: Motors have forgotten their first command after so many samples.
-LONG = PaperEncoder(length=120)
+LONG = Loss(encoder=PaperEncoder(length=120), stride=3)
 
 
 def flown(truth: Model = TRUTH, applied: float = 5 / 240, seed: int = 0) -> Trajectory:
@@ -64,7 +66,7 @@ def test_delay_and_lag_are_found_together(applied):
     """From a delay two samples off and a lag half too long, in data without noise."""
     start = RUNGS["M3"].initial(VEHICLE)
     wrong = replace(start, motor_time_constant=1.5 * 0.0281, transport_delay=applied)
-    fit = identify(flown(applied=applied), initial=wrong, encoder=LONG, stride=3)
+    fit = identify(flown(applied=applied), initial=wrong, loss=LONG)
     found = fit.model.parameters
     assert fit.converged
     # What the mean over a step leaves: x (1 - x) h² / 2τ of the lag, see `mean_hold`.
@@ -77,7 +79,7 @@ def test_delay_and_lag_are_found_together(applied):
 
 def test_held_by_whole_samples_the_lag_is_biased(flight):
     """What the continuous delay is for: 5 samples in place of 4.5 make the lag too short."""
-    fit = identify(flight, delay="fixed", encoder=LONG, stride=3)
+    fit = identify(flight, preparation=FIXED, loss=LONG)
     assert fit.model.transport_delay == flight.delay
     assert not fit.model.delay_learned
     bias = fit.model.parameters.motor_time_constant - TRUTH.parameters.motor_time_constant
@@ -127,25 +129,25 @@ def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
 
 def test_shifted_commands_count_from_the_nominal_delay():
     """Where the author had shifted the commands already, nobody knows by how much."""
-    fit = identify(fly(TRUTH, duration=6.0), delay="fit", encoder=LONG, stride=3)
+    fit = identify(fly(TRUTH, duration=6.0), preparation=LEARNED, loss=LONG)
     assert fit.model.transport_delay == pytest.approx(VEHICLE.nominal.transport_delay_s, abs=2e-5)
 
 
 def test_rungs_without_a_lag_keep_the_delay(flight):
     fit = identify(flight, "M0")
     assert not fit.model.delay_learned
-    assert identify(flight, "M0", delay="fit").model.transport_delay > 1.5 * flight.delay
+    assert identify(flight, "M0", preparation=LEARNED).model.transport_delay > 1.5 * flight.delay
 
 
 def test_says_how_lag_and_delay_trade_off(flight):
     notes = identifiability(flight, "M3").notes
     assert any("transport delay" in note and "motor lag" in note for note in notes)
-    assert not any("transport delay" in n for n in identifiability(flight, delay="fixed").notes)
+    assert not any("transport delay" in n for n in identifiability(flight, preparation=FIXED).notes)
 
 
 def test_adam_does_not_learn_it(flight):
     with pytest.raises(InputError, match="Levenberg-Marquardt only"):
-        identify(flight, delay="fit", method=Adam(epochs=1))
+        identify(flight, preparation=LEARNED, method=Adam(epochs=1))
 
 
 def test_warns_of_a_recording_with_another_delay(flight):

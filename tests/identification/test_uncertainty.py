@@ -7,25 +7,21 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.windows import make_windows
-from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.gauge import physical_thrust
-from airpuck.identification.adam import Adam
-from airpuck.identification.blocks import cluster_windows
-from airpuck.identification.bootstrap import bootstrap
 from airpuck.identification.feedback import Feedback
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.identifiability import identifiability_of
-from airpuck.identification.objective import PredictionLoss, Shares
+from airpuck.identification.objective import Quadratic
+from airpuck.identification.problem import Loss
 from airpuck.identification.uncertainty import (
     binding_constraints,
     sandwich,
+    shared_at_borders,
     widened,
 )
 from airpuck.model.gauge import fix_gauge, gauge_directions
 from airpuck.model.model_file import published_model, read_model
 from airpuck.model.rungs import RUNGS, named_rung
-from airpuck.model.uncertainty import Bootstrap
 from airpuck.physics.rollout import rollout
 
 from ..synthetic import fly
@@ -39,6 +35,10 @@ def noisy(seed=0, duration=14.0, noise=0.002):
     flight = fly(TRUTH, duration, seed)
     rng = np.random.default_rng(seed + 100)
     return replace(flight, state=flight.state + noise * rng.normal(size=flight.state.shape))
+
+
+def clustered_loss():
+    return Loss(stride=29).on([noisy()], VEHICLE)
 
 
 @pytest.fixture(scope="module")
@@ -67,14 +67,13 @@ def dense_jacobian(loss, parameters, free):
 
 
 def test_equals_a_dense_computation():
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    loss = clustered_loss()
+    clusters = loss.clusters
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
-    clusters = cluster_windows(windows)
-    shares = loss.by_cluster(parameters, clusters)
+    quadratic = loss.quadratic(parameters)
     nothing = np.zeros((0, len(free)))
-    found = sandwich(shares, parameters, free, nothing)
+    found = sandwich(quadratic, parameters, free, nothing)
     residual, jacobian = dense_jacobian(loss, parameters, free)
     count = clusters.max() + 1
     hessian = np.einsum("wrp,wrq->pq", jacobian, jacobian)
@@ -93,12 +92,12 @@ def test_equals_a_dense_computation():
     np.testing.assert_allclose(found.standard_errors[free], spread, rtol=1e-4)
     assert np.isnan(found.standard_errors[~free]).all()
     # And the scores are the gradient, cut into pieces.
-    whole = loss.quadratic(parameters)
-    np.testing.assert_allclose(shares.gradient.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(shares.hessian.sum(axis=0), whole.hessian, rtol=1e-9, atol=1e-15)
+    whole = replace(loss, clusters=None).quadratic(parameters)
+    np.testing.assert_allclose(quadratic.scores.sum(axis=0), whole.gradient, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(quadratic.hessian, whole.hessian, rtol=1e-9, atol=1e-15)
 
 
-def linear_shares(rng, parameters, free, count=400, rows=8, noise=0.3):
+def linear_quadratic(rng, parameters, free, count=400, rows=8, noise=0.3):
     """Scores of y = X β + e at the least squares estimate, e constant within each cluster."""
     size = int(free.sum())
     design = rng.normal(size=(count, rows, size))
@@ -110,15 +109,15 @@ def linear_shares(rng, parameters, free, count=400, rows=8, noise=0.3):
     gradient[:, free] = np.einsum("grp,gr->gp", design, residual)
     hessian = np.zeros((count, len(free), len(free)))
     hessian[np.ix_(np.arange(count), free, free)] = np.einsum("grp,grq->gpq", design, design)
-    return Shares(np.sum(residual**2, axis=1), gradient, hessian), estimate
+    return Quadratic(np.sum(residual**2, axis=1), gradient, hessian), estimate
 
 
 def test_a_linear_model_whose_covariance_is_known():
     parameters = TRUTH.parameters
     free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
     rng = np.random.default_rng(5)
-    found = [linear_shares(rng, parameters, free) for _ in range(40)]
-    errors = [sandwich(shares, parameters, free).standard_errors[free] for shares, _ in found]
+    found = [linear_quadratic(rng, parameters, free) for _ in range(40)]
+    errors = [sandwich(quadratic, parameters, free).standard_errors[free] for quadratic, _ in found]
     # Rows of a design are independent, so that the constant errors of a cluster average out as if
     # they were independent, too: σ² (XᵀX)⁻¹.
     expected = 0.3 / np.sqrt(400 * 8)
@@ -126,54 +125,41 @@ def test_a_linear_model_whose_covariance_is_known():
     assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
 
 
-def shares_at_the_truth():
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+def quadratic_at_the_truth():
+    loss = clustered_loss()
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
-    shares = loss.by_cluster(parameters, cluster_windows(windows))
-    return shares, parameters, free
+    quadratic = loss.quadratic(parameters)
+    return quadratic, parameters, free
 
 
 def test_what_is_between_blocks_widens_all():
-    shares, parameters, free = shares_at_the_truth()
-    plain, wide = (sandwich(shares, parameters, free, shared=q) for q in (0.0, 0.19))
+    quadratic, parameters, free = quadratic_at_the_truth()
+    plain, wide = (sandwich(quadratic, parameters, free, shared=q) for q in (0.0, 0.19))
     np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
 
 
 def test_what_goes_round_in_the_data_widens_all():
     """A gradient that follows its data by half of the information: 1 + 1/2 + 1/4 errors."""
-    shares, parameters, free = shares_at_the_truth()
-    plain = sandwich(shares, parameters, free)
-    hessian = shares.hessian.sum(axis=0)
-    wide = sandwich(shares, parameters, free, feedback=Feedback(-0.5 * hessian, hessian, 2))
+    quadratic, parameters, free = quadratic_at_the_truth()
+    plain = sandwich(quadratic, parameters, free)
+    hessian = quadratic.hessian
+    wide = sandwich(quadratic, parameters, free, feedback=Feedback(-0.5 * hessian, hessian, 2))
     np.testing.assert_allclose(wide.standard_errors, 1.75 * plain.standard_errors, rtol=1e-6)
 
 
 def test_an_error_of_its_own_widens_one_parameter(fit):
     known = fit.uncertainty
     lag = fit.model.parameters.mask(frozenset({"motor_time_constant"}))
-    middle = known.estimate
-    resampled = Bootstrap(9, 0, middle - 3e-3, middle + 4e-3)
-    before = replace(known, bootstrap=resampled)
-    after = widened(before, lag, 4e-6)
+    after = widened(known, lag, 4e-6)
     np.testing.assert_allclose(
         after.standard_errors[lag] ** 2, known.standard_errors[lag] ** 2 + 4e-6
     )
     np.testing.assert_array_equal(after.standard_errors[~lag], known.standard_errors[~lag])
     np.testing.assert_allclose(np.sqrt(np.diag(after.covariance)[lag]), after.standard_errors[lag])
-    half = np.hypot(3.5e-3, 1.959964 * 2e-3)
-    np.testing.assert_allclose(after.bootstrap.upper[lag], middle[lag] + 0.5e-3 + half, rtol=1e-6)
-    np.testing.assert_allclose(after.bootstrap.lower[lag], middle[lag] + 0.5e-3 - half, rtol=1e-5)
-    np.testing.assert_allclose(after.bootstrap.lower[~lag], before.bootstrap.lower[~lag])
-    # Intervals beside the estimate stay beside it.
-    beside = replace(known, bootstrap=Bootstrap(9, 0, middle + 1e-3, middle + 3e-3))
-    ends = widened(beside, lag, 4e-6).bootstrap
-    np.testing.assert_allclose((ends.lower + ends.upper)[lag] / 2, (middle + 2e-3)[lag])
-    np.testing.assert_allclose(ends.lower[~lag], (middle + 1e-3)[~lag])
     # What has no standard error gets none.
     unknown = ~np.isfinite(known.standard_errors)
-    assert np.isnan(widened(before, unknown, 4e-6).standard_errors[unknown]).all()
+    assert np.isnan(widened(known, unknown, 4e-6).standard_errors[unknown]).all()
 
 
 def test_intervals_and_derived_quantities(fit):
@@ -219,9 +205,8 @@ def test_parameters_at_a_constraint_have_no_standard_error():
     free = RUNGS["M3"].mask(parameters)
     rows = binding_constraints(parameters, free)
     assert len(rows) == 2
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
-    found = sandwich(loss.by_cluster(parameters, cluster_windows(windows)), parameters, free)
+    loss = clustered_loss()
+    found = sandwich(loss.quadratic(parameters), parameters, free)
     labels = parameters.labels(NAMES)
     without = {labels[k] for k in np.flatnonzero(free & np.isnan(found.standard_errors))}
     assert without == {"thrust motor_a_1 φ^1", "motor_time_constant"}
@@ -236,9 +221,8 @@ def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
     free = RUNGS["M3"].mask(parameters)
     (row,) = binding_constraints(parameters, free)
     np.testing.assert_allclose(row[:3], [1, 0.4, 0.12], atol=1e-9)
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
-    found = sandwich(loss.by_cluster(parameters, cluster_windows(windows)), parameters, free)
+    loss = clustered_loss()
+    found = sandwich(loss.quadratic(parameters), parameters, free)
     assert np.isfinite(found.standard_errors[:3]).all()
     slope = np.sqrt(abs(row @ found.covariance @ row))
     assert slope < 1e-6 * found.standard_errors[0]
@@ -268,8 +252,7 @@ def test_m4_knows_products_only():
 
 
 def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observed():
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
+    loss = clustered_loss()
     rung = named_rung("M4+pair+sag")
     start = rung.initial(VEHICLE)
     free = rung.mask(start)
@@ -289,9 +272,9 @@ def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observe
         size = np.abs(direction) @ np.abs(hessian) @ np.abs(direction)
         assert abs(direction @ hessian @ direction) < 1e-12 * size
     # With the pseudo-inverse, which prefers no scale, as with Newton's: the same errors.
-    shares = loss.by_cluster(tame, cluster_windows(windows))
+    quadratic = loss.quadratic(tame)
     products = np.array([
-        sandwich(shares, tame, free, gauge=gauge).propagate(
+        sandwich(quadratic, tame, free, gauge=gauge).propagate(
             lambda v: physical(tame.with_vector(v))
         )
         for gauge in (None, np.zeros((0, len(free))))
@@ -351,20 +334,12 @@ def test_says_why_there_are_no_standard_errors(count, value, told):
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
     size = len(free)
-    shares = Shares(
+    quadratic = Quadratic(
         np.ones(count), np.full((count, size), value), np.tile(np.eye(size), (count, 1, 1))
     )
-    found = sandwich(shares, parameters, free)
+    found = sandwich(quadratic, parameters, free)
     assert np.isnan(found.standard_errors).all()
     assert told in found.notes[0]
-
-
-def test_few_blocks_are_warned_of():
-    flight = noisy(duration=7.0)
-    short = identify(flight)
-    assert any("blocks of time" in warning for warning in short.warnings)
-    with pytest.raises(InputError, match="blocks"):
-        identify(flight, bootstrap=10)
 
 
 def test_the_file_reads_back_bit_equal(tmp_path, fit):
@@ -403,26 +378,10 @@ def test_changed_parameters_have_no_uncertainty(tmp_path, fit):
     assert read_model(tmp_path / "model.toml").uncertainty is None
 
 
-def test_bootstrap_agrees_with_the_sandwich(tmp_path, fit):
-    found = identify(noisy(), bootstrap=30, seed=1)
-    again = found.uncertainty.bootstrap
-    assert again.replicates == 30
-    spread = (again.upper - again.lower) / np.diff(found.uncertainty.intervals, axis=1)[:, 0]
-    assert 0.5 < np.nanmedian(spread) < 1.6
-    found.model.save(tmp_path / "model.toml")
-    read = read_model(tmp_path / "model.toml").uncertainty.bootstrap
-    np.testing.assert_array_equal(read.lower, again.lower)
-    np.testing.assert_array_equal(read.upper, again.upper)
-    figures = found.to_json()["parameters"]["inertia"]
-    low, high = figures["interval_95"]
-    assert low < figures["value"] < high
-    assert figures["bootstrap_95"][0] < figures["value"] < figures["bootstrap_95"][1]
-
-
 def test_a_weighted_window_counts_as_often():
-    windows = make_windows(noisy(), 40, 50, 29)
+    loss = replace(clustered_loss(), clusters=None)
+    windows = loss.windows
     counted = np.arange(len(windows)) % 3.0
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
     repeated = replace(
         loss, windows=replace(windows, starts=np.repeat(windows.starts, counted.astype(int)))
     )
@@ -430,25 +389,6 @@ def test_a_weighted_window_counts_as_often():
     expected = repeated.quadratic(TRUTH.parameters)
     assert weighted.loss == pytest.approx(expected.loss, rel=1e-12)
     np.testing.assert_allclose(weighted.gradient, expected.gradient, rtol=1e-9, atol=1e-15)
-
-
-def test_adam_has_standard_errors_but_no_bootstrap():
-    fit = identify(noisy(duration=8.0), "M2", method=Adam(epochs=1))
-    assert np.isfinite(fit.uncertainty.standard_errors[fit.model.free]).any()
-    with pytest.raises(InputError, match="bootstrap"):
-        identify(noisy(duration=8.0), method=Adam(epochs=1), bootstrap=10)
-
-
-def test_a_seed_gives_the_same_bootstrap(fit):
-    windows = make_windows(noisy(), 40, 50, 29)
-    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(length=40))
-    of = (loss, fit.model.parameters, fit.model.free, cluster_windows(windows), 3)
-    seen = []
-    _, estimates = bootstrap(*of, seed=4, progress=seen.append)
-    assert seen == [1, 2, 3]
-    assert estimates.shape == (3, len(fit.model.free))
-    np.testing.assert_allclose(bootstrap(*of, seed=4)[1], estimates, rtol=1e-9)
-    assert not np.allclose(bootstrap(*of, seed=5)[1], estimates, rtol=1e-9)
 
 
 def commands_at_random(seed, duration):
@@ -489,3 +429,32 @@ def test_intervals_hold_the_truth():
         true, has = TRUTH.parameters.to_vector(), np.isfinite(low)
         held.append(((low <= true) & (true <= high))[has])
     assert 0.85 <= np.mean(np.concatenate(held)) <= 0.99
+
+
+def test_what_blocks_share_is_what_a_moving_average_loses():
+    """Scores that sum up the L samples of their window, white noise: the variance by hand."""
+    loss = Loss().on([noisy(duration=40.0)], VEHICLE)
+    windows, clusters = loss.windows, loss.clusters
+    sample = np.zeros((len(windows), int(windows.starts.max()) + 90))
+    for row, start in zip(sample, windows.starts, strict=True):
+        row[start : start + 90] = 1
+    blocks = np.array([sample[clusters == c].sum(axis=0) for c in range(clusters.max() + 1)])
+    missed = 1 - np.sum(blocks**2) / np.sum(blocks.sum(axis=0) ** 2)
+    assert shared_at_borders(loss) == pytest.approx(missed, rel=0.1)
+    one = replace(loss, clusters=np.zeros(len(windows), dtype=int))
+    assert shared_at_borders(one) == 0
+    # The ends of recordings are no borders.
+    two = Loss().on([noisy(1, 7.0), noisy(2, 7.0)], VEHICLE)
+    by_trajectory = np.searchsorted(two.windows.origins, two.windows.starts, side="right")
+    assert shared_at_borders(replace(two, clusters=by_trajectory - by_trajectory.min())) == 0
+
+
+def test_clusters_are_blocks_of_time():
+    flights = [noisy(seed, duration=7.0) for seed in (1, 2)]
+    loss = Loss().on(flights, VEHICLE)
+    windows, clusters = loss.windows, loss.clusters
+    second = windows.starts >= len(flights[0])
+    assert not set(clusters[second]) & set(clusters[~second])
+    assert (np.diff(clusters) >= 0).all()
+    seconds = np.bincount(clusters) * 7 / 240
+    assert 1.2 < seconds.min() <= seconds.max() < 2.1

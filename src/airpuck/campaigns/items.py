@@ -21,12 +21,11 @@ from airpuck.boundary.files import Section, checked, laid_over
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.identification.bootstrap import bootstrap
+from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
-from airpuck.identification.transport_delay import mean_delay
+from airpuck.identification.problem import Loss, mean_delay
 from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
@@ -180,7 +179,8 @@ class Recovery(Item):
             settings=self.twin,
         )
         data, craft = preprocess(recording, truth.vehicle), truth.vehicle
-        fit = identify(data, self.model, vehicle=craft, stride=self.stride, robust=self.robust)
+        loss = Loss(stride=self.stride, robust=self.robust)
+        fit = identify(data, self.model, vehicle=craft, loss=loss)
         delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
@@ -277,9 +277,10 @@ class Fitting(Item):
         trajectories = [self._load(name) for name in self.recordings]
         if self.span is not None:
             trajectories = [trajectory.slice(*self.span) for trajectory in trajectories]
-        rung, start = named_rung(self.model), None
+        rung = named_rung(self.model, degree=self.degree, frame=self.frame)
+        start = None
         if self.start_spread:
-            nominal = rung.initial(craft, self.degree)
+            nominal = rung.initial(craft)
             nominal = replace(nominal, transport_delay=mean_delay(trajectories, craft))
             elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
             start = nominal.with_vector(
@@ -290,11 +291,7 @@ class Fitting(Item):
             rung,
             vehicle=craft,
             initial=start,
-            degree=self.degree,
-            encoder=PaperEncoder(length=40),
-            stride=self.stride,
-            frame=self.frame,
-            robust=self.robust,
+            loss=Loss(stride=self.stride, robust=self.robust),
         )
 
     def _resampled(self) -> list[Row]:
@@ -302,11 +299,8 @@ class Fitting(Item):
         # A frozen pydantic model has a hash, which the type checker does not see.
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
         fit = _fit_to_all(whole, whole.key(fingerprint))
-        model, loss = fit.model, fit.objective
-        assert loss is not None and loss.clusters is not None
-        _, estimates = bootstrap(
-            loss, model.parameters, model.free, loss.clusters, self.resamplings, seed=self.seed
-        )
+        model = fit.model
+        estimates = resampled_estimates(fit, self.resamplings, seed=self.seed)
         return [_labelled(model, model.parameters.with_vector(e)) for e in estimates]
 
 

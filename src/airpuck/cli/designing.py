@@ -109,7 +109,7 @@ def design(
 
 def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bool) -> Model:
     """Fit a model's rung to recordings, starting from it."""
-    from airpuck.experiment_design.forecast import fit_settings
+    from airpuck.experiment_design.forecast import loss_of
     from airpuck.identification.fit import identify
     from airpuck.model.rungs import named_rung
 
@@ -117,10 +117,10 @@ def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bo
     warn([w for t in trajectories for w in t.warnings], quiet)
     fit = identify(
         trajectories,
-        named_rung(craft.name),
+        named_rung(craft.name, frame=craft.frame),
         vehicle=craft.vehicle,
         initial=craft.parameters,
-        **fit_settings(craft),
+        loss=loss_of(craft),
     )
     warn(fit.warnings, quiet)
     return fit.model

@@ -17,33 +17,25 @@ if TYPE_CHECKING:
 
 
 def show_resampling(quiet: bool, total: int) -> Callable[[int], None]:
-    """Return what tells now and then how many fits to resampled data are done."""
+    """Return what prints now and then how many fits to resampled data are done."""
 
-    def told(done: int) -> None:
+    def show(done: int) -> None:
         if not quiet and (done == total or done % max(1, total // 10) == 0):
             print(f"resampled {done} of {total}", file=sys.stderr, flush=True)
 
-    return told
+    return show
 
 
 def print_fit(fit: Fit) -> None:
     """Print how a fit ended, the main quantities with their errors, and what is not determined."""
     from rich.table import Table
 
-    from airpuck.evaluation.presentation import delay_words
+    from airpuck.identification.fit_result import knowledge_words, outcome_words
 
-    print(
-        f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
-        f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
-    )
-    if fit.exclusion is not None and fit.exclusion.share > 0:
-        faults = sum(map(len, fit.exclusion.faults))
-        print(
-            f"left out {faults} faults, {100 * fit.exclusion.share:.1f} % of the windows; "
-            "`airpuck faults` shows them, --faults keep keeps them"
-        )
-    known, found = fit.uncertainty, fit.identifiability
-    if known is None or found is None:
+    for line in outcome_words(fit):
+        print(line)
+    known = fit.uncertainty
+    if known is None:
         return
     table = Table(
         title=f"Learned values ± standard error, from {known.clusters} blocks of time",
@@ -57,14 +49,8 @@ def print_fit(fit: Fit) -> None:
     for row in _rows(fit.model):
         table.add_row(*row[: len(headings)])
     console().print(table)
-    if fit.model.delay_jitter is not None:
-        print(f"delay {delay_words(fit.model)}")
-    print(
-        f"{found.rank} of {found.free} free parameters determined, condition "
-        f"{found.condition:.1e}; weakest: {', '.join(found.weakest)}"
-    )
-    for note in [*found.notes, *known.notes]:
-        print(note)
+    for line in knowledge_words(fit):
+        print(line)
 
 
 def _rows(model: Model) -> list[list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -131,52 +131,52 @@ def identify(
     from airpuck.boundary.errors import InputError
     from airpuck.cli.fit_output import print_fit, show_resampling
     from airpuck.identification.adam import Adam
+    from airpuck.identification.bootstrap import bootstrap as resample
     from airpuck.identification.fit import identify
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.identification.problem import Loss, Preparation
     from airpuck.model.rungs import named_rung
 
-    rung = named_rung(model)
-    choose("--method", method, ("lm", "adam"))
-    if faults is not None:
-        choose("--faults", faults, ("exclude", "keep"))
-    choose("--com-frame", com_frame, ("body", "world"))
-    if delay is not None:
-        choose("--delay", delay, ("fit", "fixed"))
-    if delay == "fit" and method != "lm":
-        raise InputError("fit is of lm only", field="--delay")
+    for option, value, choices in (
+        ("--method", method, ("lm", "adam")),
+        ("--faults", faults, (None, "exclude", "keep")),
+        ("--com-frame", com_frame, ("body", "world")),
+        ("--delay", delay, (None, "fit", "fixed")),
+    ):
+        if value not in choices:
+            choose(option, str(value), tuple(choice for choice in choices if choice))
+    rung = named_rung(model, degree=degree, frame=cast(Any, com_frame))
     if epochs is not None and method != "adam":
         raise InputError("is of adam only; add --method adam", field="--epochs")
     if degree is not None and rung.powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
-    if robust and method != "lm":
-        raise InputError("is of lm only", field="--robust")
-    if bootstrap is not None and method != "lm":
-        raise InputError("is of lm only", field="--bootstrap")
+    if method != "lm":
+        if delay == "fit":
+            raise InputError("fit is of lm only", field="--delay")
+        for option, given in (("--robust", robust), ("--bootstrap", bootstrap is not None)):
+            if given:
+                raise InputError("is of lm only", field=option)
     if seed and bootstrap is None:
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     check_destinations(output=output, json=json_file, report=report)
     craft = read_craft(vehicle)
     trajectories = [cut(load(path, craft, topics), span) for path in recordings]
     warn([w for t in trajectories for w in t.warnings], quiet)
+    stride = stride or (7 if method == "lm" else 1)
     adam = Adam() if epochs is None else Adam(epochs=epochs)
     with show_progress(quiet) as progress:
         fit = identify(
             trajectories,
-            model,
+            rung,
             vehicle=craft,
+            loss=Loss(weights=(1.0, 1.0, yaw_weight), stride=stride, robust=robust),
             method=LevenbergMarquardt() if method == "lm" else adam,
-            weights=(1.0, 1.0, yaw_weight),
-            stride=stride or (7 if method == "lm" else 1),
-            degree=degree,
-            frame="body" if com_frame == "body" else "world",
-            delay=None if delay is None else "fit" if delay == "fit" else "fixed",
-            robust=robust,
-            faults=None if faults is None else "exclude" if faults == "exclude" else "keep",
-            bootstrap=bootstrap or 0,
-            seed=seed,
+            preparation=Preparation(faults=cast(Any, faults), delay=cast(Any, delay)),
             progress=progress,
-            resampled=show_resampling(quiet, bootstrap or 0),
         )
+        if bootstrap is not None:
+            shown = show_resampling(quiet, bootstrap)
+            fit = resample(fit, bootstrap, seed=seed, progress=shown)
     fit.model.save(output)
     if report is not None:
         from airpuck.report.fit_report import fit_report

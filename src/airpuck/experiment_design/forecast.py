@@ -25,23 +25,20 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
-from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identification.blocks import cluster_windows, shared_at_borders
-from airpuck.identification.delay_jitter import spread_of, variance_of_mean
-from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.problem import Loss
+from airpuck.identification.retiming import spread_of, variance_of_mean
 from airpuck.identification.uncertainty import (
     UNDETERMINED,
     binding_constraints,
+    shared_at_borders,
     subspace,
 )
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import thrust
 
-#: Windows as `identify` cuts them, where the model does not say otherwise.
-_PAST, _AHEAD, _STRIDE = 40, 50, 7
 #: Motor speeds at which forces are compared.
 _SPEEDS = (0.5, 1.0)
 #: Step of a finite difference, in the size of a parameter; of one near zero, in this size.
@@ -70,47 +67,39 @@ class Information:
     packets: float = 0.0
 
 
-def fit_settings(model: Model) -> dict[str, Any]:
-    """Return the arguments of `identify` that a model was learned with."""
-    fit = model.fit
-    x, y, yaw = fit.get("weights", PUBLISHED_WEIGHTS)
-    return {
-        "encoder": PaperEncoder(length=int(fit.get("encoder_length", _PAST))),
-        "weights": (x, y, yaw),
-        "prediction_length": int(fit.get("prediction_length", _AHEAD)),
-        "stride": int(fit.get("stride", _STRIDE)),
-        "frame": model.frame,
-    }
+def loss_of(model: Model) -> Loss:
+    """Return the loss that a model was learned with."""
+    fit, usual = model.fit, Loss()
+    x, y, yaw = fit.get("weights", usual.weights)
+    return Loss(
+        encoder=PaperEncoder(length=int(fit.get("encoder_length", usual.encoder.length))),
+        weights=(x, y, yaw),
+        prediction_length=int(fit.get("prediction_length", usual.prediction_length)),
+        stride=int(fit.get("stride", usual.stride)),
+    )
 
 
 def information_of(
     trajectory: Trajectory, model: Model, duration: float, delays: Sequence[PacketDelays] = ()
 ) -> Information:
     """Compute what a flight of a known model says about its parameters."""
-    how = fit_settings(model)
-    encoder = how["encoder"]
-    trajectory = _whole_seconds(trajectory)
-    windows = make_windows(trajectory, encoder.length, how["prediction_length"], how["stride"])
-    loss = PredictionLoss(
-        windows,
+    loss = loss_of(model).on(
+        [_whole_seconds(trajectory)],
         model.vehicle,
-        encoder,
-        how["weights"],
-        how["frame"],
-        continuous_delay=model.delay_learned,
+        frame=model.frame,
+        learns_delay=model.delay_learned,
     )
-    clusters = cluster_windows(windows)
-    if clusters.max() < 1:
-        raise InputError("is too short for two blocks of time", field="rehearsal")
-    shares = loss.by_cluster(model.parameters, clusters)
+    quadratic = loss.quadratic(model.parameters)
     # The loss is a mean over windows; information and scores are sums.
-    count, blocks = len(windows), len(shares.gradient)
-    spread = shares.gradient - shares.gradient.mean(axis=0)
-    spread /= np.sqrt(1 - shared_at_borders(windows, clusters))
+    count, blocks = len(loss.windows), len(quadratic.scores)
+    if blocks < 2:
+        raise InputError("is too short for two blocks of time", field="rehearsal")
+    spread = quadratic.scores - quadratic.scores.mean(axis=0)
+    spread /= np.sqrt(1 - shared_at_borders(loss))
     return Information(
-        hessian=count * shares.hessian.sum(axis=0) / duration,
+        hessian=count * quadratic.hessian / duration,
         scores=count**2 * blocks / (blocks - 1) * (spread.T @ spread) / duration,
-        loss=float(shares.loss.sum()),
+        loss=quadratic.loss,
         duration=duration,
         blocks=blocks,
         packets=duration * variance_of_mean(delays, spread_of(delays)),

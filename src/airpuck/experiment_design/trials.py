@@ -22,11 +22,12 @@ from airpuck.experiment_design.forecast import (
     HELD,
     ComparedQuantities,
     Information,
-    fit_settings,
     information_of,
+    loss_of,
 )
 from airpuck.identification.fit import identify
-from airpuck.identification.refinement import refined
+from airpuck.identification.problem import Preparation
+from airpuck.identification.retiming import retime_packets
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
 from airpuck.preprocessing.pipeline import preprocess
@@ -64,7 +65,7 @@ def fly_trial(
     if model.delay_learned:
         # As `identify` will: with the mean delay of this radio, and packets where they arrived.
         model = as_received(model, settings, tuning.period_s)
-        (trajectory,), delays = refined((trajectory,), model)
+        (trajectory,), delays = retime_packets((trajectory,), model)
     return Trial(clearance, information_of(trajectory, model, plan.duration_s, delays))
 
 
@@ -199,11 +200,11 @@ def _fly_and_identify(
     trajectory, clearance = _fly(truth, settings, tuning, plan, seed)
     model = identify(
         trajectory,
-        named_rung(truth.name),
+        named_rung(truth.name, frame=truth.frame),
         vehicle=truth.vehicle,
         initial=truth.parameters,
-        delay="fit" if truth.delay_learned else "fixed",
-        **fit_settings(truth),
+        loss=loss_of(truth),
+        preparation=Preparation(delay="fit" if truth.delay_learned else "fixed"),
     ).model
     quantities = ComparedQuantities(truth)
     if truth.delay_learned:

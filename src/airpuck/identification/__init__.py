@@ -1,4 +1,5 @@
 """Trajectory -> model.
 
-Entry points: `objective.PredictionLoss`, `bootstrap.bootstrap`.
+Entry points: `fit.identify`, `problem.Loss`, `problem.Preparation`, `objective.PredictionLoss`,
+`bootstrap.bootstrap`.
 """

@@ -1,4 +1,4 @@
-"""Adam on random batches of windows: the paper's optimiser (sec:learning)."""
+"""Adam on random batches of windows: the paper's optimiser."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from jaxtyping import Bool
 from airpuck.compute.compiled import double_precision
 from airpuck.data.windows import gather_past
 from airpuck.identification.method import Iteration, Outcome
-from airpuck.identification.monotone import monotone_penalty
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
 from airpuck.physics.rollout import rollout
+from airpuck.physics.thrust import thrust_slope
 
 
 @dataclass(frozen=True)
@@ -149,3 +149,26 @@ def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, A
         return jnp.mean((weights * (predicted[:, :3] - measured)) ** 2)
 
     return error
+
+
+def monotone_penalty(xp: Any, coefficients: Any) -> Any:
+    """Compute the paper's regulariser without its weight.
+
+    The sum over propellers of max(0, -F'(φ)) at φ = 0, at φ = 1 and, by Proposition 1
+    (prop:thrust), at the minimum of F' where that lies in between. The minimum is exact for degrees
+    up to three; for higher ones it is searched on a grid of 41 points.
+    """
+    n, degree = coefficients.shape
+    ends = xp.broadcast_to(xp.array([0.0, 1.0]), (n, 2))
+    penalty = xp.sum(xp.maximum(-thrust_slope(coefficients, ends), 0.0))
+    if degree < 3:
+        return penalty  # F' is linear: its minimum is at an end.
+    if degree > 3:
+        grid = xp.broadcast_to(xp.linspace(0.0, 1.0, 41)[1:-1], (n, 39))
+        lowest = xp.min(thrust_slope(coefficients, grid), axis=1)
+        return penalty + xp.sum(xp.maximum(-lowest, 0.0))
+    a, b, c = coefficients[:, 0], coefficients[:, 1], coefficients[:, 2]
+    divisor = xp.where(c > 0, c, 1.0)
+    stationary = -b / (3 * divisor)
+    inside = (c > 0) & (stationary >= 0) & (stationary <= 1)
+    return penalty + xp.sum(xp.where(inside, xp.maximum(b**2 / (3 * divisor) - a, 0.0), 0.0))

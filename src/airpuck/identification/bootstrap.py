@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
+from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.retiming import variance_of_mean
 from airpuck.model.gauge import fix_gauge
-from airpuck.model.parameters import Parameters
 from airpuck.model.uncertainty import Bootstrap
 
 #: Fewer blocks than this cannot be resampled: too many draws would leave parameters undetermined.
@@ -26,53 +27,67 @@ _FEWEST = 5
 
 
 def bootstrap(
-    loss: PredictionLoss,
-    parameters: Parameters,
-    free: Bool[np.ndarray, " P"],
-    clusters: Int[np.ndarray, " W"],
+    fit: Fit,
     replicates: int,
     *,
-    undetermined: Float[np.ndarray, "K P"] | None = None,
     seed: int = 0,
-    method: LevenbergMarquardt | None = None,
     progress: Callable[[int], None] = lambda _: None,
-) -> tuple[Bootstrap, Float[np.ndarray, "N P"]]:
-    """Fit a model to resampled data, on all cores.
+) -> Fit:
+    """Add intervals from fits to resampled data, beside those of the standard errors.
 
     Parameters
     ----------
-    loss : PredictionLoss
-        The loss that was minimised.
-    parameters : Parameters
-        Its optimum, where every fit starts.
-    free : array of bool, shape (P,)
-        What is estimated.
-    clusters : array of int, shape (W,)
-        The block that each window belongs to.
+    fit : Fit
+        By `LevenbergMarquardt`.
     replicates : int
-        Number of fits N.
-    undetermined : array, shape (K, P), optional
-        Directions that the data do not determine (`Uncertainty.undetermined`): a fit stays where it
-        started along them, which says nothing, so what they move gets no interval.
+        Number of fits; some hundreds.
     seed : int, default 0
         Seed of the resampling.
-    method : LevenbergMarquardt, optional
-        How to fit.
     progress : callable, optional
         Called with the number of fits done.
 
     Returns
     -------
-    intervals : Bootstrap
-        From percentiles.
-    estimates : array, shape (N', P)
-        Of the fits that came to an end.
+    Fit
+        With ``uncertainty.bootstrap``.
 
     Raises
     ------
     InputError
-        If there are too few blocks, or fewer than two fits came to an end.
+        If the fit is by another method, there are too few blocks of time, or fewer than two fits
+        came to an end.
     """
+    known = fit.uncertainty
+    if known is None or fit.model.fit.get("method") != LevenbergMarquardt.__name__:
+        raise InputError("is of Levenberg-Marquardt only", field="bootstrap")
+    estimates = resampled_estimates(fit, replicates, seed=seed, progress=progress)
+    lower, upper = np.percentile(estimates, [2.5, 97.5], axis=0)
+    if fit.model.delay_jitter is not None:
+        # That the known packets are a sample is an error of its own, as in the standard errors.
+        spread = fit.model.delay_jitter.standard_deviation_s
+        reach = NormalDist().inv_cdf(0.975) * variance_of_mean(fit.packet_delays, spread) ** 0.5
+        delay = fit.model.parameters.mask(frozenset({"transport_delay"}))
+        delay &= np.isfinite(known.standard_errors)
+        middle, half = (lower + upper) / 2, np.hypot((upper - lower) / 2, reach)
+        lower, upper = np.where(delay, [middle - half, middle + half], [lower, upper])
+    # Along directions that the data do not determine, every fit stays where it started.
+    determined = fit.model.free & (np.abs(known.undetermined) <= 1e-9).all(axis=0)
+    lower, upper = np.where(determined, [lower, upper], np.nan)
+    found = Bootstrap(len(estimates), seed, lower, upper)
+    return replace(fit, model=replace(fit.model, uncertainty=replace(known, bootstrap=found)))
+
+
+def resampled_estimates(
+    fit: Fit,
+    replicates: int,
+    *,
+    seed: int = 0,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Float[np.ndarray, "N P"]:
+    """Fit to resampled data, on all cores; return the estimates of the fits that came to an end."""
+    loss, parameters, free = fit.objective, fit.model.parameters, fit.model.free
+    assert loss is not None and loss.clusters is not None
+    clusters = loss.clusters
     count = int(clusters.max()) + 1
     if count < _FEWEST:
         raise InputError(
@@ -81,29 +96,23 @@ def bootstrap(
         )
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(count, np.full(count, 1 / count), size=replicates).astype(float)
-    method = method or LevenbergMarquardt(tolerance=1e-5)
+    method = LevenbergMarquardt(tolerance=1e-5)
     counted = np.ones(len(clusters)) if loss.multiplicity is None else loss.multiplicity
 
-    def fit(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
+    def fitted(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
         resampled = replace(loss, multiplicity=counted * draw[clusters], clusters=None)
         try:
             found = method.minimize(resampled, parameters, free).parameters
-            return fix_gauge(found, loss.vehicle, free).to_vector()
         except (InputError, ArithmeticError):
             return None  # this draw does not determine the parameters
+        return fix_gauge(found, loss.vehicle, free).to_vector()
 
     found = []
     with ThreadPoolExecutor(usable_cores()) as pool:
-        for number, vector in enumerate(pool.map(fit, draws), start=1):
+        for number, vector in enumerate(pool.map(fitted, draws), start=1):
             if vector is not None and np.isfinite(vector).all():
                 found.append(vector)
             progress(number)
     if len(found) < 2:
         raise InputError("hardly any fit to resampled data came to an end", field="bootstrap")
-    estimates = np.array(found)
-    lower, upper = np.percentile(estimates, [2.5, 97.5], axis=0)
-    known = free
-    if undetermined is not None:
-        known = free & (np.abs(undetermined) <= 1e-9).all(axis=0)
-    nothing = np.where(known, 0.0, np.nan)
-    return Bootstrap(len(found), seed, lower + nothing, upper + nothing), estimates
+    return np.array(found)

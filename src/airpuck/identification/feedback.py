@@ -1,7 +1,7 @@
 """What a fit's own errors do to the data that are prepared with it.
 
 Packets are moved to when a model says that they arrived, and velocities are smoothed along it
-(`airpuck.identification.refinement`). A model that is a little wrong prepares data that agree with
+(`airpuck.identification.retiming`). A model that is a little wrong prepares data that agree with
 it a little too well: they hold less information than they seem to. As for any estimate in two
 steps, the derivative of the scores with respect to what prepares the data belongs to the
 information (Murphy and Topel, Journal of Business and Economic Statistics 3, 1985).
@@ -17,10 +17,14 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
-from airpuck.identification.delay_jitter import spread_of
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays, delay_response
-from airpuck.identification.refinement import modelled_acceleration, retimed, smoothed_along
+from airpuck.identification.retiming import (
+    modelled_acceleration,
+    retimed,
+    smoothed_along,
+    spread_of,
+)
 from airpuck.model.model_file import Model
 
 #: Seconds of flight that say enough.

@@ -1,19 +1,28 @@
-"""What a fit found, and its figures for machines."""
+"""What a fit found: in numbers for machines, in words for people."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.fault_exclusion import Exclusion
 from airpuck.identification.identifiability import Identifiability
-from airpuck.identification.method import Iteration
+from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
+from airpuck.physics.thrust import lowest_slope
+
+#: A motor whose command stays within this range says nothing about its thrust.
+_IDLE_RANGE = 0.02
+#: A recording whose own delay is so many samples off the fitted one has other clocks or radio.
+_FAR_SAMPLES = 3.0
 
 
 @dataclass(frozen=True)
@@ -26,10 +35,9 @@ class Fit:
         The identified model.
     loss : float
         Mean squared weighted prediction error over windows, steps and channels, without any
-        regulariser; see `PredictionLoss`. Where the delay was learned, with packets at the times
-        at which they arrived.
+        regulariser; see `PredictionLoss`. Where the delay was learned, with retimed packets.
     history : tuple of Iteration
-        The optimiser's way.
+        The iterations of all fits, one after the other.
     converged : bool
         Whether the optimiser stopped by its own criterion.
     message : str
@@ -41,14 +49,14 @@ class Fit:
     warnings : tuple of str
         What to look at before trusting the model.
     identifiability : Identifiability or None
-        What the data say about the parameters; `identify` always finds it.
+        What the data determine of the parameters; `identify` always finds it.
     exclusion : Exclusion or None
-        The faults that were found and kept out of the fit; None where none were searched.
+        The faults that were found and left out; None where they were not searched for.
     packet_delays : tuple of PacketDelays
         When single packets arrived, in each recording; empty where the delay was not learned.
     objective : PredictionLoss or None
-        What was minimised last: the windows, as prepared, and how much each counts. `identify`
-        always tells it.
+        What was minimised last: the windows, as prepared, and how much each counts; `identify`
+        always sets it.
     """
 
     model: Model
@@ -127,3 +135,91 @@ def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
     if known.bootstrap is not None:
         found["replicates"], found["seed"] = known.bootstrap.replicates, known.bootstrap.seed
     return found
+
+
+def fit_warnings(
+    model: Model,
+    trajectories: Sequence[Trajectory],
+    outcome: Outcome,
+    exclusion: Exclusion | None,
+) -> tuple[str, ...]:
+    """Tell what to look at before trusting a model."""
+    notes = model.uncertainty.notes if model.uncertainty else ()
+    return (
+        *_idle_motors(trajectories),
+        *(exclusion.warnings if exclusion else ()),
+        *([] if outcome.converged else [f"the optimiser has not converged: {outcome.message}"]),
+        *_implausible_values(model),
+        *_other_delays(model, trajectories),
+        *(note for note in notes if "rough" in note or "no standard" in note),
+    )
+
+
+def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
+    """Name the motors whose thrust the data cannot determine."""
+    ranges = np.max([np.ptp(t.input[t.usable], axis=0) for t in trajectories], axis=0)
+    return [
+        f"the command of {name} hardly changes: these data do not determine its thrust"
+        for name, extent in zip(trajectories[0].propellers, ranges, strict=True)
+        if extent < _IDLE_RANGE
+    ]
+
+
+def _implausible_values(model: Model) -> list[str]:
+    """Name parameters at a bound, an inertia far from the nominal one and falling thrusts."""
+    vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
+    labels = model.parameters.labels(model.vehicle.propeller_names)
+    at_bound = model.free & ((vector <= lower) | (vector >= upper))
+    found = [f"{labels[entry]} is at its bound" for entry in np.flatnonzero(at_bound)]
+    inertia, nominal = float(model.parameters.inertia), model.vehicle.nominal.inertia_kg_m2
+    if not 0.05 < inertia / nominal < 20:
+        found.append(
+            f"the inertia, {inertia:.3g} kg m², is far from the nominal {nominal:.3g}: "
+            "do the data excite the yaw?"
+        )
+    slopes, speeds = lowest_slope(model.parameters.thrust)
+    for name, slope, speed in zip(model.vehicle.propeller_names, slopes, speeds, strict=True):
+        if slope < 0:
+            found.append(f"thrust of {name} falls at φ = {speed:.2f}: it cannot be inverted")
+    return found
+
+
+def _other_delays(model: Model, trajectories: Sequence[Trajectory]) -> list[str]:
+    """Name recordings that seem to have another delay than the one that was learned."""
+    if not model.delay_learned:
+        return []
+    return [
+        f"{t.source}: preprocessing found a delay of {1e3 * t.delay:.1f} ms, the fit "
+        f"{1e3 * model.transport_delay:.1f} ms for all recordings; check clocks and nominal lag"
+        for t in trajectories
+        if t.delay_known and abs(t.delay - model.transport_delay) > _FAR_SAMPLES * t.sample_period
+    ]
+
+
+def outcome_words(fit: Fit) -> list[str]:
+    """Tell in sentences how a fit ended, and what it left out."""
+    text = [
+        f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
+        f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
+    ]
+    if fit.exclusion is not None and fit.exclusion.share > 0:
+        faults = sum(map(len, fit.exclusion.faults))
+        text.append(
+            f"left out {faults} faults, {100 * fit.exclusion.share:.1f} % of the windows; "
+            "`airpuck faults` shows them, --faults keep keeps them"
+        )
+    return text
+
+
+def knowledge_words(fit: Fit) -> list[str]:
+    """Tell in sentences what the data determine, and what they leave open."""
+    text, known, found = [], fit.uncertainty, fit.identifiability
+    if fit.model.delay_jitter is not None:
+        text.append(f"delay {delay_words(fit.model)}")
+    if found is not None:
+        text.append(
+            f"{found.rank} of {found.free} free parameters determined, condition "
+            f"{found.condition:.1e}; weakest: {', '.join(found.weakest)}"
+        )
+        text += found.notes
+    return [*text, *(known.notes if known else ())]

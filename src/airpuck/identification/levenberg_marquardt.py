@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.identification.method import Iteration, Outcome
-from airpuck.identification.monotone import SlopeConstraints
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.parameters import Parameters
+from airpuck.physics.thrust import lowest_slope
 
 #: Damping, relative to the curvature, above which steps are too short to say anything.
 _OVERDAMPED = 1e6
@@ -102,7 +102,7 @@ class LevenbergMarquardt:
             history=tuple(history),
             converged=reason == "converged",
             message=reason,
-            shares=here.shares,
+            quadratic=here,
         )
 
     def _step(
@@ -185,3 +185,40 @@ def _solve(
     if status != piqp.PIQP_SOLVED:
         raise ArithmeticError(f"the step's quadratic program ended with {status}")
     return unit * np.array(solver.result.x)
+
+
+class SlopeConstraints:
+    """Linear inequalities that keep thrust curves rising, made where they are needed.
+
+    F'(φ) ≥ 0 for all φ in [0, 1] is one linear inequality in the coefficients for every φ. The
+    ones at the ends are there from the start; `cut` adds the one at the minimum of a curve that
+    falls somewhere. A few cuts suffice, since a polynomial's slope has few minima.
+    """
+
+    def __init__(self, free: Bool[np.ndarray, "n degree"], margin: float = 1e-6) -> None:
+        self.margin = margin
+        self._free = free
+        self._points = [(i, speed) for i in range(len(free)) for speed in (0.0, 1.0)]
+
+    def rows(self) -> Float[np.ndarray, "R entries"]:
+        """Return A such that the constraints read A c ≥ margin, c the flat coefficients."""
+        n, degree = self._free.shape
+        power = np.arange(1, degree + 1)
+        rows = np.zeros((len(self._points), n, degree))
+        for row, (propeller, speed) in zip(rows, self._points, strict=True):
+            row[propeller] = power * speed ** (power - 1)
+        # A slope that no free coefficient can change, such as that of κφ² at 0, is not ours to
+        # constrain.
+        changeable = (np.abs(rows) * self._free).any(axis=(1, 2))
+        return rows[changeable].reshape(-1, n * degree)
+
+    def cut(self, coefficients: Float[np.ndarray, "n degree"]) -> bool:
+        """Add constraints where curves fall."""
+        slopes, speeds = lowest_slope(coefficients)
+        new = [
+            (propeller, float(speeds[propeller]))
+            for propeller in np.flatnonzero(slopes < 0)
+            if 0 < speeds[propeller] < 1
+        ]
+        self._points += new
+        return bool(new)

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool
 
-from airpuck.identification.objective import PredictionLoss, Shares
+from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.parameters import Parameters
 
 
@@ -39,9 +39,8 @@ class Outcome:
     converged: bool
     #: Why it stopped.
     message: str
-    #: What each cluster contributes to the loss at `parameters`, where it has clusters and the
-    #: optimiser knows.
-    shares: Shares | None = None
+    #: The loss that was minimised, at `parameters`; None where the optimiser does not evaluate it.
+    quadratic: Quadratic | None = None
 
 
 @runtime_checkable
@@ -66,13 +65,13 @@ def minimize_on(
     free: Bool[np.ndarray, " P"],
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Outcome:
-    """Go on from an optimum with another loss; iterations are counted on."""
+    """Go on from an optimum with another loss, and with the count of iterations."""
     begun = outcome.history[-1].number
 
-    def counted_on(iteration: Iteration) -> None:
-        if iteration.number:  # where the last one ended has been told
+    def renumbered(iteration: Iteration) -> None:
+        if iteration.number:  # its start is the end of the last fit, which was reported
             progress(replace(iteration, number=begun + iteration.number))
 
-    after = method.minimize(loss, outcome.parameters, free, counted_on)
+    after = method.minimize(loss, outcome.parameters, free, renumbered)
     steps = (replace(step, number=begun + step.number) for step in after.history if step.number)
     return replace(after, history=(*outcome.history, *steps))

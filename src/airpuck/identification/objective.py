@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -37,29 +38,30 @@ _MANY, _THINNED = 1000, 4
 
 
 @dataclass(frozen=True)
-class Shares:
-    """What each of G clusters of windows contributes to a `Quadratic`; they add up to it."""
-
-    #: Parts of the loss.
-    loss: Float[np.ndarray, " G"]
-    #: Scores: parts of the gradient.
-    gradient: Float[np.ndarray, "G P"]
-    #: Parts of the Gauss-Newton Hessian.
-    hessian: Float[np.ndarray, "G P P"]
-
-
-@dataclass(frozen=True)
 class Quadratic:
-    """A loss and its quadratic approximation at a point."""
+    """A loss and its quadratic approximation at a point, as sums over G clusters of windows."""
 
-    #: Mean square of the weighted errors.
-    loss: float
-    #: Its gradient.
-    gradient: Float[np.ndarray, " P"]
-    #: Its Gauss-Newton Hessian, 2 JᵀJ / M for M residuals.
-    hessian: Float[np.ndarray, "P P"]
-    #: What each cluster of windows contributes, where the loss has clusters.
-    shares: Shares | None = None
+    #: Parts of the loss, the mean square of the weighted errors.
+    cluster_losses: Float[np.ndarray, " G"]
+    #: Scores: parts of the gradient.
+    scores: Float[np.ndarray, "G P"]
+    #: Parts of the Gauss-Newton Hessian 2 JᵀJ / M, for M residuals.
+    informations: Float[np.ndarray, "G P P"]
+
+    @cached_property
+    def loss(self) -> float:
+        """The loss."""
+        return float(self.cluster_losses.sum())
+
+    @cached_property
+    def gradient(self) -> Float[np.ndarray, " P"]:
+        """Its gradient."""
+        return self.scores.sum(axis=0)
+
+    @cached_property
+    def hessian(self) -> Float[np.ndarray, "P P"]:
+        """Its Gauss-Newton Hessian."""
+        return self.informations.sum(axis=0)
 
 
 #: First samples of B windows, and how often each counts.
@@ -91,7 +93,7 @@ class PredictionLoss:
         (`Windows.delayed`); or as the windows hold them, by whole samples, whatever θ says. Adam
         does not know it.
     clusters : array of int, shape (W,), or None
-        The cluster that each window belongs to, 0 … G-1: `quadratic` then tells shares.
+        The cluster that each window belongs to, 0 … G-1, for `quadratic`; None: all to one.
     """
 
     windows: Windows
@@ -138,7 +140,7 @@ class PredictionLoss:
         return self.windows.delayed(float(parameters.transport_delay), assumed)
 
     def quadratic(self, parameters: Parameters) -> Quadratic:
-        """Evaluate the loss and its Gauss-Newton approximation.
+        """Evaluate the loss and its Gauss-Newton approximation, in one pass over the windows.
 
         Parameters
         ----------
@@ -150,54 +152,6 @@ class PredictionLoss:
         Quadratic
             With respect to ``parameters.to_vector()``.
         """
-        if self.clusters is not None:
-            shares = self.by_cluster(parameters, self.clusters)
-            return Quadratic(
-                loss=float(shares.loss.sum()),
-                gradient=shares.gradient.sum(axis=0),
-                hessian=shares.hessian.sum(axis=0),
-                shares=shares,
-            )
-        counted = self._counted
-        present = np.flatnonzero(counted)
-        parts = _split(present, self.windows.starts, counted)
-        shares = self._shares(parameters, parts, np.zeros(len(parts), dtype=int))
-        return Quadratic(
-            loss=float(shares.loss[0]), gradient=shares.gradient[0], hessian=shares.hessian[0]
-        )
-
-    def by_cluster(self, parameters: Parameters, clusters: Int[np.ndarray, " W"]) -> Shares:
-        """Evaluate what each cluster of windows contributes to `quadratic`, in one pass.
-
-        Parameters
-        ----------
-        parameters : Parameters
-            θ.
-        clusters : array of int, shape (W,)
-            The cluster that each window belongs to, 0 … G-1.
-
-        Returns
-        -------
-        Shares
-            With respect to ``parameters.to_vector()``.
-        """
-        counted = self._counted
-        parts, owner = [], []
-        for cluster in range(int(clusters.max()) + 1):
-            own = _split(np.flatnonzero(clusters == cluster), self.windows.starts, counted)
-            parts += own
-            owner += [cluster] * len(own)
-        return self._shares(parameters, parts, np.array(owner))
-
-    @property
-    def _counted(self) -> Float[np.ndarray, " W"]:
-        """How often each window counts."""
-        return np.ones(len(self.windows)) if self.multiplicity is None else self.multiplicity
-
-    def _shares(
-        self, parameters: Parameters, parts: Sequence[_Batch], owner: Int[np.ndarray, " N"]
-    ) -> Shares:
-        """Evaluate batches, and sum up those of each owner."""
         register_pytrees()
         values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
         windows = self.windows_at(parameters)
@@ -218,6 +172,7 @@ class PredictionLoss:
             )
 
         normal_equations = compiled_normal_equations()
+        batches, owner = self._batches()
 
         def sums(batch: _Batch) -> Any:
             return jax.block_until_ready(
@@ -233,14 +188,32 @@ class PredictionLoss:
             )
 
         with ThreadPoolExecutor(usable_cores()) as pool:
-            square, score, curvature = zip(*pool.map(sums, parts), strict=True)
+            square, score, curvature = zip(*pool.map(sums, batches), strict=True)
         local = _local_coordinates(parameters, moved_by)
         scale = 1 / (3 * windows.prediction_length * self._counted.sum())
-        return Shares(
-            loss=scale * _summed(square, owner),
-            gradient=2 * scale * _summed(score, owner) @ local,
-            hessian=2 * scale * (local.T @ _summed(curvature, owner) @ local),
+        return Quadratic(
+            cluster_losses=scale * _summed(square, owner),
+            scores=2 * scale * _summed(score, owner) @ local,
+            informations=2 * scale * (local.T @ _summed(curvature, owner) @ local),
         )
+
+    @property
+    def _counted(self) -> Float[np.ndarray, " W"]:
+        """How often each window counts."""
+        return np.ones(len(self.windows)) if self.multiplicity is None else self.multiplicity
+
+    def _batches(self) -> tuple[list[_Batch], list[int]]:
+        """Split the windows that count into batches, and return the cluster of each batch."""
+        clusters, counted = self.clusters, self._counted
+        if clusters is None:
+            clusters = np.zeros(len(self.windows), dtype=int)
+        batches, owner = [], []
+        for cluster in range(int(clusters.max()) + 1):
+            members = np.flatnonzero((clusters == cluster) & (counted > 0))
+            own = _split(members, self.windows.starts, counted)
+            batches += own
+            owner += [cluster] * len(own)
+        return batches, owner
 
 
 def _lengthened(values: Float[np.ndarray, "N *shape"]) -> Float[np.ndarray, "M *shape"]:
@@ -249,9 +222,9 @@ def _lengthened(values: Float[np.ndarray, "N *shape"]) -> Float[np.ndarray, "M *
     return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
-def _summed(parts: Sequence[Any], owner: Int[np.ndarray, " N"]) -> Float[np.ndarray, "G *shape"]:
+def _summed(parts: Sequence[Any], owner: Sequence[int]) -> Float[np.ndarray, "G *shape"]:
     """Sum up the parts of each owner."""
-    total = np.zeros((int(owner.max()) + 1, *parts[0].shape))
+    total = np.zeros((max(owner) + 1, *parts[0].shape))
     for number, part in zip(owner, parts, strict=True):
         total[number] += np.asarray(part)
     return total

@@ -45,13 +45,11 @@ def reweighted(
             break
         weighted = replace(loss, multiplicity=weight)
         outcome = minimize_on(method, weighted, outcome, free, progress)
-    return weighted, Outcome(
-        parameters=outcome.parameters,
+    return weighted, replace(
+        outcome,
         loss=loss.quadratic(outcome.parameters).loss,
-        history=outcome.history,
         converged=settled and outcome.converged,
         message=outcome.message if settled else "the weights of the windows have not settled",
-        shares=outcome.shares,
     )
 
 

@@ -11,13 +11,13 @@ is the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from airpuck.data.windows import Windows
 from airpuck.identification.feedback import Feedback
-from airpuck.identification.objective import Shares
+from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
 from airpuck.model.gauge import gauge_constraints
 from airpuck.model.parameters import Parameters
 from airpuck.model.uncertainty import Uncertainty
@@ -30,6 +30,53 @@ UNDETERMINED = 1e-11
 _FLAT = 1e-5
 #: Largest leverage of a block: one that alone determines something would have 1.
 _LEVERAGE = 0.999
+#: Length of a block [s]. Neighbouring blocks share what reaches across their border
+#: (`shared_at_borders`): shorter blocks share more, longer ones are too few in a minute of flight.
+BLOCK = 2.0
+#: A block is at least this many windows long, for the same reason.
+_LENGTHS = 5
+
+
+def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
+    """Group windows into blocks of time."""
+    trajectory, stride = _steps(windows)
+    period = float(np.median(np.diff(windows.time)))
+    span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
+    size = max(1, round(span / (stride * period)))
+    # Whole batches, where that is near: half-filled ones would cost as much as full ones.
+    if size > 0.75 * BATCH:
+        size = BATCH * round(size / BATCH)
+    clusters, first = np.zeros(len(windows), dtype=int), 0
+    for number in np.unique(trajectory):
+        own = np.flatnonzero(trajectory == number)
+        for block in np.array_split(own, -(-len(own) // size)):
+            clusters[block] = first
+            first += 1
+    return clusters
+
+
+def shared_at_borders(loss: PredictionLoss) -> float:
+    """Return the share of the scores' variance that blocks of windows miss at their borders.
+
+    Scores of windows of length L that begin ℓ apart have the correlation 1 - ℓ/L where they begin,
+    since that much of what disturbs them is common. Pairs across the ends of a block of length B
+    are a share (2/B) ∫₀ᴸ ℓ (1 - ℓ/L) dℓ / L = L/(3 B) of all.
+    """
+    windows, clusters = loss.windows, loss.clusters
+    assert clusters is not None
+    blocks = int(clusters.max()) + 1
+    trajectory, stride = _steps(windows)
+    inside = np.diff(trajectory) == 0
+    length = windows.encoder_length + windows.prediction_length
+    borders = int(np.sum(inside & (np.diff(clusters) != 0) & (np.diff(windows.starts) < length)))
+    return borders / blocks * length / (3 * max(stride * len(windows) / blocks, length))
+
+
+def _steps(windows: Windows) -> tuple[Int[np.ndarray, " W"], float]:
+    """Return the trajectory of each window, and how many samples on the next begins, typically."""
+    trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
+    steps = np.diff(windows.starts)[np.diff(trajectory) == 0]
+    return trajectory, float(np.median(steps)) if len(steps) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +157,7 @@ def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
 
 
 def sandwich(
-    shares: Shares,
+    quadratic: Quadratic,
     parameters: Parameters,
     free: Bool[np.ndarray, " P"],
     constraints: Float[np.ndarray, "C P"] | None = None,
@@ -125,9 +172,9 @@ def sandwich(
         constraints = binding_constraints(parameters, free)
     if gauge is None:
         gauge = gauge_constraints(parameters, free)
-    vector, hessian = parameters.to_vector(), shares.hessian.sum(axis=0)
-    count, size = shares.gradient.shape
-    if count < 2 or not (np.isfinite(hessian).all() and np.isfinite(shares.gradient).all()):
+    vector, hessian = parameters.to_vector(), quadratic.hessian
+    count, size = quadratic.scores.shape
+    if count < 2 or not (np.isfinite(hessian).all() and np.isfinite(quadratic.scores).all()):
         reason = (
             "the data make up a single block of time: there is nothing to estimate errors from"
             if count < 2
@@ -139,7 +186,9 @@ def sandwich(
             (f"no standard errors: {reason}",),
         )  # fmt: skip
     space = subspace(hessian, free, np.concatenate([constraints, gauge]))
-    change = _jackknife(shares.gradient @ space.basis, space.basis.T @ shares.hessian @ space.basis)
+    change = _jackknife(
+        quadratic.scores @ space.basis, space.basis.T @ quadratic.informations @ space.basis
+    )
     if feedback is not None:
         change = change @ feedback.growth(space.basis).T
     factor = (count - 1) / count / (1 - shared)
@@ -162,23 +211,13 @@ def sandwich(
 def widened(
     uncertainty: Uncertainty, entries: Bool[np.ndarray, " P"], variance: float
 ) -> Uncertainty:
-    """Add an error that is independent of what clusters show, to single parameters."""
+    """Add an error of single parameters, independent of what clusters show."""
     known = entries & np.isfinite(uncertainty.standard_errors)
     added = np.where(known, variance, 0.0)
-    resampled = uncertainty.bootstrap
-    if resampled is not None:
-        middle = (resampled.lower + resampled.upper) / 2
-        reach = NormalDist().inv_cdf(0.975) * np.sqrt(added)
-        half = np.hypot(resampled.upper - middle, reach)
-        lower, upper = np.where(
-            known, [middle - half, middle + half], [resampled.lower, resampled.upper]
-        )
-        resampled = replace(resampled, lower=lower, upper=upper)
     return replace(
         uncertainty,
         covariance=uncertainty.covariance + np.diag(added),
         standard_errors=np.sqrt(uncertainty.standard_errors**2 + added),
-        bootstrap=resampled,
     )
 
 

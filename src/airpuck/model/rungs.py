@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import EFFECTS, Parameters, nominal_parameters
+from airpuck.physics.rigid_body import CenterOfMassFrame
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,18 @@ class Rung:
     lag: bool = True
     #: Whether the configuration matrix is learned directly.
     direct: bool = False
-    #: Powers of φ in the thrust curve; None: all up to the degree.
+    #: Powers of φ in the thrust curve, whatever the degree; None: all up to it.
     powers: tuple[int, ...] | None = None
     #: Names of the optional effects that it models, in `airpuck.model.parameters.EFFECTS`.
     effects: tuple[str, ...] = ()
+    #: Degree of the thrust curves; None: that of the vehicle's nominal thrust.
+    degree: int | None = None
+    #: Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
+    frame: CenterOfMassFrame = "body"
 
-    def initial(self, vehicle: Vehicle, degree: int | None = None) -> Parameters:
+    def initial(self, vehicle: Vehicle) -> Parameters:
         """Return where a fit of this rung starts."""
-        parameters = nominal_parameters(vehicle, degree)
+        parameters = nominal_parameters(vehicle, self.degree)
         if self.powers is not None:
             parameters = replace(parameters, thrust=_only(parameters.thrust, self.powers))
         if not self.lag:
@@ -123,13 +128,17 @@ TERMS: dict[str, str] = {
 }
 
 
-def named_rung(name: str) -> Rung:
+def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame = "body") -> Rung:
     """Return a rung by name.
 
     Parameters
     ----------
     name : str
         A rung in `RUNGS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
+    degree : int, optional
+        Degree of the thrust polynomials; by default that of the vehicle's nominal thrust.
+    frame : {"body", "world"}, default "body"
+        Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
 
     Returns
     -------
@@ -146,7 +155,7 @@ def named_rung(name: str) -> Rung:
         raise InputError(
             f"there is no model {base!r}; choose one of {', '.join(RUNGS)}", field="model"
         )
-    rung = RUNGS[base]
+    rung = replace(RUNGS[base], degree=degree, frame=frame)
     for term in terms:
         if term not in TERMS:
             raise InputError(

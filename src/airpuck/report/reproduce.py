@@ -15,6 +15,7 @@ from airpuck.boundary.files import replacing
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
 from airpuck.identification.fit import identify
+from airpuck.identification.problem import Preparation
 from airpuck.model.model_file import published_model
 from airpuck.report.fit_sections import (
     craft_section,
@@ -127,7 +128,7 @@ def reproduce(
     fits = []
     for name in RUNGS:
         # As in the paper, whose fits saw the faults of the recording, too.
-        fits.append(identify(training, name, faults="keep"))
+        fits.append(identify(training, name, preparation=Preparation(faults="keep")))
         progress(f"identified {name} in {fits[-1].wall_s:.1f} s, {fits[-1].iterations} iterations")
     study = FitStudy(
         training=training,

@@ -1,4 +1,4 @@
-"""Data prepared anew: packets as they arrived, velocities that switching motors do not blur."""
+"""Packets moved to their arrival, their jitter, velocities that switching motors do not blur."""
 
 from dataclasses import replace
 
@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from airpuck.campaigns.items import thrust_error
 from airpuck.data.trajectory import Trajectory
-from airpuck.identification import fit as fit_module
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.refinement import retimed, smoothed_along
+from airpuck.identification.problem import Preparation
+from airpuck.identification.retiming import (
+    delay_jitter,
+    retimed,
+    smoothed_along,
+    variance_of_mean,
+)
 from airpuck.preprocessing.derivative import velocity
 
 from .flown import TRUTH, flown
@@ -20,7 +26,13 @@ from .flown import TRUTH, flown
 
 def packets(numbers, deviation, error=0.0) -> PacketDelays:
     deviation = np.array(deviation, dtype=float)
-    return PacketDelays(np.array(numbers), deviation, np.full(len(deviation), float(error)))
+    error = np.broadcast_to(error, deviation.shape).astype(float)
+    return PacketDelays(np.array(numbers), deviation, error)
+
+
+def some(deviation, error) -> PacketDelays:
+    """Packets whose numbers do not matter."""
+    return packets(np.arange(len(deviation)), deviation, error)
 
 
 def sent(count: int = 40) -> Trajectory:
@@ -116,13 +128,90 @@ def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
     np.testing.assert_allclose(again.state, trajectory.state, atol=1e-12)
 
 
-def test_a_refined_fit_is_several_times_more_accurate(monkeypatch):
+def test_a_retimed_fit_is_several_times_more_accurate():
     """Against one that takes every packet to arrive after the mean delay, on the same flight."""
     trajectory = flown(0.007, 40.0).trajectory
-    refined_fit = identify(trajectory)
-    monkeypatch.setattr(fit_module, "_REFINEMENTS", 0)
-    plain = identify(trajectory)
-    wrong = [thrust_error(fit.model, TRUTH).max() for fit in (plain, refined_fit)]
+    retimed_fit = identify(trajectory)
+    plain = identify(trajectory, preparation=Preparation(retimings=0))
+    wrong = [thrust_error(fit.model, TRUTH).max() for fit in (plain, retimed_fit)]
     assert wrong[1] < 0.5 * wrong[0]
     assert wrong[1] < 0.01
-    assert refined_fit.loss < 0.2 * plain.loss
+    assert retimed_fit.loss < 0.2 * plain.loss
+
+
+def test_equal_errors_by_hand():
+    """σ² = s² - v, s² with N - 1 degrees of freedom; of s², the error by the fourth moment."""
+    deviation = 1e-3 * np.array([-6.0, -3, -2, -1, 0, 0, 1, 2, 3, 6])
+    jitter = delay_jitter([some(deviation, 1e-3)])
+    assert jitter.standard_deviation_s == pytest.approx(1e-3 * np.sqrt(100 / 9 - 1), rel=1e-9)
+    fourth = (2 * (6.0**4 + 3.0**4 + 2.0**4 + 1)) / 10
+    expected = np.sqrt((fourth - 10.0**2) / 10) * 1e-6 / (2 * jitter.standard_deviation_s)
+    assert jitter.standard_error_s == pytest.approx(expected, rel=1e-9)
+    assert jitter.packets == 10
+
+
+@pytest.mark.parametrize("spread", [1e-3, 6e-3])
+def test_spread_is_found_below_unequal_errors(spread):
+    rng = np.random.default_rng(0)
+    error = rng.uniform(0.2e-3, 4e-3, 4000)
+    deviation = rng.normal(0, np.hypot(spread, error))
+    jitter = delay_jitter([some(deviation, error)])
+    assert jitter.standard_deviation_s == pytest.approx(spread, rel=0.06)
+
+
+def test_standard_error_is_the_spread_of_estimates():
+    rng = np.random.default_rng(1)
+    found = [delay_jitter([some(rng.normal(0, 6e-3, 150), 1e-3)]) for _ in range(400)]
+    spread = np.std([jitter.standard_deviation_s for jitter in found])
+    assert np.mean([j.standard_error_s for j in found]) == pytest.approx(spread, rel=0.1)
+
+
+def test_errors_that_explain_the_spread_leave_no_jitter():
+    deviation = np.random.default_rng(2).normal(0, 1e-3, 200)
+    jitter = delay_jitter([some(deviation, 2e-3)])
+    assert jitter.standard_deviation_s < 1e-9
+    assert 0 < jitter.standard_error_s < 1e-3
+
+
+@given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
+def test_means_of_recordings_are_no_jitter(first, second):
+    deviation = 6e-3 * np.random.default_rng(3).normal(size=60)
+    plain = delay_jitter([some(deviation, 1e-3), some(deviation, 1e-3)])
+    moved = delay_jitter([some(deviation + first, 1e-3), some(deviation + second, 1e-3)])
+    assert moved.standard_deviation_s == pytest.approx(plain.standard_deviation_s, rel=1e-9)
+
+
+def test_the_weighted_sum_of_squares_is_its_expectation():
+    """Paule and Mandel's equation, mean and all, for errors that differ by a factor of twenty."""
+    rng = np.random.default_rng(4)
+    error = rng.uniform(0.2e-3, 4e-3, 40)
+    deviation = rng.normal(0, np.hypot(3e-3, error))
+
+    def excess(variance):
+        weight = 1 / (variance + error**2)
+        return weight @ (deviation - np.average(deviation, weights=weight)) ** 2 - 39
+
+    jitter = delay_jitter([some(deviation, error)])
+    expected = np.sqrt(brentq(excess, 1e-9, 1e-3, xtol=1e-18))
+    assert jitter.standard_deviation_s == pytest.approx(expected, rel=1e-6)
+
+
+def test_few_packets_say_nothing():
+    assert delay_jitter([some([1e-3], 1e-3)] * 12) is None
+    assert delay_jitter([]) is None
+    assert delay_jitter([some(np.zeros(9), 1e-3)]) is None
+
+
+def test_the_variance_of_a_mean_is_that_of_many_samples():
+    rng = np.random.default_rng(4)
+    error = rng.uniform(0.2e-3, 4e-3, 120)
+    delays = [some(np.zeros(70), error[:70]), some(np.zeros(50), error[70:])]
+    weight = 1 / (6e-3**2 + error**2)
+    means = [np.average(rng.normal(0, 6e-3, 120), weights=weight) for _ in range(4000)]
+    assert np.sqrt(variance_of_mean(delays, 6e-3)) == pytest.approx(np.std(means), rel=0.04)
+    assert variance_of_mean([some(np.zeros(90), 1e-4)], 6e-3) == pytest.approx(6e-3**2 / 90)
+
+
+def test_without_packets_or_jitter_a_mean_has_no_error():
+    assert variance_of_mean([], 6e-3) == variance_of_mean([some([], 1e-3)], 6e-3) == 0
+    assert variance_of_mean([some(np.zeros(90), 1e-4)], 0.0) == 0

@@ -1,9 +1,8 @@
-"""Data prepared anew with what a first fit knows: when packets arrived, and how fast the craft was.
+"""Data prepared again with what a fit has learned: when packets arrived, how fast the craft was.
 
-Two things are wrong in the same way in all data that are prepared without a model. Commands are
-taken to arrive after the mean delay, so that every packet that is late or early leaves an error
-that lasts to the end of its windows. And velocities are smoothed across the kinks that switching
-motors leave.
+Data that are prepared without a model have two errors in common. Commands are taken to arrive
+after the mean delay, so that every packet that is late or early leaves an error that lasts to the
+end of its windows. And velocities are smoothed across the kinks that switching motors leave.
 """
 
 from __future__ import annotations
@@ -15,28 +14,31 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.identification.delay_jitter import spread_of
 from airpuck.identification.packet_delays import PacketDelays, packet_delays
 from airpuck.model.model_file import Model
+from airpuck.model.uncertainty_section import DelayJitter
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import ACCELERATION_WINDOW, velocity
 from airpuck.preprocessing.quality import stretches
 
+#: Fewest degrees of freedom from which a spread is estimated.
+_FEWEST = 9
 
-def refined(
+
+def retime_packets(
     trajectories: Sequence[Trajectory], model: Model
 ) -> tuple[tuple[Trajectory, ...], tuple[PacketDelays, ...]]:
-    """Prepare recordings anew: commands at the times of arrival, velocities along the model."""
+    """Move commands to the times of their arrival, and smooth velocities along the model."""
     delays = tuple(packet_delays(trajectory, model) for trajectory in trajectories)
     if not float(model.dynamics.motor_time_constant) > 0:
         return tuple(trajectories), delays
     spread = spread_of(delays)
-    again = (
-        smoothed_along(retimed(trajectory, own, spread), model)
-        for trajectory, own in zip(trajectories, delays, strict=True)
+    prepared = (
+        smoothed_along(retimed(trajectory, found, spread), model)
+        for trajectory, found in zip(trajectories, delays, strict=True)
     )
-    return tuple(again), delays
+    return tuple(prepared), delays
 
 
 def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Trajectory:
@@ -76,7 +78,7 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
 
 
 def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndarray, "N 3"]:
-    """Compute what a model says of the accelerations along the measured motion."""
+    """Compute the accelerations of a model along the measured motion."""
     assumed = model.vehicle.nominal.transport_delay_s
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
     speed = motor_speeds(trajectory.time, held, float(model.dynamics.motor_time_constant))
@@ -93,3 +95,60 @@ def _integrated(
     twice = np.zeros_like(values)
     twice[1:] = np.cumsum(h * once[:-1] + h**2 / 6 * (2 * values[:-1] + values[1:]), axis=0)
     return once, twice
+
+
+def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
+    """Estimate the standard deviation of the packets' delays by a random-effects model.
+
+    The deviations of a recording are normal about their mean with variance σ² + v, v the variance
+    of each estimate. σ² is the one at which Σ (δ - mean)²/(σ² + v), with the mean weighted by
+    1/(σ² + v), is its expectation, the degrees of freedom (Paule and Mandel, Journal of Research
+    of the NBS 87, 1982); zero where the noise explains the spread. The standard error is that of a
+    sample variance, by the fourth moment.
+    """
+    delays = [found for found in delays if len(found)]
+    degrees = sum(len(found) - 1 for found in delays)
+    if degrees < _FEWEST:
+        return None
+    noise = np.concatenate([d.standard_error**2 for d in delays])
+    low, high = 0.0, sum(float(np.sum((d.deviation - np.mean(d.deviation)) ** 2)) for d in delays)
+    for _ in range(100):
+        middle = (low + high) / 2
+        if np.sum(_centred(delays, middle) ** 2 / (middle + noise)) > degrees:
+            low = middle
+        else:
+            high = middle
+    deviation = _centred(delays, high)
+    jitter, square = float(np.sqrt(high)), deviation**2
+    error = float(np.sqrt(np.var(square) / len(square)))
+    return DelayJitter(
+        standard_deviation_s=jitter,
+        # σ is not normal near zero: there, what a variance of one standard error would be.
+        standard_error_s=error / max(2 * jitter, error**0.5),
+        packets=len(deviation),
+    )
+
+
+def spread_of(delays: Sequence[PacketDelays]) -> float:
+    """Return the standard deviation of the packets' delays."""
+    jitter = delay_jitter(delays)
+    return jitter.standard_deviation_s if jitter else 0.0
+
+
+def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
+    """Return the variance of the known packets' mean delay about that of all packets.
+
+    A fit to retimed packets knows the mean delay of those B packets whose arrival it found. They
+    are a sample of the radio's packets: σ²/B where all are known equally well, σ² Σ w²/(Σ w)² with
+    the weights w = 1/(σ² + v) of their mean.
+    """
+    if not jitter > 0 or not any(map(len, delays)):
+        return 0.0
+    weight = 1 / (jitter**2 + np.concatenate([d.standard_error**2 for d in delays]))
+    return float(jitter**2 * np.sum(weight**2) / np.sum(weight) ** 2)
+
+
+def _centred(delays: Sequence[PacketDelays], variance: float) -> Float[np.ndarray, " B"]:
+    """Return deviations from the weighted mean of their recording: each has one of its own."""
+    means = [np.average(d.deviation, weights=1 / (variance + d.standard_error**2)) for d in delays]
+    return np.concatenate([d.deviation - m for d, m in zip(delays, means, strict=True)])
