@@ -29,7 +29,7 @@ from airpuck.physics.rigid_body import CenterOfMassFrame
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
-#: enough that a block of two seconds fills one (`airpuck.identification.blocks`).
+#: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).
 BATCH = 64
 #: Of how many windows on it is twice as many: an eighth less time each, for another program.
 _LARGE = 10_000

@@ -141,7 +141,7 @@ class Problem:
     loss: Loss = field(default_factory=Loss)
     method: Method = field(default_factory=LevenbergMarquardt)
     preparation: Preparation = field(default_factory=Preparation)
-    progress: Callable[[Iteration], None] = lambda _: None
+    progress: Callable[[Iteration], None] = field(default_factory=lambda: lambda _: None)
 
     @classmethod
     def of(
