@@ -237,14 +237,14 @@ def test_a_command_is_sent_now_if_its_time_cannot_be(wrong):
     ours, step = flown(told)
     _, other = flown(lambda k, time, command: (time, command))
     np.testing.assert_array_equal(step.command, other.command)
-    assert len(ours.filter._pending) < 5
+    assert len(ours.filter._commands) < 5
 
 
 def test_a_command_stamped_a_little_late_does_not_hold_up_the_next():
     ours, step = flown(lambda k, time, command: (time + 0.045 * (k == 20), command))
     _, other = flown(lambda k, time, command: (time, command))
     np.testing.assert_allclose(step.command, other.command, atol=0.02)
-    assert len(ours.filter._pending) < 5
+    assert len(ours.filter._commands) < 5
 
 
 @pytest.mark.parametrize("command", [np.zeros(4), [0.1] * 7, np.zeros((6, 1))])
@@ -266,7 +266,7 @@ def test_a_pause_of_the_cameras_costs_neither_memory_nor_knowledge_of_the_motors
     for k, command in enumerate(commands):
         assert not ours.step(0.2 + k / 100).flies
         ours.sent(0.2 + k / 100, command)
-        assert len(ours.filter._pending) < 70
+        assert len(ours.filter._commands) < 70
     end = 0.2 + 30.0
     ours.pose(end, NOTHING)
     speed, now, acting = IDLE, 0.2, IDLE

@@ -12,10 +12,9 @@ from airpuck.control.tuning import default_tuning
 from airpuck.data.windows import Past
 from airpuck.estimate import actuation
 from airpuck.estimate.actuation import ActuationEncoder, EffectivenessPrior
-from airpuck.estimate.actuation_filter import ActuationFilter
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.estimator import ActuationEstimate, Estimate, Estimator
-from airpuck.estimate.kalman import KalmanFilter
+from airpuck.estimate.estimator import ActuationEstimate, Estimate
+from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import acceleration
 
@@ -62,11 +61,6 @@ def flown(ours, share, duration, seed=0):
         else:
             found.append(None)
     return flight, found
-
-
-def test_both_filters_are_estimators(compiled):
-    for one in (compiled, KalmanFilter(MODEL, NOISE, compiled=False)):
-        assert isinstance(one, Estimator)
 
 
 def test_where_nothing_can_be_wrong_with_the_motors_it_is_the_kalman_filter():

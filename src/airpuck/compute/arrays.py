@@ -18,6 +18,16 @@ def linear_map(matrix: Any, vector: Any) -> Any:
     return sum(matrix[:, i] * vector[i] for i in range(matrix.shape[1]))
 
 
+def small_product(xp: Any, left: Any, right: Any) -> Any:
+    """Multiply a small matrix, or a stack of them, by others or by a vector.
+
+    A sum, since XLA calls a library for `@`, which costs more than the arithmetic.
+    """
+    if right.ndim == 1:
+        return xp.sum(left * right, axis=-1)
+    return xp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
+
+
 def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
     """Loop over the leading axis, as `jax.lax.scan` does."""
     if xp is not np:

@@ -33,7 +33,7 @@ import pickle
 from collections.abc import Callable, Hashable
 from functools import cache, wraps
 from itertools import accumulate, pairwise
-from types import FunctionType, ModuleType
+from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -130,6 +130,8 @@ def _content(value: Any) -> Hashable:
         around = tuple(_content(cell.cell_contents) for cell in value.__closure__ or ())
         defaults = _content(value.__defaults__), _content(value.__kwdefaults__)
         return value.__module__, value.__code__, defaults, around
+    if isinstance(value, MethodType):
+        return _content(value.__func__), pickle.dumps(value.__self__)
     if hasattr(value, "__wrapped__"):  # compiled by JAX
         return type(value).__qualname__, _content(value.__wrapped__)
     return value.__name__ if isinstance(value, ModuleType) else pickle.dumps(value)

@@ -18,10 +18,9 @@ from airpuck.control.control_law import control_law
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import Reference, Target
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
-from airpuck.estimate.actuation_filter import ActuationFilter
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.estimator import Estimate, Estimator
-from airpuck.estimate.kalman import KalmanFilter
+from airpuck.estimate.estimator import Estimate
+from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.thrust import InverseThrust
@@ -403,7 +402,7 @@ def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
     return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())
 
 
-def _estimator(model: Model, estimation: Estimation, compiled: bool) -> Estimator:
+def _estimator(model: Model, estimation: Estimation, compiled: bool) -> KalmanFilter:
     """Make the estimator that the tuning names."""
     if estimation.estimator == "kalman":
         return KalmanFilter(model, assumed_noise(estimation), compiled=compiled)

@@ -1,15 +1,15 @@
-"""State estimation from past poses and commands: a Kalman filter with a disturbance.
+"""State estimation in closed loop, from one measurement to the next.
 
 The accelerations of x, y and γ are those of the model under the commands that act at the time,
-plus a disturbance d that wanders slowly. Given the yaw, which the motion capture measures well,
-the three axes are independent: each has a state (p, v, d) with p' = v, v' = a(t) + d + w₁, d' = w₂.
-
-The mathematics is in three pure functions (`airpuck.estimate.axis_filter`), here run compiled; the
-books are `RecursiveFilter`'s.
+plus a disturbance d that wanders slowly; the equations are in `airpuck.estimate.multiple_models`.
+Commands act a transport delay after they were sent, measurements come at any time and may come
+late ("out of sequence").
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,29 +17,29 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.compiled import program
-from airpuck.estimate.axis_filter import (
-    INITIAL_DISTURBANCE,
-    INITIAL_VELOCITY,
-    Noise,
-    correct,
-    propagate,
-    spread,
-)
-from airpuck.estimate.estimator import Estimate
-from airpuck.estimate.recursive_filter import (
-    PIECES_TO_MEASURE,
-    PIECES_TO_PREDICT,
-    Belief,
-    Pieces,
-    RecursiveFilter,
-)
+from airpuck.estimate.actuation import ActuationEncoder
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.estimator import ActuationEstimate, Estimate
+from airpuck.estimate.multiple_models import AS_MODELLED, Belief, MultipleModels, States
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import acceleration
+from airpuck.physics.motor import motor_step
+
+#: Pieces of time with one command each that one call handles; longer times take several calls. A
+#: command begins to act between two poses of 240 Hz nearly half of the time.
+_PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
+#: How late a measurement may come where sensors have different latencies [s].
+_REMEMBERED = 0.1
+
+#: Time, belief and motor speeds; the arrays are never written to.
+_State = tuple[float, Belief, Float[np.ndarray, " n"]]
+#: Durations [s] and commands of pieces of time.
+_Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
 
-class KalmanFilter(RecursiveFilter):
-    """Estimates state, motor speeds and disturbance; takes motors to do what they are told.
+class KalmanFilter:
+    """Estimates state, motor speeds and disturbance; uses nothing from the future.
+
+    Motors are taken to do what the model says, unless there are other states of the craft.
 
     Parameters
     ----------
@@ -47,110 +47,286 @@ class KalmanFilter(RecursiveFilter):
         The craft, with its transport delay.
     noise : Noise
         What to expect of measurements and model.
+    states : States, optional
+        States of the craft that compete; by default motors do what the model says.
     compiled : bool, default True
         Whether to compile the mathematics (a second, once) or to run it in NumPy.
     """
 
-    def __init__(self, model: Model, noise: Noise, *, compiled: bool = True) -> None:
-        super().__init__(model, compiled)
-        self._pose_variance = np.square(noise.pose)
-        self._noise = np.square(noise.acceleration), np.square(noise.disturbance)
-        self._advance_by, self._measure_pose = self._programs()
+    def __init__(
+        self, model: Model, noise: Noise, *, states: States = AS_MODELLED, compiled: bool = True
+    ) -> None:
+        self.model = model
+        self._compiled = compiled
+        self._idle = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
+        self._models = models = MultipleModels(model.dynamics, noise, states)
+        first = *models.begin(np.zeros(3), None, 0.0), self._idle
+        #: What any prediction is made from, as examples for the compiler.
+        self._examples = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_PREDICT)
+        self._advance_by = program(models.advance, *self._examples, compiled=compiled)
+        pieces = _arrays([(0.0, self._idle)], _PIECES_TO_MEASURE)
+        self._use_pose = program(models.use_pose, *first, *pieces, np.zeros(3), compiled=compiled)
         self._predict = self.composed(lambda *_: ())
+        self.reset()
 
-    def _programs(self) -> tuple[Callable[..., Any], ...]:
-        """Return what runs at every piece of time and pose."""
-        dynamics, noise, pose_variance = self.model.dynamics, self._noise, self._pose_variance
+    def reset(self) -> None:
+        """Forget everything."""
+        self._time: float | None = None
+        self._belief: Any = ()
+        self._motor_speed = self._idle
+        #: Commands by when they begin to act, from the one at the oldest remembered time on.
+        self._commands: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
+        self._commands.append((-math.inf, self._idle))
+        #: Time of the motor speeds where it is later than that of the belief.
+        self._motors_at: float | None = None
+        #: Measurements and the filter before each: stamp, state, method, arguments.
+        self._history: deque[tuple[float, _State, str, tuple[Any, ...]]] = deque()
+        #: Whether a sensor on board has spoken, so that measurements may come late.
+        self._remembers = False
 
-        def advance(xp: Any, mean: Any, covariance: Any, speed: Any, *pieces: Any) -> Any:
-            mean, speed = propagate(xp, dynamics, mean, speed, *pieces)
-            return mean, spread(xp, covariance, xp.sum(pieces[0]), *noise), speed
+    @property
+    def time(self) -> float | None:
+        """Time of the last measurement; None before the first pose [s]."""
+        return self._time
 
-        def measure(xp: Any, mean: Any, covariance: Any, speed: Any, *given: Any) -> Any:
-            *pieces, pose = given
-            mean, covariance, speed = advance(xp, mean, covariance, speed, *pieces)
-            innovation = pose_difference(xp, pose, mean[:, 0])
-            mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
-            return mean, covariance, speed, innovation
+    def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take note of a command that was sent."""
+        begins = time + self.model.transport_delay
+        # Commands that would begin later than this one, which was sent after them, had wrong times.
+        while self._commands and self._commands[-1][0] >= begins:
+            self._commands.pop()
+        self._commands.append((begins, np.array(command, dtype=float)))
 
-        n, belief = len(self._idle), (np.zeros((3, 3)), np.zeros((3, 3, 3)))
-        to_advance = np.zeros(PIECES_TO_PREDICT), np.zeros((PIECES_TO_PREDICT, n))
-        to_measure = np.zeros(PIECES_TO_MEASURE), np.zeros((PIECES_TO_MEASURE, n))
-        return (
-            program(advance, *belief, self._idle, *to_advance, compiled=self._compiled),
-            program(
-                measure, *belief, self._idle, *to_measure, np.zeros(3), compiled=self._compiled
-            ),
-        )
+    def run_motors(self, time: float) -> None:
+        """Run the motors alone up to the last command that begins to act before a time.
 
-    def _prediction(self) -> Callable[..., tuple[Any, ...]]:
-        dynamics = self.model.dynamics
+        Where that is later than the last measurement, the rest of the state is lost: the next pose
+        begins anew.
+        """
+        begun = [begins for begins, _ in self._commands if begins <= time]
+        if begun:
+            self._turn_motors(begun[-1])
 
-        def predict(xp: Any, mean: Any, covariance: Any, *given: Any) -> tuple[Any, ...]:
-            mean, speed = propagate(xp, dynamics, mean, *given)
-            return xp.ravel(mean[:, :2].T), speed, mean[:, 2], xp.ones(speed.shape)
+    def _turn_motors(self, time: float) -> None:
+        """Run the motors alone until a time, if it is later than theirs."""
+        last = self._time if self._motors_at is None else self._motors_at
+        last = -math.inf if last is None else last
+        if time <= last:
+            return
+        tau = self.model.dynamics.motor_time_constant
+        for duration, command in self._cut(last, time):
+            self._motor_speed = motor_step(np, self._motor_speed, command, duration, tau)
+        self._motors_at = time
+        self._history.clear()
+        self._drop_commands(time)
 
-        return predict
-
-    def _estimate(self, time: float, results: Sequence[Any]) -> tuple[Estimate, Sequence[Any]]:
-        state, speed, disturbance, _, *following = results
-        return Estimate(time, state, speed, disturbance), following
-
-    def _begun(
-        self, pose: Float[np.ndarray, " 3"], before: Belief | None, elapsed: float
-    ) -> Belief:
-        mean, covariance = np.zeros((3, 3)), np.zeros((3, 3, 3))
-        mean[:, 0] = pose
-        covariance[:, 0, 0] = self._pose_variance
-        covariance[:, 1, 1] = INITIAL_VELOCITY**2
-        covariance[:, 2, 2] = INITIAL_DISTURBANCE**2 * (self._noise[1] > 0)
-        return mean, covariance
-
-    def _advanced(
-        self, belief: Belief, speed: Float[np.ndarray, " n"], pieces: Pieces
-    ) -> tuple[Belief, Float[np.ndarray, " n"]]:
-        mean, covariance, speed = self._advance_by(*belief, speed, *pieces)
-        return (mean, covariance), speed
-
-    def _with_pose(
+    def pose(
         self,
-        belief: Belief,
-        speed: Float[np.ndarray, " n"],
-        pieces: Pieces,
+        time: float,
         pose: Float[np.ndarray, " 3"],
-    ) -> tuple[Belief, Float[np.ndarray, " n"], Float[np.ndarray, " 3"]]:
-        mean, covariance, speed, innovation = self._measure_pose(*belief, speed, *pieces, pose)
-        return (mean, covariance), speed, innovation
+        gate: tuple[float, float, float] | None = None,
+    ) -> bool:
+        """Use a measured pose unless its innovation is beyond the gate; return whether it was."""
+        if self._time is None or self._motors_at is not None:
+            self.restart(time, pose)
+            return True
+        if time < self._time:
+            return self._late(time, "pose", (time, np.array(pose, dtype=float), gate))
+        belief, speed, pieces = self._pieces(time, _PIECES_TO_MEASURE)
+        *belief, speed, innovation = self._use_pose(*belief, speed, *pieces, pose)
+        if gate is not None:
+            x, y, yaw = innovation.tolist()
+            if abs(x) > gate[0] or abs(y) > gate[1] or abs(yaw) > gate[2]:
+                return False
+        if self._remembers:
+            # It was plausible once: a late measurement must not change that.
+            self._remember("pose", (time, np.array(pose, dtype=float)))
+        self._settle(time, tuple(belief), speed)
+        return True
 
-    def _with_imu(
+    def imu(
         self,
-        belief: Belief,
-        speed: Float[np.ndarray, " n"],
+        time: float,
         acceleration_body: Float[np.ndarray, " 2"],
         gyro: float,
         noise: tuple[float, float],
-    ) -> Belief:
-        mean, covariance = belief
-        (_, vx, dx), (_, vy, dy), (yaw, spin, _) = mean
-        modelled = acceleration(np, self.model.dynamics, (yaw, vx, vy, spin), speed)
-        ax, ay = turned(acceleration_body, yaw)
-        innovation = np.array([ax - modelled[0] - dx, ay - modelled[1] - dy, 0.0])
-        variance = np.array([noise[0] ** 2, noise[0] ** 2, np.inf])
-        mean, covariance = correct(mean, covariance, 2, innovation, variance)
-        innovation = np.array([0.0, 0.0, gyro - mean[2, 1]])
-        variance = np.array([np.inf, np.inf, noise[1] ** 2])
-        return correct(mean, covariance, 1, innovation, variance)
+    ) -> None:
+        """Use an inertial measurement: along the body's axes [m/s²] and about the vertical [rad/s].
 
-    def _with_mouse(
-        self, belief: Belief, velocity: Float[np.ndarray, " 2"], noise: float
-    ) -> Belief:
-        mean, covariance = belief
-        vx, vy = turned(velocity, mean[2, 0])
-        innovation = np.array([vx - mean[0, 1], vy - mean[1, 1], 0.0])
-        return correct(mean, covariance, 1, innovation, np.array([noise**2, noise**2, np.inf]))
+        Its noise is that of both, standard deviations.
+        """
+        given = time, np.array(acceleration_body, dtype=float), gyro, noise
+        if self._advance(time, "imu", given):
+            motors = self._motor_speed, self._cut(time, time)[-1][1]
+            self._belief = self._models.use_imu(self._belief, motors, *given[1:])
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
+        """Use the velocity along the body's axes that an optical sensor under the craft measured.
+
+        Its noise is the standard deviation of both components [m/s].
+        """
+        given = time, np.array(velocity, dtype=float), noise
+        if self._advance(time, "mouse", given):
+            self._belief = self._models.use_mouse(self._belief, *given[1:])
+
+    def predict(self, time: float) -> Estimate:
+        """Predict with the commands that are known, without changing anything."""
+        return self.predict_with(self._predict, time)[0]
+
+    def composed(self, then: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
+        """Join a prediction and what follows in one program: each call costs time."""
+        predict, count = self._models.predict, len(self._examples)
+
+        def both(xp: Any, *given: Any) -> tuple[Any, ...]:
+            predicted = predict(xp, *given[:count])
+            return *predicted, *then(xp, *predicted[:4], *given[count:])
+
+        return program(both, *self._examples, *examples, compiled=self._compiled)
+
+    def predict_with(
+        self, composed: Callable[..., Any], time: float, *more: Any
+    ) -> tuple[Estimate, Sequence[Any]]:
+        """Predict, and compute what follows from it."""
+        belief, speed, pieces = self._pieces(time, _PIECES_TO_PREDICT)
+        results = composed(*belief, speed, *pieces, *more)
+        state, speed, disturbance, effectiveness, e, deviation, weights, *following = results
+        actuation = None
+        if len(e):
+            probability = dict(zip(self._models.states.names, weights.tolist(), strict=True))
+            delay = float(e[-1]), float(deviation[-1])
+            actuation = ActuationEstimate(effectiveness, deviation[:-1], probability, *delay)
+        return Estimate(time, state, speed, disturbance, actuation), following
+
+    def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Begin anew at a pose, at rest; commands and motor speeds are kept."""
+        if self._time is not None and time < self._time and self._motors_at is None:
+            self._rewind(time)
+        before, elapsed = None, 0.0
+        if self._time is not None:
+            before, elapsed = self._belief, max(time - self._time, 0.0)
+        self._turn_motors(time)
+        self._motors_at = None
+        self._history.clear()
+        self._time = time
+        self._belief = self._models.begin(pose, before, elapsed)
+
+    def _advance(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
+        """Advance to a measurement of a sensor on board; return whether it is to be used now.
+
+        Not before the first pose; and a late one is put in its place.
+        """
+        if self._time is None or self._motors_at is not None:
+            return False
+        self._remembers = True
+        if time < self._time:
+            self._late(time, sensor, given)
+            return False
+        self._remember(sensor, given)
+        belief, speed, pieces = self._pieces(time, _PIECES_TO_PREDICT)
+        *belief, speed = self._advance_by(*belief, speed, *pieces)
+        self._settle(time, tuple(belief), speed)
+        return True
+
+    def _settle(self, time: float, belief: Belief, speed: Float[np.ndarray, " n"]) -> None:
+        """Take over a state, and let go of commands that no remembered one needs."""
+        self._time, self._belief, self._motor_speed = time, belief, speed
+        self._drop_commands(self._history[0][1][0] if self._history else time)
+
+    def _remember(self, sensor: str, given: tuple[Any, ...]) -> None:
+        """Note a measurement and the state before it, and let go of old ones."""
+        assert self._time is not None
+        state, time = (self._time, self._belief, self._motor_speed), given[0]
+        self._history.append((time, state, sensor, given))
+        while self._history[0][0] < time - _REMEMBERED:
+            self._history.popleft()
+
+    def _late(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
+        """Use a measurement from before the last one; return whether it was used."""
+        later = self._rewind(time)
+        if later is None:
+            return False
+        used = getattr(self, sensor)(*given)
+        for again, arguments in later:
+            getattr(self, again)(*arguments)
+        return used is not False
+
+    def _rewind(self, time: float) -> list[tuple[str, tuple[Any, ...]]] | None:
+        """Go back to before all measurements later than a time, and return these.
+
+        None, and nothing is changed, where that is not remembered.
+        """
+        later = [entry for entry in self._history if entry[0] > time]
+        if not later or later[0][1][0] > time:
+            return None
+        self._time, self._belief, self._motor_speed = later[0][1]
+        for _ in later:
+            self._history.pop()
+        return [(sensor, given) for _, _, sensor, given in later]
+
+    def _drop_commands(self, time: float) -> None:
+        """Let go of commands from before the one that acts at a time."""
+        while len(self._commands) > 1 and self._commands[1][0] <= time:
+            self._commands.popleft()
+
+    def _cut(self, start: float, time: float) -> list[tuple[float, Float[np.ndarray, " n"]]]:
+        """Cut the time from `start` to `time` where commands change: durations and commands."""
+        pieces, now, acting = [], start, self._commands[0][1]
+        for begins, command in self._commands:
+            if begins > time:
+                break
+            if begins > now:
+                pieces.append((begins - now, acting))
+                now = begins
+            acting = command
+        return [*pieces, (time - now, acting)]
+
+    def _pieces(self, time: float, most: int) -> tuple[Any, Float[np.ndarray, " n"], _Pieces]:
+        """Return belief, motor speeds and the last `most` pieces of the time until `time`.
+
+        The belief is that after all earlier pieces.
+        """
+        assert self._time is not None
+        pieces, belief, speed = self._cut(self._time, time), self._belief, self._motor_speed
+        early = max(len(pieces) - most, 0)
+        for first in range(0, early, _PIECES_TO_PREDICT):
+            some = pieces[first : min(first + _PIECES_TO_PREDICT, early)]
+            *belief, speed = self._advance_by(*belief, speed, *_arrays(some, _PIECES_TO_PREDICT))
+        return belief, speed, _arrays(pieces[early:], most)
 
 
-def turned(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:
-    """Turn a body vector into the world frame."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
+def _arrays(pieces: list[tuple[float, Float[np.ndarray, " n"]]], size: int) -> _Pieces:
+    """Lay pieces out as arrays of a fixed size, filled up with pieces of no length."""
+    filled = pieces + [(0.0, pieces[-1][1])] * (size - len(pieces))
+    durations, commands = zip(*filled, strict=True)
+    return np.array(durations), np.array(commands)
+
+
+class ActuationFilter(KalmanFilter):
+    """Estimates, beside what a Kalman filter does, what each motor does with its command.
+
+    The question of `airpuck.estimate.actuation`, with its priors and evidence, in closed loop.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        noise: Noise,
+        *,
+        encoder: ActuationEncoder | None = None,
+        lasting: float = 3.0,
+        delay_deviation: float = 3e-3,
+        compiled: bool = True,
+    ) -> None:
+        encoder = encoder or ActuationEncoder()
+        priors, n = encoder.priors, model.vehicle.n_propellers
+        covariance = np.zeros((len(priors), n + 1, n + 1))
+        covariance[:, :n, :n] = [prior.covariance(n) for prior in priors]
+        # Motors without lag give no hint of the delay: their speed jumps.
+        lags = float(model.dynamics.motor_time_constant) > 0
+        covariance[:, n, n] = delay_deviation**2 * lags
+        weight = np.array([prior.weight for prior in priors])
+        names = tuple(prior.name for prior in priors)
+        states = States(
+            names, weight / weight.sum(), covariance, lasting, encoder.tail, encoder.tempering
+        )
+        super().__init__(model, noise, states=states, compiled=compiled)

@@ -1,4 +1,4 @@
-"""The equations of the actuation filter: pure functions over an array namespace.
+"""The equations of the filters: pure functions over an array namespace.
 
 The unknowns are x = (p, v, d, e): of the axes x, y, γ the position, velocity and disturbance, and
 how far the actuation is from the model's: each motor's effectiveness minus one, and last the delay
@@ -9,26 +9,37 @@ beyond the model's. Along the yaw, which the cameras measure well, everything is
 a the modelled accelerations, aᵢ those of motor i, and for the delay -da/dt. Several states of the
 craft with different priors of e compete, each with a Kalman filter of its own: an interacting
 multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
+With one state and no e it is the Kalman filter of a craft whose motors do what the model says.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.estimate.axis_filter import INITIAL_VELOCITY, Noise, process_noise
+from airpuck.compute.arrays import small_product
+from airpuck.estimate.axis_filter import (
+    INITIAL_DISTURBANCE,
+    INITIAL_VELOCITY,
+    Noise,
+    process_noise,
+)
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+from airpuck.physics.rigid_body import Dynamics, acceleration, motor_accelerations
 
-#: What surprises every state by this many standard deviations is a rail or a hand, no motor: those
-#: need ten frames for it. The velocities are unknown again, and the motors are not blamed.
+#: An innovation beyond this many standard deviations in every state is a rail or a hand; a motor
+#: would need ten frames for it. The velocities are unknown again, and no motor is blamed.
 _KNOCK = 8.0
 #: Where p, v, d and e are.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
+
+#: Means (H, k), covariances (H, k, k) and weights (H,) of H states of the craft; never written to.
+Belief = tuple[Any, Any, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +50,13 @@ class States:
     anew from its prior.
     """
 
+    #: What each is called.
+    names: tuple[str, ...]
     #: How probable each is.
     weight: Float[np.ndarray, " H"]
     #: Of e, around zero.
     covariance: Float[np.ndarray, "H m m"]
-    #: How long one lasts in the mean [s].
+    #: Mean duration of a state [s].
     lasting: float
     #: Degrees of freedom of Student's distribution of the innovations.
     tail: float
@@ -51,12 +64,160 @@ class States:
     tempering: float
 
 
+#: One state, in which motors do what the model says.
+AS_MODELLED = States(("healthy",), np.ones(1), np.zeros((1, 0, 0)), np.inf, 1.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class MultipleModels:
+    """How beliefs of a craft change with time and measurements."""
+
+    dynamics: Dynamics
+    noise: Noise
+    states: States
+
+    def begin(self, pose: Float[np.ndarray, " 3"], before: Belief | None, elapsed: float) -> Belief:
+        """Return the belief at a pose, at rest, some time after another belief."""
+        states = self.states
+        if before is None:
+            covariances = _padded(states.covariance)
+            means, weights = np.zeros(covariances.shape[:2]), states.weight
+        else:
+            # What is known of the motors is kept, as far as it is not too old.
+            means, covariances, weights = self.renewed(np, before, elapsed)
+        means[:, :9], covariances[:, :9, :], covariances[:, :, :9] = 0.0, 0.0, 0.0
+        means[:, POSITION] = pose
+        drives = np.array(self.noise.disturbance) > 0
+        initial = [self.noise.pose, INITIAL_VELOCITY, INITIAL_DISTURBANCE * drives]
+        covariances[:, range(9), range(9)] = np.square(np.concatenate(initial))
+        return means, covariances, weights
+
+    def renewed(self, xp: Any, belief: Belief, duration: Any) -> Belief:
+        """Let some time pass in which the state of the craft may have been drawn anew."""
+        means, covariances, weights = belief
+        states = self.states
+        same = xp.exp(-duration / states.lasting)
+        mean, covariance = mixed(xp, belief)
+        # Where it was drawn anew, nothing that was known of the actuation holds.
+        known = np.concatenate([np.ones(9), np.zeros(means.shape[1] - 9)])
+        fresh = covariance * known[:, None] * known + _padded(states.covariance)
+        away = means - mean * known
+        after = same * weights + (1 - same) * states.weight
+        keeps = (same * weights / xp.maximum(after, 1e-300))[:, None, None]
+        between = keeps * (1 - keeps) * away[:, :, None] * away[:, None, :]
+        means = mean * known + keeps[:, :, 0] * away
+        return means, keeps * covariances + (1 - keeps) * fresh + between, after
+
+    def advance(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
+        """Move belief and motor speeds through pieces of time with one command each.
+
+        After the belief come motor speeds (n,), durations (S,) and commands (S, n).
+        """
+        speed, durations, commands = given
+        total = xp.sum(durations)
+        means, covariances, weights = self.renewed(xp, (means, covariances, weights), total)
+        path = xp.sum(weights[:, None] * means, axis=0)
+        _, transition, offset, speed = drift(xp, self.dynamics, path, speed, durations, commands)
+        half = small_product(xp, transition, covariances)
+        moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
+        densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
+        added = process_noise(xp, total, *densities)
+        # From a matrix for each axis to one of all: the axis is the inner index.
+        by_axis = xp.eye(3)[None, :, None, :] * xp.moveaxis(added, 0, 1)[:, :, :, None]
+        by_axis = xp.reshape(by_axis, (9, 9))
+        covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
+        means = xp.sum(transition * means[:, None, :], axis=2) + offset
+        return means, covariances, weights, speed
+
+    def use_pose(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
+        """Advance, then use a pose, the last argument; the last result is the innovation."""
+        *moving, pose = given
+        *belief, speed = self.advance(xp, means, covariances, weights, *moving)
+        means, _, weights = belief
+        expected = xp.sum(weights[:, None] * means, axis=0)[POSITION]
+        innovation = pose_difference(xp, pose, expected)
+        rows, variances = np.eye(means.shape[1])[POSITION], np.square(self.noise.pose)
+        belief = self.measure(xp, tuple(belief), rows, innovation, variances)
+        return *belief, speed, innovation
+
+    def use_imu(
+        self,
+        belief: Belief,
+        motors: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+        acceleration_body: Float[np.ndarray, " 2"],
+        gyro: float,
+        noise: tuple[float, float],
+    ) -> Belief:
+        """Use an inertial measurement at given motor speeds and commands."""
+        mean, _ = mixed(np, belief)
+        motion = mean[2], *mean[VELOCITY]
+        modelled, by_e = sensitivity(np, self.dynamics, motion, *motors, len(mean) - 9)
+        rows = np.zeros((3, len(mean)))
+        rows[:, DISTURBANCE] = np.diag([1.0, 1.0, 0.0])
+        rows[:2, ACTUATION] = by_e[:2]
+        rows[2, 5] = 1.0
+        measured = np.array([*_to_world(acceleration_body, mean[2]), gyro])
+        innovation = measured - np.array([*modelled[:2], 0.0]) - rows @ mean
+        variance = np.square([noise[0], noise[0], noise[1]])
+        return self.measure(np, belief, rows, innovation, variance)
+
+    def use_mouse(self, belief: Belief, velocity: Float[np.ndarray, " 2"], noise: float) -> Belief:
+        """Use a measured velocity along the body's axes."""
+        mean, _ = mixed(np, belief)
+        rows = np.eye(len(mean))[3:5]
+        innovation = np.array(_to_world(velocity, mean[2])) - mean[3:5]
+        return self.measure(np, belief, rows, innovation, np.full(2, noise**2))
+
+    def measure(self, xp: Any, belief: Belief, rows: Any, innovations: Any, variances: Any) -> Any:
+        """Use measurements y = Hx + noise, one component after the other."""
+        means, covariances, weights = belief
+        states, size = self.states, means.shape[1]
+        reference = xp.sum(weights[:, None] * means, axis=0)
+        if size > 9:
+            unknown = np.zeros(size)
+            unknown[VELOCITY] = INITIAL_VELOCITY**2
+            deviations = innovations - xp.sum((means - reference)[:, None] * rows, axis=2)
+            plain = xp.sum(small_product(xp, rows, covariances) * rows, axis=2) + variances
+            knocked = xp.min(xp.max(deviations**2 / plain, axis=1)) > _KNOCK**2
+            covariances = covariances + xp.where(knocked, 1.0, 0.0) * np.diag(unknown)
+        evidence = xp.log(weights)
+        for k in range(len(rows)):
+            row = rows[k]
+            column = xp.sum(covariances * row, axis=2)
+            expected = xp.sum(column * row, axis=1) + variances[k]
+            innovation = innovations[k] - xp.sum((means - reference) * row, axis=1)
+            gain = column / expected[:, None]
+            means = means + gain * innovation[:, None]
+            covariances = covariances - gain[:, :, None] * column[:, None, :]
+            surprise = xp.log1p(innovation**2 / expected / states.tail)
+            likelihood = -(states.tail + 1) / 2 * surprise - xp.log(expected) / 2
+            evidence = evidence + states.tempering * likelihood
+        weights = xp.exp(evidence - xp.max(evidence))
+        return means, covariances, weights / xp.sum(weights)
+
+    def predict(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
+        """Return the state after pieces of time, motor speeds, disturbance and effectiveness.
+
+        And e with its standard deviations, and the weights.
+        """
+        mean = xp.sum(weights[:, None] * means, axis=0)
+        e = mean[ACTUATION]
+        effectiveness = 1 + e[:-1] if len(e) else xp.ones(given[0].shape)
+        # The estimated delay is not used: commands on their way have one of their own.
+        effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
+        path, _, _, speed = drift(xp, effective, mean[:9], *given)
+        variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
+        deviation = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
+        return path[:6], speed, path[DISTURBANCE], effectiveness, e, deviation, weights
+
+
 def drift(
     xp: Any, dynamics: Dynamics, mean: Any, speed: Any, durations: Any, commands: Any
-) -> tuple[Any, Any, Any]:
+) -> tuple[Any, Any, Any, Any]:
     """Integrate the accelerations over pieces of time with one command each.
 
-    In each piece they are those of its middle.
+    In each piece they are those of its middle, so that the error is of second order. Returns the
+    mean of p, v, d; the matrix and the offset that move any x; and the motor speeds.
     """
     tau = dynamics.motor_time_constant
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
@@ -69,8 +230,8 @@ def drift(
         h, command = durations[k], commands[k]
         middle = motor_step(xp, speed, command, h / 2, tau)
         motion = p[2] + h / 2 * v[2], v[0], v[1], v[2]
-        a, by_e = sensitivity(xp, dynamics, motion, middle, command)
-        rate = a + d + _times(xp, by_e, e)
+        a, by_e = sensitivity(xp, dynamics, motion, middle, command, size)
+        rate = a + d + small_product(xp, by_e, e)
         p_by_e, v_by_e = p_by_e + h * v_by_e + h * h / 2 * by_e, v_by_e + h * by_e
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
         p, v = p + h * v + h * h / 2 * rate, v + h * rate
@@ -84,13 +245,16 @@ def drift(
             xp.eye(9 + size)[6:],
         ]
     )
-    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed
+    offset = xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)])
+    return xp.concatenate([p, v, d]), transition, offset, speed
 
 
 def sensitivity(
-    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any
+    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any, size: int
 ) -> tuple[Any, Any]:
-    """Return the modelled accelerations and their derivatives by e."""
+    """Return the modelled accelerations and their derivatives by e, which may be empty."""
+    if not size:
+        return xp.stack(acceleration(xp, dynamics, motion, speed)), xp.zeros((3, 0))
     by_motor, rest = motor_accelerations(xp, dynamics, motion, speed)
     a = xp.sum(by_motor, axis=1) + rest
     # Had the commands come a little later: a(t - δ).
@@ -101,23 +265,7 @@ def sensitivity(
     return a, xp.concatenate([by_motor, by_delay[:, None]], axis=1)
 
 
-def renewed(xp: Any, states: States, belief: tuple[Any, ...], duration: Any) -> tuple[Any, ...]:
-    """Let some time pass in which the state of the craft may have been drawn anew."""
-    means, covariances, weights = belief
-    same = xp.exp(-duration / states.lasting)
-    mean, covariance = mixed(xp, belief)
-    # Where it was drawn anew, nothing that was known of the actuation holds.
-    known = np.concatenate([np.ones(9), np.zeros(means.shape[1] - 9)])
-    fresh = covariance * known[:, None] * known + _padded(states.covariance)
-    away = means - mean * known
-    after = same * weights + (1 - same) * states.weight
-    keeps = (same * weights / xp.maximum(after, 1e-300))[:, None, None]
-    between = keeps * (1 - keeps) * away[:, :, None] * away[:, None, :]
-    means = mean * known + keeps[:, :, 0] * away
-    return means, keeps * covariances + (1 - keeps) * fresh + between, after
-
-
-def mixed(xp: Any, belief: tuple[Any, ...]) -> tuple[Any, Any]:
+def mixed(xp: Any, belief: Belief) -> tuple[Any, Any]:
     """Return mean and covariance of the mixture of all states."""
     means, covariances, weights = belief
     mean = xp.sum(weights[:, None] * means, axis=0)
@@ -126,73 +274,12 @@ def mixed(xp: Any, belief: tuple[Any, ...]) -> tuple[Any, Any]:
     return mean, xp.sum(weights[:, None, None] * spread, axis=0)
 
 
-def advance(
-    xp: Any,
-    dynamics: Dynamics,
-    states: States,
-    noise: Noise,
-    belief: tuple[Any, ...],
-    speed: Any,
-    durations: Any,
-    commands: Any,
-) -> tuple[tuple[Any, ...], Any]:
-    """Move all beliefs through pieces of time with one command each."""
-    total = xp.sum(durations)
-    means, covariances, weights = renewed(xp, states, belief, total)
-    path = xp.sum(weights[:, None] * means, axis=0)
-    transition, offset, speed = drift(xp, dynamics, path, speed, durations, commands)
-    half = _times(xp, transition, covariances)
-    moved = _times(xp, transition, xp.swapaxes(half, 1, 2))
-    densities = np.square(noise.acceleration), np.square(noise.disturbance)
-    added = process_noise(xp, total, *densities)
-    # From a matrix for each axis to one of all: the axis is the inner index.
-    by_axis = xp.eye(3)[None, :, None, :] * xp.moveaxis(added, 0, 1)[:, :, :, None]
-    by_axis = xp.reshape(by_axis, (9, 9))
-    covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
-    means = xp.sum(transition * means[:, None, :], axis=2) + offset
-    return (means, covariances, weights), speed
-
-
-def measure(
-    xp: Any,
-    states: States,
-    belief: tuple[Any, ...],
-    rows: Any,
-    innovations: Any,
-    variances: Any,
-) -> tuple[Any, ...]:
-    """Use measurements y = Hx + noise, one component after the other."""
-    means, covariances, weights = belief
-    reference = xp.sum(weights[:, None] * means, axis=0)
-    unknown = np.zeros(means.shape[1])
-    unknown[VELOCITY] = INITIAL_VELOCITY**2
-    deviations = innovations - xp.sum((means - reference)[:, None] * rows, axis=2)
-    plain = xp.sum(_times(xp, rows, covariances) * rows, axis=2) + variances
-    knocked = xp.min(xp.max(deviations**2 / plain, axis=1)) > _KNOCK**2
-    covariances = covariances + xp.where(knocked, 1.0, 0.0) * np.diag(unknown)
-    evidence = xp.log(weights)
-    for k in range(len(rows)):
-        row = rows[k]
-        column = xp.sum(covariances * row, axis=2)
-        expected = xp.sum(column * row, axis=1) + variances[k]
-        innovation = innovations[k] - xp.sum((means - reference) * row, axis=1)
-        gain = column / expected[:, None]
-        means = means + gain * innovation[:, None]
-        covariances = covariances - gain[:, :, None] * column[:, None, :]
-        surprise = xp.log1p(innovation**2 / expected / states.tail)
-        likelihood = -(states.tail + 1) / 2 * surprise - xp.log(expected) / 2
-        evidence = evidence + states.tempering * likelihood
-    weights = xp.exp(evidence - xp.max(evidence))
-    return means, covariances, weights / xp.sum(weights)
-
-
-def _times(xp: Any, matrix: Any, other: Any) -> Any:
-    """Multiply a small matrix with a vector or a stack of matrices, without calling a library."""
-    if other.ndim == 1:
-        return xp.sum(matrix * other, axis=-1)
-    return xp.sum(matrix[:, :, None] * other[..., None, :, :], axis=-2)
-
-
 def _padded(covariance: Float[np.ndarray, "H m m"]) -> Float[np.ndarray, "H k k"]:
     """Put covariances of e where e is."""
     return np.pad(covariance, ((0, 0), (9, 0), (9, 0)))
+
+
+def _to_world(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:
+    """Turn a body vector into the world frame."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
