@@ -5,7 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute.arrays import if_any, linear_map, repeat_while, scan
+from airpuck.compute.arrays import if_any, linear_map, repeat_while, scan, small_product
+
+
+def test_small_products_are_matrix_products():
+    random = np.random.default_rng(0)
+    matrix, stack = random.normal(size=(3, 4)), random.normal(size=(2, 4, 4))
+    np.testing.assert_allclose(small_product(np, matrix, stack), matrix @ stack)
+    np.testing.assert_allclose(small_product(np, stack, stack), stack @ stack)
+    np.testing.assert_allclose(small_product(np, matrix, stack[0, 0]), matrix @ stack[0, 0])
 
 
 def test_scan_is_jax_scan():

@@ -44,6 +44,21 @@ def test_what_computes_the_same_is_compiled_once():
     assert moved(alike, 0.01) is moved(DYNAMICS, 0.01)
 
 
+class Scale:
+    def __init__(self, factor):
+        self.factor = factor
+
+    def apply(self, xp, values):
+        return (self.factor * values,)
+
+    apply.__wrapped__ = lambda self, xp, values: (values,)  # pyright: ignore
+
+
+def test_a_method_is_one_of_its_object():
+    for factor in (2.0, 3.0):
+        assert program(Scale(factor).apply, np.ones(1), compiled=True)(np.ones(1))[0] == factor
+
+
 def test_what_computes_something_else_is_not():
     programs = {
         moved(DYNAMICS, 0.01),
