@@ -90,7 +90,15 @@ class KalmanFilter:
         return self._time
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of a command that was sent."""
+        """Take note of a command that was sent.
+
+        Parameters
+        ----------
+        time : float
+            When [s]. It begins to act a transport delay later.
+        command : array, shape (n,)
+            Motor commands. They are copied.
+        """
         begins = time + self.model.transport_delay
         # Commands that would begin later than this one, which was sent after them, had wrong times.
         while self._commands and self._commands[-1][0] >= begins:
@@ -102,6 +110,11 @@ class KalmanFilter:
 
         Where that is later than the last measurement, the rest of the state is lost: the next pose
         begins anew.
+
+        Parameters
+        ----------
+        time : float
+            Up to when [s].
         """
         begun = [begins for begins, _ in self._commands if begins <= time]
         if begun:
@@ -126,7 +139,24 @@ class KalmanFilter:
         pose: Float[np.ndarray, " 3"],
         gate: tuple[float, float, float] | None = None,
     ) -> bool:
-        """Use a measured pose unless its innovation is beyond the gate; return whether it was."""
+        """Use a measured pose.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad], wrapped or not.
+        gate : tuple of float, optional
+            Largest innovation, the yaw's wrapped, at which the pose is used [m, m, rad]; by
+            default any.
+
+        Returns
+        -------
+        bool
+            Whether it was used; otherwise the filter is as it was. A pose from before what is
+            remembered is not used.
+        """
         if self._time is None or self._motors_at is not None:
             self.restart(time, pose)
             return True
@@ -151,9 +181,18 @@ class KalmanFilter:
         gyro: float,
         noise: tuple[float, float],
     ) -> None:
-        """Use an inertial measurement: along the body's axes [m/s²] and about the vertical [rad/s].
+        """Use an inertial measurement.
 
-        Its noise is that of both, standard deviations.
+        Parameters
+        ----------
+        time : float
+            Its stamp; from before what is remembered, it is not used [s].
+        acceleration_body : array, shape (2,)
+            Acceleration along the body's x and y axes [m/s²].
+        gyro : float
+            Spin [rad/s].
+        noise : tuple of float
+            Standard deviations of acceleration and spin [m/s², rad/s].
         """
         given = time, np.array(acceleration_body, dtype=float), gyro, noise
         if self._advance(time, "imu", given):
@@ -161,20 +200,52 @@ class KalmanFilter:
             self._belief = self._models.use_imu(self._belief, motors, *given[1:])
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
-        """Use the velocity along the body's axes that an optical sensor under the craft measured.
+        """Use the velocity that the optical sensor under the craft measured.
 
-        Its noise is the standard deviation of both components [m/s].
+        Parameters
+        ----------
+        time : float
+            Its stamp; from before what is remembered, it is not used [s].
+        velocity : array, shape (2,)
+            Velocity along the body's x and y axes [m/s].
+        noise : float
+            Standard deviation [m/s].
         """
         given = time, np.array(velocity, dtype=float), noise
         if self._advance(time, "mouse", given):
             self._belief = self._models.use_mouse(self._belief, *given[1:])
 
     def predict(self, time: float) -> Estimate:
-        """Predict with the commands that are known, without changing anything."""
+        """Predict with the commands that are known, without changing anything.
+
+        Parameters
+        ----------
+        time : float
+            When, at or after the last measurement [s]. The last command stays in force.
+
+        Returns
+        -------
+        Estimate
+            The prediction.
+        """
         return self.predict_with(self._predict, time)[0]
 
     def composed(self, then: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-        """Join a prediction and what follows in one program: each call costs time."""
+        """Join a prediction and what follows in one program: each call costs time.
+
+        Parameters
+        ----------
+        then : callable
+            Pure function of an array namespace, the predicted state, motor speeds, disturbance and
+            effectiveness of the motors (as in `Estimate`), and more arrays; to a tuple of arrays.
+        *examples : array or float
+            More arrays of the shapes that it will be called with.
+
+        Returns
+        -------
+        callable
+            For `predict_with`.
+        """
         predict, count = self._models.predict, len(self._examples)
 
         def both(xp: Any, *given: Any) -> tuple[Any, ...]:
@@ -186,7 +257,24 @@ class KalmanFilter:
     def predict_with(
         self, composed: Callable[..., Any], time: float, *more: Any
     ) -> tuple[Estimate, Sequence[Any]]:
-        """Predict, and compute what follows from it."""
+        """Predict, and compute what follows from it.
+
+        Parameters
+        ----------
+        composed : callable
+            What `composed` made, of this filter or one like it.
+        time : float
+            See `predict` [s].
+        *more : array or float
+            Arguments of the function that follows.
+
+        Returns
+        -------
+        estimate : Estimate
+            The prediction.
+        results : sequence of array
+            What the function returns.
+        """
         belief, speed, pieces = self._pieces(time, _PIECES_TO_PREDICT)
         results = composed(*belief, speed, *pieces, *more)
         state, speed, disturbance, effectiveness, e, deviation, weights, *following = results
@@ -198,7 +286,15 @@ class KalmanFilter:
         return Estimate(time, state, speed, disturbance, actuation), following
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Begin anew at a pose, at rest; commands and motor speeds are kept."""
+        """Begin anew at a pose, at rest; commands and motor speeds are kept.
+
+        Parameters
+        ----------
+        time : float
+            Stamp of the pose [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
         if self._time is not None and time < self._time and self._motors_at is None:
             self._rewind(time)
         before, elapsed = None, 0.0
