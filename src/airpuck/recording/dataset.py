@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.files import sha256
@@ -29,16 +27,15 @@ _STUDY = (
 _TIMEOUT_S = 20
 
 
-@cache
-def _registry() -> Mapping[str, str]:
+def _registry() -> dict[str, str]:
     """Return the SHA-256 of every file worth downloading, by its name in the repository."""
     text = (resources.files("airpuck") / "packaged" / "dataset.sha256").read_text("utf-8")
     lines = (line.split(maxsplit=1) for line in text.splitlines() if not line.startswith("#"))
-    return MappingProxyType({name: digest for digest, name in lines})
+    return {name: digest for digest, name in lines}
 
 
-def dataset_files(*, all: bool = False) -> Mapping[str, str]:
-    """List the files of the dataset."""
+def dataset_files(*, all: bool = False) -> dict[str, str]:
+    """Return the SHA-256 of the study's files, or of all, by name."""
     return {name: digest for name, digest in _registry().items() if all or name.startswith(_STUDY)}
 
 
@@ -95,25 +92,24 @@ def fetch(
     InputError
         If a file cannot be downloaded or has not the expected content; nothing of it is kept.
     """
-    files = dataset_files(all=all)
     given = _folder_from_environment() if folder is None else None
-    if given is not None:
-        problems = verify(given, all=all)
-        if problems:
-            name, problem = next(iter(problems.items()))
-            more = f", and {len(problems) - 1} more files are wrong" if len(problems) > 1 else ""
-            raise InputError(
-                f"{problem}{more}; unset {VARIABLE} to download the dataset", file=given / name
-            )
-        return given
-    return _download(files, folder, base_url, progress)
+    if given is None:
+        return _download(dataset_files(all=all), folder, base_url, progress or (lambda *_: None))
+    problems = verify(given, all=all)
+    if problems:
+        name, problem = next(iter(problems.items()))
+        more = f", and {len(problems) - 1} more files are wrong" if len(problems) > 1 else ""
+        raise InputError(
+            f"{problem}{more}; unset {VARIABLE} to download the dataset", file=given / name
+        )
+    return given
 
 
 def _download(
-    files: Mapping[str, str],
+    files: dict[str, str],
     folder: str | os.PathLike[str] | None,
     base_url: str,
-    progress: Callable[[int, int, str], None] | None,
+    progress: Callable[[int, int, str], None],
 ) -> Path:
     """Let pooch get what is missing; it keeps a file only if its hash is right."""
     import pooch
@@ -128,8 +124,7 @@ def _download(
     )
     downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
     for done, name in enumerate(files):
-        if progress is not None:
-            progress(done, len(files), name)
+        progress(done, len(files), name)
         try:
             # pooch's annotation of a downloader does not fit pooch's own downloaders.
             store.fetch(name, downloader=downloader)  # pyright: ignore[reportArgumentType]
@@ -146,13 +141,12 @@ def _download(
                 "was downloaded with another content than expected and thrown away; try again",
                 file=base_url + name,
             ) from error
-    if progress is not None:
-        progress(len(files), len(files), "")
+    progress(len(files), len(files), "")
     return target
 
 
 def _reason(error: Exception) -> str:
-    """Say in a few words why a download failed."""
+    """Explain in a few words why a download failed."""
     import requests
 
     if isinstance(error, requests.HTTPError) and error.response is not None:
@@ -164,15 +158,15 @@ def _reason(error: Exception) -> str:
     return "the server cannot be reached"
 
 
-def verify(folder: str | os.PathLike[str], *, all: bool = False) -> Mapping[str, str]:
-    """Check a copy of the dataset against the hashes."""
+def verify(folder: str | os.PathLike[str], *, all: bool = False) -> dict[str, str]:
+    """Check a copy of the dataset against the hashes, and return each wrong file's problem."""
     problems = {}
     expected = dataset_files(all=all)
-    for name, digest in dataset_files(all=True).items():
+    for name, digest in _registry().items():
         file = Path(folder) / name
-        if not file.is_file():
-            if name in expected:
-                problems[name] = "is missing"
-        elif sha256(file) != digest:
-            problems[name] = "has another content than published"
+        if file.is_file():
+            if sha256(file) != digest:
+                problems[name] = "has another content than published"
+        elif name in expected:
+            problems[name] = "is missing"
     return problems
