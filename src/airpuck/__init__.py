@@ -62,8 +62,10 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.model.model_file import Model as Model, read_model as read_model
     from airpuck.model.parameters import Parameters as Parameters
     from airpuck.model.rungs import named_rung as named_rung
-    from airpuck.preprocessing.load import load_trajectory as load_trajectory
-    from airpuck.preprocessing.pipeline import preprocess as preprocess
+    from airpuck.preprocessing.pipeline import (
+        load_trajectory as load_trajectory,
+        preprocess as preprocess,
+    )
     from airpuck.recording.bag_writer import write_bag as write_bag
     from airpuck.recording.csv_folder import write_csv as write_csv
     from airpuck.recording.dataset import fetch as fetch
@@ -110,8 +112,7 @@ _NAMES = {
     "model.model_file": "Model read_model",
     "model.parameters": "Parameters",
     "model.rungs": "named_rung",
-    "preprocessing.load": "load_trajectory",
-    "preprocessing.pipeline": "preprocess",
+    "preprocessing.pipeline": "load_trajectory preprocess",
     "recording.bag_writer": "write_bag",
     "recording.csv_folder": "write_csv",
     "recording.dataset": "fetch",

@@ -176,7 +176,7 @@ def bad_value(row, column, value):
         ("pose", lambda s, r, v: (s, r, v * [1, 1, 180 / np.pi]), "looks like degrees"),
         ("pose", lambda s, r, v: (s[:50], r[:50], v[:50]), "too short"),
         ("pose", lambda s, r, v: (s[:0], r[:0], v[:0]), "pose stream is empty"),
-        ("command", lambda s, r, v: (s, r, v * 0), "never told to move"),
+        ("command", lambda s, r, v: (s, r, v * 0), "never moved the craft"),
         ("pose", lambda s, r, v: (s + 10**12, r + 10**12, v), "do not overlap"),
     ],
 )

@@ -30,8 +30,7 @@ from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.load import load_trajectory
-from airpuck.preprocessing.pipeline import preprocess
+from airpuck.preprocessing.pipeline import load_trajectory, preprocess
 from airpuck.recording.files import sha256
 from airpuck.twin.experiments import excite
 from airpuck.twin.fleet import fly_fleet

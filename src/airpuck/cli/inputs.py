@@ -29,7 +29,7 @@ def load(
     recording: Path, vehicle: Vehicle | None, topics: Path | None, delay: float | None = None
 ) -> Trajectory:
     """Load and preprocess a recording."""
-    from airpuck.preprocessing.load import load_trajectory
+    from airpuck.preprocessing.pipeline import load_trajectory
     from airpuck.recording.stream import read_topics
 
     names = None if topics is None else read_topics(topics)

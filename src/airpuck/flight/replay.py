@@ -15,14 +15,13 @@ from airpuck.control.lqr import regulator
 from airpuck.control.reference import Target
 from airpuck.control.tracking import Status, TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.craft.vehicle import match_columns
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.clock import align_clocks, seconds
-from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
+from airpuck.preprocessing.clock import seconds
+from airpuck.preprocessing.pipeline import clean_streams
 from airpuck.recording.stream import Recording
 
 
@@ -178,14 +177,10 @@ def replay(
         If a stream is missing or cannot be used.
     """
     tuning = tuning or default_tuning()
-    pose, command = recording["pose"], recording["command"]
-    order = match_columns(model.vehicle, command.columns, source=recording.source)
-    aligned = align_clocks(pose, command)
-    check_poses(pose, aligned.pose_time, recording.source)
-    check_commands(command, aligned.command_time, recording.source)
+    _, commands, aligned = clean_streams(recording, model.vehicle)
+    pose = recording["pose"]
     if not 0 <= span[0] < span[1] <= 1:
         raise InputError("give two fractions of the length, 0 <= A < B <= 1", field="span")
-    commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
     time, sent = commands.time, commands.values
     # The recorder may have been busy; the controller got the poses after their usual latency.
     arrivals = seconds(pose.received_ns) - aligned.recorder_epoch

@@ -10,11 +10,11 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
-from airpuck.craft.vehicle import Vehicle, match_columns
+from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.angle import pose_difference, wrapped
-from airpuck.preprocessing.clock import align_clocks, seconds
+from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.derivative import unwrap_yaw
-from airpuck.preprocessing.quality import check_commands, check_poses, drop_disorder
+from airpuck.preprocessing.pipeline import clean_streams
 from airpuck.recording.stream import Recording
 
 #: A set point counts as reached within these distances [m, m, rad].
@@ -83,13 +83,7 @@ class Track:
     @classmethod
     def of(cls, recording: Recording, vehicle: Vehicle, label: str) -> Track:
         """Read a flight off a recording."""
-        pose, command = recording["pose"], recording["command"]
-        order = match_columns(vehicle, command.columns, source=recording.source)
-        aligned = align_clocks(pose, command)
-        check_poses(pose, aligned.pose_time, recording.source)
-        check_commands(command, aligned.command_time, recording.source)
-        poses = drop_disorder(aligned.pose_time, pose.values, "pose")
-        commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
+        poses, commands, aligned = clean_streams(recording, vehicle)
         start = float(commands.time[0])
         set_points = recorded_set_points(recording, aligned.recorder_epoch + start)
         return cls(

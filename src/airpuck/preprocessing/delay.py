@@ -1,67 +1,46 @@
-"""Transport delay: how many samples the motion lags what the commands explain (subsec:data)."""
+"""Delay compensation (subsec:data_preprocessing): how far the motion lags the commands."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from airpuck.data.trajectory import Trajectory
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
 
-#: Longest delay that is looked for [s].
-LONGEST = 0.5
+#: Longest delay that is looked for.
+LONGEST_S = 0.5
 
 
-@dataclass(frozen=True)
-class DelayEstimate:
-    """Result of the correlation."""
-
-    #: Delay in samples of the motion capture.
-    samples: int
-    #: Correlation of modelled and measured accelerations at that delay, mean over x, y and yaw.
-    correlation: float
-    #: Times that the signals were correlated until no shift was left.
-    passes: int
-
-
-def estimate_delay(
-    time: Float[np.ndarray, " N"],
-    state: Float[np.ndarray, "N 6"],
-    acceleration: Float[np.ndarray, "N 3"],
-    command: Float[np.ndarray, "N n"],
-    dynamics: Dynamics,
-    usable: Bool[np.ndarray, " N"] | None = None,
-) -> DelayEstimate:
-    """Find the delay at which modelled accelerations fit the measured ones best.
+def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, float]:
+    """Find the delay [samples] at which modelled accelerations fit the measured ones best.
 
     Modelled and measured accelerations are correlated channel by channel; commands are shifted by
     the mean of the three best lags, and this is repeated, since the modelled acceleration depends
-    on the yaw it is paired with, until no shift is left.
+    on the yaw it is paired with, until no shift is left. The second number is the correlation
+    coefficient there, mean over x, y and yaw.
     """
-    usable = np.ones(len(time), dtype=bool) if usable is None else usable
-    speed = motor_speeds(time, command, dynamics.motor_time_constant)
-    limit = round(LONGEST / float(np.median(np.diff(time))))
-    shift, passes, peak = 0, 0, 0.0
+    time = trajectory.time
+    speed = motor_speeds(time, trajectory.input, dynamics.motor_time_constant)
+    limit = round(LONGEST_S / trajectory.sample_period)
+    shift, correlation = 0, 0.0
     visited: set[int] = set()
     # Shifts cannot oscillate for ever: a shift that comes back ends the search.
     while shift not in visited:
         visited.add(shift)
-        passes += 1
         # Sample k of the motion is paired with the motor speed `shift` samples before.
         motion = slice(max(shift, 0), len(time) + min(shift, 0))
         cause = slice(max(-shift, 0), len(time) - max(shift, 0))
-        modelled = np.stack(model_acceleration(np, dynamics, state[motion, 2:].T, speed[cause].T))
+        state = trajectory.state[motion, 2:]
+        modelled = np.stack(model_acceleration(np, dynamics, state.T, speed[cause].T))
         # Only one of the two is masked: what both lack would correlate, at no lag.
-        measured = acceleration[motion].T * usable[motion]
-        lags, peaks = zip(
-            *(_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)), strict=True
-        )
-        peak = float(np.mean(peaks))
-        shift = int(np.clip(shift + np.rint(np.mean(lags)), -limit, limit))
-    return DelayEstimate(samples=shift, correlation=peak, passes=passes)
+        measured = trajectory.acceleration[motion].T * trajectory.usable[motion]
+        best = [_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)]
+        lag, correlation = np.mean(best, axis=0)
+        shift = int(np.clip(shift + np.rint(lag), -limit, limit))
+    return shift, float(correlation)
 
 
 def _best_lag(

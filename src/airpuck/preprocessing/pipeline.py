@@ -1,20 +1,21 @@
-"""`preprocess`: all steps of subsec:data_preprocessing, from a recording to a trajectory."""
+"""From a recording to a trajectory: all steps of subsec:data_preprocessing."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
-from airpuck.data.trajectory import Span, Trajectory
-from airpuck.data.zero_order_hold import hold
+from airpuck.data.trajectory import Span, Trajectory, read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
-from airpuck.preprocessing.clock import align_clocks
-from airpuck.preprocessing.delay import LONGEST, DelayEstimate, estimate_delay
+from airpuck.preprocessing.clock import Aligned, align_clocks
+from airpuck.preprocessing.delay import LONGEST_S, estimate_delay
 from airpuck.preprocessing.derivative import (
     ACCELERATION_WINDOW,
     acceleration,
@@ -23,6 +24,7 @@ from airpuck.preprocessing.derivative import (
 )
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
+    Samples,
     check_commands,
     check_poses,
     drop_disorder,
@@ -31,13 +33,62 @@ from airpuck.preprocessing.quality import (
     find_jumps,
     stretches,
 )
-from airpuck.recording.stream import Recording
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import Recording, Topics
+from airpuck.recording.torch_archive import read_authors_experiment
 
 #: A command this far above the lowest one means that the experiment has begun.
 _BEGINS_ABOVE_MINIMUM = 0.02
 _NO_COMMANDS = "no commands"
 #: Correlation below which the commands hardly explain the motion.
 _WEAK_CORRELATION = 0.5
+
+
+def load_trajectory(
+    path: str | os.PathLike[str],
+    vehicle: Vehicle | None = None,
+    *,
+    topics: Topics | None = None,
+    delay: float | None = None,
+) -> Trajectory:
+    """Read a recording and preprocess it, or read what is preprocessed already.
+
+    Parameters
+    ----------
+    path : path-like
+        A bag folder, an .mcap, a folder of CSV files, the authors' data.pt (or the folder of one),
+        or an .npz that `Trajectory.save` wrote.
+    vehicle : Vehicle, optional
+        The craft; by default the paper's.
+    topics : Topics, optional
+        Names of a bag's topics.
+    delay : float, optional
+        Transport delay of a raw recording [s]; by default it is found by correlation.
+
+    Returns
+    -------
+    Trajectory
+        The trajectory.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or does not fit the vehicle.
+    """
+    path = Path(path)
+    archive = path / "data.pt" if path.is_dir() else path
+    preprocessed = path.suffix == ".npz" or (archive.suffix == ".pt" and archive.is_file())
+    if preprocessed and (delay is not None or topics is not None):
+        raise InputError(
+            "is preprocessed already: its transport delay is settled and it has no topics",
+            file=path,
+            field="delay" if delay is not None else "topics",
+        )
+    if path.suffix == ".npz":
+        return read_trajectory(path)
+    if preprocessed:
+        return read_authors_experiment(archive)
+    return preprocess(read_recording(path, topics=topics), vehicle, delay=delay)
 
 
 def preprocess(
@@ -75,12 +126,43 @@ def preprocess(
         If the recording lacks a stream or holds numbers that cannot be what they should be, or if
         poses and commands do not overlap.
     """
-    if delay is not None and not 0 <= delay <= LONGEST:
+    if delay is not None and not 0 <= delay <= LONGEST_S:
         raise InputError(
-            f"must be between 0 and {LONGEST:g} s, not {delay:g}; radios take some 10 ms",
+            f"must be between 0 and {LONGEST_S:g} s, not {delay:g}; radios take some 10 ms",
             field="delay",
         )
     vehicle = vehicle or default_vehicle()
+    poses, commands, aligned = clean_streams(recording, vehicle)
+    begins_above = vehicle.command_min + _BEGINS_ABOVE_MINIMUM
+    kept = _crop_to_commands(poses.time, commands, begins_above, recording.source)
+    time, values = poses.time[kept], poses.values[kept]
+    values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
+    rates, accelerations, short = _velocity_and_acceleration(time, values)
+    unusable = (
+        *find_gaps(time),
+        *find_frozen(time, values),
+        *find_jumps(time, values),
+        *find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS),
+        *short,
+    )
+    trajectory = Trajectory(
+        time=time,
+        state=np.concatenate([values, rates], axis=1),
+        acceleration=accelerations,
+        command_time=commands.time,
+        command=commands.values,
+        propellers=vehicle.propeller_names,
+        excluded=unusable,
+        source=recording.source,
+        hashes=recording.hashes,
+        warnings=recording.warnings + aligned.warnings + poses.warnings + commands.warnings,
+    )
+    nominal = nominal or nominal_parameters(vehicle).dynamics(np, vehicle)
+    return _compensate_delay(trajectory, delay, nominal)
+
+
+def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samples, Aligned]:
+    """Return poses and commands on one time axis, checked and in order; columns as propellers."""
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
     aligned = align_clocks(pose, command)
@@ -88,68 +170,35 @@ def preprocess(
     check_commands(command, aligned.command_time, recording.source)
     poses = drop_disorder(aligned.pose_time, pose.values, "pose")
     commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
-
-    first, last = crop_to_commands(
-        poses.time,
-        commands.time,
-        commands.values,
-        begins_above=vehicle.command_min + _BEGINS_ABOVE_MINIMUM,
-        source=recording.source,
-    )
-    time, values = poses.time[first:last], poses.values[first:last]
-    values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
-    spans = [*find_gaps(time), *find_frozen(time, values), *find_jumps(time, values)]
-    spans += find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS)
-    rates, accelerations, short = _differentiate_between_gaps(time, values)
-    state = np.concatenate([values, rates], axis=1)
-    trajectory = Trajectory(
-        time=time,
-        state=state,
-        acceleration=accelerations,
-        command_time=commands.time,
-        command=commands.values,
-        propellers=vehicle.propeller_names,
-        excluded=tuple(spans + short),
-        source=recording.source,
-        hashes=recording.hashes,
-        warnings=recording.warnings + aligned.warnings + poses.warnings + commands.warnings,
-    )
-    return _with_delay(
-        trajectory, delay, nominal or nominal_parameters(vehicle).dynamics(np, vehicle)
-    )
+    return poses, commands, aligned
 
 
-def crop_to_commands(
-    pose_time: Float[np.ndarray, " N"],
-    command_time: Float[np.ndarray, " K"],
-    command: Float[np.ndarray, "K n"],
-    *,
-    begins_above: float,
-    source: str = "",
-) -> tuple[int, int]:
+def _crop_to_commands(
+    pose_time: Float[np.ndarray, " N"], commands: Samples, begins_above: float, source: str
+) -> slice:
     """Find the poses between the first command that moves the craft and the last one."""
+    time, command, _ = commands
     moving = np.flatnonzero(command.max(axis=1) > begins_above)
     if len(moving) == 0:
         raise InputError(
-            f"no command exceeds {begins_above:g}: the motors were never told to move", file=source
+            f"no command exceeds {begins_above:g}: the motors never moved the craft", file=source
         )
     # As the authors do: from the command after it on, so that a whole interval has passed.
-    begin, end = command_time[min(moving[0] + 1, len(command_time) - 1)], command_time[-1]
-    first = int(np.searchsorted(pose_time, begin, side="right"))
-    last = int(np.searchsorted(pose_time, end, side="right"))
+    begin, end = time[min(moving[0] + 1, len(time) - 1)], time[-1]
+    first, last = np.searchsorted(pose_time, (begin, end), side="right").tolist()
     if last - first < 2:
         raise InputError(
             f"poses ({pose_time[0]:.3f} to {pose_time[-1]:.3f} s) and commands "
             f"({begin:.3f} to {end:.3f} s) do not overlap; check that both clocks are the same",
             file=source,
         )
-    return first, last
+    return slice(first, last)
 
 
-def _differentiate_between_gaps(
+def _velocity_and_acceleration(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
-    """Differentiate each stretch for itself; mark those too short for it."""
+    """Differentiate each stretch between gaps on its own; mark those too short for it."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
     short = []
     for part in stretches(time):
@@ -162,60 +211,41 @@ def _differentiate_between_gaps(
     return rates, accelerations, short
 
 
-def _with_delay(trajectory: Trajectory, delay: float | None, nominal: Dynamics) -> Trajectory:
+def _compensate_delay(trajectory: Trajectory, delay: float | None, nominal: Dynamics) -> Trajectory:
     """Set the transport delay, given or found, and leave out what precedes the first command."""
     warnings = list(trajectory.warnings)
     if delay is None:
-        estimate = estimate_delay(
-            trajectory.time,
-            trajectory.state,
-            trajectory.acceleration,
-            hold(trajectory.command_time, trajectory.command, trajectory.time),
-            nominal,
-            trajectory.usable,
-        )
-        warnings += _judge(estimate)
-        delay = max(estimate.samples, 0) * trajectory.sample_period
-        skip = max(estimate.samples, 0)
+        samples, correlation = estimate_delay(trajectory, nominal)
+        if samples < 0:
+            warnings.append(
+                f"the motion precedes the commands by {-samples} samples; no delay was "
+                "compensated: check the clocks of both streams"
+            )
+        if correlation < _WEAK_CORRELATION:
+            warnings.append(
+                f"the commands explain little of the motion (correlation {correlation:.2f}): "
+                "check motor order and signs with `airpuck check`"
+            )
+        first = max(samples, 0)
+        delay = first * trajectory.sample_period
     else:
-        begin = trajectory.time[0] + delay
-        skip = int(np.searchsorted(trajectory.time, begin))
-    keep = slice(skip, None)
-    if len(trajectory.time[keep]) < 2:
+        first = int(np.searchsorted(trajectory.time, trajectory.time[0] + delay))
+    if len(trajectory) - first < 2:
         raise InputError("is shorter than its transport delay", file=trajectory.source)
-    start = trajectory.time[skip]
+    start = trajectory.time[first]
+    excluded = []
+    for span in trajectory.excluded:
+        # A pause of the commands lasts until the next one acts.
+        stop = span.stop + delay if span.cause == _NO_COMMANDS else span.stop
+        if stop >= start:
+            excluded.append(replace(span, start=span.start - start, stop=stop - start))
     return replace(
         trajectory,
-        time=trajectory.time[keep] - start,
-        state=trajectory.state[keep],
-        acceleration=trajectory.acceleration[keep],
+        time=trajectory.time[first:] - start,
+        state=trajectory.state[first:],
+        acceleration=trajectory.acceleration[first:],
         command_time=trajectory.command_time - start,
         delay=float(delay),
-        excluded=tuple(
-            replace(span, start=span.start - start, stop=span.stop - start)
-            for span in (_acting(span, delay) for span in trajectory.excluded)
-            if span.stop >= start
-        ),
+        excluded=tuple(excluded),
         warnings=tuple(warnings),
     )
-
-
-def _acting(span: Span, delay: float) -> Span:
-    """Extend a pause of the commands to when the next one acts."""
-    return replace(span, stop=span.stop + delay) if span.cause == _NO_COMMANDS else span
-
-
-def _judge(estimate: DelayEstimate) -> list[str]:
-    """Say what is odd about an estimated delay."""
-    warnings = []
-    if estimate.samples < 0:
-        warnings.append(
-            f"the motion precedes the commands by {-estimate.samples} samples; no delay was "
-            "compensated: check the clocks of both streams"
-        )
-    if estimate.correlation < _WEAK_CORRELATION:
-        warnings.append(
-            f"the commands explain little of the motion (correlation {estimate.correlation:.2f}): "
-            "check motor order and signs with `airpuck check`"
-        )
-    return warnings

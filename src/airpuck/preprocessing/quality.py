@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -30,16 +30,14 @@ _SMOOTHED = 7
 COMMAND_GAP_PERIODS = 10
 
 
-@dataclass(frozen=True, eq=False)
-class Cleaned:
-    """Samples in strictly increasing time."""
+class Samples(NamedTuple):
+    """Samples of a stream in strictly increasing time."""
 
     #: Times [s].
     time: Float[np.ndarray, " N"]
-    #: Values.
     values: Float[np.ndarray, "N k"]
     #: What was dropped.
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> None:
@@ -96,10 +94,10 @@ def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, sour
 
 def drop_disorder(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], kind: str
-) -> Cleaned:
+) -> Samples:
     """Drop samples whose stamp repeats or precedes an earlier one."""
     if len(time) == 0:
-        return Cleaned(time, values, ())
+        return Samples(time, values)
     latest = np.maximum.accumulate(time)
     ahead = np.concatenate([[True], time[1:] > latest[:-1]])
     duplicated = np.concatenate([[False], time[1:] == latest[:-1]])
@@ -111,7 +109,7 @@ def drop_disorder(
                 f"dropped {int(found.sum())} {kind} samples with {what}, "
                 f"the first at {time[found][0]:.3f} s"
             )
-    return Cleaned(time[ahead], values[ahead], tuple(warnings))
+    return Samples(time[ahead], values[ahead], tuple(warnings))
 
 
 def find_gaps(

@@ -170,10 +170,9 @@ def _streams(log: Log, topics: Topics, source: Path) -> dict[str, Stream]:
         if topic is not None:
             try:
                 streams[stream] = _stream(stream, topic)
-            except InputError as error:
-                raise InputError(error.problem, file=source, field=name) from error
             except (ValueError, OverflowError) as error:
-                raise InputError(one_line(str(error)), file=source, field=name) from error
+                problem = error.problem if isinstance(error, InputError) else one_line(str(error))
+                raise InputError(problem, file=source, field=name) from error
         elif topics.required(stream):
             raise InputError(_no_topic(stream, log), file=source, field=name)
     return streams
@@ -181,12 +180,9 @@ def _streams(log: Log, topics: Topics, source: Path) -> dict[str, Stream]:
 
 def _no_topic(stream: str, log: Log) -> str:
     """Describe what the user can name instead of a missing topic."""
-    fitting = {
-        name: topic.msgtype
-        for name, topic in log.topics.items()
-        if stream == "command" or topic.msgtype in PATHS[stream]
-    } or {name: topic.msgtype for name, topic in log.topics.items()}
-    shown = listing(f"{name} ({msgtype})" for name, msgtype in sorted(fitting.items()))
+    found = sorted((name, topic.msgtype) for name, topic in log.topics.items())
+    fitting = [item for item in found if stream == "command" or item[1] in PATHS[stream]]
+    shown = listing(f"{name} ({msgtype})" for name, msgtype in fitting or found)
     damage = f" ({'; '.join(log.damage)})" if log.damage else ""
     return (
         f"there is no such topic{damage}; name the {stream} topic, [topics] {stream} = "

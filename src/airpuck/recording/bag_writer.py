@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -93,18 +92,6 @@ def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
     return StreamCodec(name, stream.columns, stamped=bool(stamped))
 
 
-@dataclass
-class _Topic:
-    """What is noted about a topic."""
-
-    name: str
-    msgtype: str
-    profiles: str
-    digest: str
-    channel: int
-    count: int = 0
-
-
 class BagFile:
     """A bag being written, message by message."""
 
@@ -117,7 +104,8 @@ class BagFile:
         # Through mcap rather than rosbags: it writes checksums, and chunks of a chosen size.
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._writer.start("ros2", "airpuck")
-        self._topics: list[_Topic] = []
+        self._topics: list[dict[str, Any]] = []
+        self._channels: list[int] = []
         self._first_ns: int | None = None
         self._last_ns = 0
 
@@ -137,23 +125,30 @@ class BagFile:
         digest = store.hash_rihs01(msgtype)
         profiles = _profiles(best_effort, transient_local)
         about = {"offered_qos_profiles": profiles, "topic_type_hash": digest}
-        channel = self._writer.register_channel(name, "cdr", schema, about)
-        self._topics.append(_Topic(name, msgtype, profiles, digest, channel))
+        self._channels.append(self._writer.register_channel(name, "cdr", schema, about))
+        metadata = {
+            "name": name,
+            "type": msgtype,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": profiles,
+            "type_description_hash": digest,
+        }
+        self._topics.append({"topic_metadata": metadata, "message_count": 0})
         return len(self._topics) - 1
 
     def add(self, topic: int, received_ns: int, sent_ns: int, data: bytes) -> None:
         """Record a message of the topic with this number."""
-        noted = self._topics[topic]
         first = received_ns if self._first_ns is None else self._first_ns
         self._first_ns = min(first, received_ns)
         self._last_ns = max(self._last_ns, received_ns)
-        self._writer.add_message(noted.channel, received_ns, data, sent_ns, noted.count)
-        noted.count += 1
+        channel, about = self._channels[topic], self._topics[topic]
+        self._writer.add_message(channel, received_ns, data, sent_ns, about["message_count"])
+        about["message_count"] += 1
 
     @property
     def counts(self) -> dict[str, int]:
         """Messages so far, by topic."""
-        return {topic.name: topic.count for topic in self._topics}
+        return {topic["topic_metadata"]["name"]: topic["message_count"] for topic in self._topics}
 
     def flush(self) -> None:
         """Close the chunk and hand all to the system: a process that dies now loses nothing."""
@@ -183,24 +178,11 @@ class BagFile:
                 "message_count": n_messages,
             }
 
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.msgtype,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": topic.profiles,
-                    "type_description_hash": topic.digest,
-                },
-                "message_count": topic.count,
-            }
-            for topic in self._topics
-        ]
         return {
             "version": _ROSBAG2_VERSION,
             "storage_identifier": "mcap",
             **span(),
-            "topics_with_message_count": topics,
+            "topics_with_message_count": self._topics,
             # Of rosbag2's own compression; MCAP compresses its chunks by itself.
             "compression_format": "",
             "compression_mode": "",

@@ -63,13 +63,11 @@ class Stream:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Stream):
             return NotImplemented
-        return self.columns == other.columns and all(
-            np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f")
-            for mine, theirs in (
-                (self.stamp_ns, other.stamp_ns),
-                (self.received_ns, other.received_ns),
-                (self.values, other.values),
-            )
+        return (
+            self.columns == other.columns
+            and np.array_equal(self.stamp_ns, other.stamp_ns)
+            and np.array_equal(self.received_ns, other.received_ns)
+            and np.array_equal(self.values, other.values, equal_nan=True)
         )
 
     __hash__ = None  # pyright: ignore[reportAssignmentType]
