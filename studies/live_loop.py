@@ -23,7 +23,7 @@ from typing import Any
 from one_line import run
 
 from airpuck import read_recording
-from airpuck.live.timing import JITTER_P99, LATENCY_P99
+from airpuck.live.clock import JITTER_P99, LATENCY_P99
 
 _MAIN = "from airpuck.cli import main; main()"
 _START_S = 15.0

@@ -30,7 +30,7 @@ class Pilot(PulseTest):
 
 
 def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):
-    monkeypatch.setattr(fly, "hurry", lambda: None)
+    monkeypatch.setattr(fly, "prioritize", lambda **_: None)
     pilot, rng = Pilot(), np.random.default_rng(0)
     table, rival = Graph("table", domain=domain), Graph("joystick", domain=domain)
     pose, command = CODECS[POSES], CODECS[COMMANDS]

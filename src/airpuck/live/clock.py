@@ -1,9 +1,12 @@
-"""Time on a graph: one steady clock in a process, and stamps of senders with other clocks."""
+"""Time on a graph: a steady clock, stamps of other clocks, and how well a loop keeps its time."""
 
 from __future__ import annotations
 
 import math
 import time
+from typing import Any
+
+import numpy as np
 
 SECOND_NS = 10**9
 #: A stamp may lie this far ahead of its arrival: clocks of one laboratory agree to this [s].
@@ -14,6 +17,11 @@ _BEHIND = 0.1
 _BELIEVED_AFTER, _BELIEVED_COUNT = 0.5, 20
 #: How often a difference between clocks that drift is corrected [s].
 _BLOCK = 2.0
+#: Targets on two quiet cores [s].
+JITTER_P99, LATENCY_P99, DEADLINE = 2e-3, 5e-3, 1e-2
+
+#: Width of a bin [s], and how many there are.
+_BIN, _BINS = 1e-5, 5000
 
 
 class Clock:
@@ -75,8 +83,8 @@ class StampClock:
     def __init__(self) -> None:
         #: Receiver's clock minus sender's [s].
         self.offset = 0.0
-        #: Stamps that do not fit: arrival of the first, least and greatest age, their number.
-        self._odd: tuple[float, float, float, int] | None = None
+        #: Arrivals and ages of messages that do not fit, but agree with each other [s].
+        self._odd: list[tuple[float, float]] = []
         #: Begin of the present block, and the least age in it.
         self._block = (-math.inf, math.inf)
 
@@ -84,19 +92,18 @@ class StampClock:
         """Return when a message was stamped, on the receiver's clock; None if unbelievable."""
         age = arrival - stamp - self.offset
         if -_AHEAD <= age <= _BEHIND:
-            self._odd = None
+            self._odd.clear()
             self._follow_drift(age, arrival)
             return stamp + self.offset
         if not math.isfinite(age):
             return None
-        first, least, most, count = self._odd or (arrival, age, age, 0)
-        least, most = min(least, age), max(most, age)
-        if most - least > _BEHIND:
-            first, least, most, count = arrival, age, age, 0
-        self._odd = first, least, most, count + 1
-        if arrival - first >= _BELIEVED_AFTER and count + 1 >= _BELIEVED_COUNT:
-            self.offset += least
-            self._odd = None
+        self._odd.append((arrival, age))
+        ages = [age for _, age in self._odd]
+        if max(ages) - min(ages) > _BEHIND:
+            self._odd = [(arrival, age)]
+        elif arrival - self._odd[0][0] >= _BELIEVED_AFTER and len(ages) >= _BELIEVED_COUNT:
+            self.offset += min(ages)
+            self._odd.clear()
             self._block = (-math.inf, math.inf)
             return stamp + self.offset
         return None
@@ -111,3 +118,81 @@ class StampClock:
                 self.offset += least
             began, least = arrival, math.inf
         self._block = began, min(least, age)
+
+
+class Histogram:
+    """Counts of durations, to 10 µs; memory does not grow with their number."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        #: The longest one [s].
+        self.longest = 0.0
+        #: The last bin is for all that are longer.
+        self._bins = np.zeros(_BINS + 1, np.int64)
+
+    def add(self, duration: float) -> None:
+        """Count a duration [s]."""
+        self.count += 1
+        self.longest = max(self.longest, duration)
+        self._bins[min(int(duration / _BIN), _BINS)] += 1
+
+    def percentile(self, percent: float) -> float:
+        """Return a percentile [s]; nan of nothing."""
+        if self.count == 0:
+            return math.nan
+        rank = max(math.ceil(self.count * percent / 100), 1)
+        place = int(np.cumsum(self._bins).searchsorted(rank))
+        return self.longest if place >= _BINS else min((place + 1) * _BIN, self.longest)
+
+
+class LoopTiming:
+    """Timing of a loop that should act once a period."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        #: | time since the action before - period |.
+        self._jitter = Histogram()
+        #: From when an action was due, its newest pose waiting, to when it was done.
+        self._latency = Histogram()
+        #: From when the newest pose was measured to when the command was sent.
+        self._pose_age = Histogram()
+        #: Actions later than 10 ms, and those left out since the one before was.
+        self.missed = 0
+        #: When the last action was due and when it was done [s].
+        self._last: tuple[float, float] | None = None
+
+    def add(self, due: float, done: float, pose: float | None) -> None:
+        """Count an action: when it was due, when it was done, and the newest pose's stamp [s]."""
+        if self._last is not None:
+            due_before, done_before = self._last
+            self._jitter.add(abs(done - done_before - self._period))
+            self.missed += max(round((due - due_before) / self._period) - 1, 0)
+        self._last = due, done
+        self._latency.add(max(done - due, 0.0))
+        self.missed += done - due > DEADLINE
+        if pose is not None:
+            self._pose_age.add(max(done - pose, 0.0))
+
+    def warning(self) -> str | None:
+        """Return what is worse than it should be, in words; None if nothing is."""
+        jitter, latency = self._jitter.percentile(99), self._latency.percentile(99)
+        problems = []
+        if jitter > JITTER_P99:
+            problems.append(f"period jitter {1e3 * jitter:.1f} ms")
+        if latency > LATENCY_P99:
+            problems.append(f"latency {1e3 * latency:.1f} ms")
+        if self.missed:
+            problems.append(f"{self.missed} missed deadlines")
+        return f"the loop is late: {', '.join(problems)} (99th percentiles)" if problems else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        figures: dict[str, Any] = {"periods": self._latency.count, "missed_deadlines": self.missed}
+        for name, histogram in (
+            ("period_jitter_ms", self._jitter),
+            ("pose_to_command_ms", self._latency),
+            ("pose_age_ms", self._pose_age),
+        ):
+            p50, p99 = histogram.percentile(50), histogram.percentile(99)
+            figures[name] = {"p50": 1e3 * p50, "p99": 1e3 * p99, "max": 1e3 * histogram.longest}
+        return figures

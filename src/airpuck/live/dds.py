@@ -15,10 +15,21 @@ _TOPIC_PREFIX = "rt"
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 #: The highest domain whose ports exist: 7400 + 250 per domain.
 _HIGHEST_DOMAIN = 232
-#: Processes of one domain on one machine, when they look for each other by port.
-_MOST_PARTICIPANTS = 40
 #: A process that was killed is gone from the graph after this long [s].
 LEASE = 3
+_CONFIG = (
+    '<CycloneDDS><Domain id="any"><General>'
+    "<Interfaces><NetworkInterface name={interface}/></Interfaces>"
+    "<AllowMulticast>{multicast}</AllowMulticast></General>"
+    f"<Discovery><LeaseDuration>{LEASE}s</LeaseDuration>{{peers}}</Discovery>"
+    "</Domain></CycloneDDS>"
+)
+#: At most 40 processes of one domain on one machine look for each other by port.
+_LOCAL_PEERS = (
+    "<ParticipantIndex>auto</ParticipantIndex>"
+    "<MaxAutoParticipantIndex>40</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers>'
+)
 
 
 def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
@@ -47,19 +58,11 @@ def domain_config(interface: str | None) -> str:
             field="--interface",
         )
     name = interface or loopback
-    discovery, multicast = f"<LeaseDuration>{LEASE}s</LeaseDuration>", "true"
-    if name == loopback:
-        multicast = "false"
-        discovery += (
-            "<ParticipantIndex>auto</ParticipantIndex>"
-            f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex>"
-            '<Peers><Peer address="127.0.0.1"/></Peers>'
-        )
-    return (
-        '<CycloneDDS><Domain id="any"><General>'
-        f"<Interfaces><NetworkInterface name={quoteattr(name)}/></Interfaces>"
-        f"<AllowMulticast>{multicast}</AllowMulticast></General>"
-        f"<Discovery>{discovery}</Discovery></Domain></CycloneDDS>"
+    local = name == loopback
+    return _CONFIG.format(
+        interface=quoteattr(name),
+        multicast="false" if local else "true",
+        peers=_LOCAL_PEERS if local else "",
     )
 
 

@@ -21,10 +21,10 @@ from airpuck.flight.link import Measurement
 from airpuck.flight.loop import Action, Pilot, control
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
-from airpuck.live.process import LiveSettings, Process, hurry, unhurried
+from airpuck.live.clock import LoopTiming
+from airpuck.live.process import Inbox, LiveSettings, Outbox, Process, prioritize
 from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
-from airpuck.live.timing import LoopTiming
 from airpuck.model.model_file import Model
 
 NAME = "airpuck fly"
@@ -84,17 +84,19 @@ def fly_live(
     InputError
         If the graph cannot be joined, or another process publishes commands.
     """
-    hurry()
+    prioritize(first=True)
     with Process(name, settings or LiveSettings()) as process:
         process.refuse_second("command", vehicle.propeller_names, "controller")
-        with unhurried():
-            pilot = make_pilot()
-            if warm_up:
-                _warm_up(pilot, period)
+        # Others need not wait for the compiler.
+        prioritize(first=False)
+        pilot = make_pilot()
+        if warm_up:
+            _warm_up(pilot, period)
+        prioritize(first=True)
         # Another one may have begun meanwhile.
         process.refuse_second("command", vehicle.propeller_names, "controller")
-        with keyboard() as keys:
-            return _Flight(process, pilot, vehicle, limits, period, keys).run(over)
+        with keyboard() as pressed:
+            return _Flight(process, pilot, vehicle, limits, period, pressed).run(over)
 
 
 def preflight_live(
@@ -124,9 +126,9 @@ class GraphLink:
 
     def __init__(self, process: Process, motors: tuple[str, ...], *, announces: bool) -> None:
         self._clock = process.clock
-        self.poses = process.inbox("pose")
-        self.commands = process.outbox("command", motors)
-        self._references = process.outbox("reference") if announces else None
+        self.poses = Inbox(process, "pose")
+        self.commands = Outbox(process, "command", motors)
+        self._references = Outbox(process, "reference") if announces else None
         #: When the newest pose was measured [s].
         self.newest: float | None = None
 
@@ -165,15 +167,15 @@ class _Flight:
         vehicle: Vehicle,
         limits: Limits,
         period: float,
-        keys: Keyboard,
+        pressed: Callable[[], str] | None,
     ) -> None:
-        self._process, self._period, self._keys = process, period, keys
+        self._process, self._period, self._pressed = process, period, pressed
         self._reference = pilot.reference
         follows = isinstance(self._reference, FollowedSetPoint)
-        self._wishes = process.inbox("reference") if follows else None
+        self._wishes = Inbox(process, "reference") if follows else None
         self._link = GraphLink(process, vehicle.propeller_names, announces=not follows)
         self._inboxes = [self._link.poses] + ([self._wishes] if self._wishes else [])
-        self._estimates = process.outbox("estimate")
+        self._estimates = Outbox(process, "estimate")
         self._guard = Guard(limits)
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
         self._pilot = GuardedPilot(pilot, self._guard, self._idle, process.events.log)
@@ -185,7 +187,7 @@ class _Flight:
         """Fly; return the figures for ``--json``."""
         process, link = self._process, self._link
         usage = f"; any key stops the motors, {_GO} lets them run, {_QUIT} ends"
-        process.start(usage if self._keys.file is not None else "")
+        process.start(usage if self._pressed else "")
         # What takes long the first time is done before the motors may run; the poses that have
         # come meanwhile are old.
         self._give_way()
@@ -225,7 +227,7 @@ class _Flight:
         if isinstance(self._reference, PlannedSetPoints) and step.flies:
             self._reference.begin(action.time)
         self._follow_wishes()
-        for key in self._keys.pressed():
+        for key in self._pressed() if self._pressed else "":
             self._obey(key)
         self._give_way()
         if self._process.beat.begins(done):
@@ -286,37 +288,25 @@ def _warm_up(pilot: Pilot, period: float) -> None:
         pilot.sent(now, pilot.step(now).command)
 
 
-class Keyboard:
-    """Keys pressed on a terminal, read without waiting."""
-
-    def __init__(self, file: int | None) -> None:
-        #: The terminal; None where standard input is none.
-        self.file = file
-
-    def pressed(self) -> str:
-        """Return the keys pressed since the last call."""
-        if self.file is None or not select.select([self.file], [], [], 0)[0]:
-            return ""
-        keys = os.read(self.file, 64).decode(errors="replace")
-        if not keys:
-            self.file = None
-        return keys
-
-
 @contextlib.contextmanager
-def keyboard() -> Iterator[Keyboard]:
-    """Let keys through as they are pressed, if standard input is a terminal."""
+def keyboard() -> Iterator[Callable[[], str] | None]:
+    """Let keys through as they are pressed; yield what reads them, or None without a terminal."""
     # A process in the background would be stopped for reading.
     if not sys.stdin or not sys.stdin.isatty() or os.tcgetpgrp(0) != os.getpgrp():
-        yield Keyboard(None)
+        yield None
         return
     import termios
     import tty
 
     file = sys.stdin.fileno()
+
+    def pressed() -> str:
+        ready, _, _ = select.select([file], [], [], 0)
+        return os.read(file, 64).decode(errors="replace") if ready else ""
+
     before = termios.tcgetattr(file)
     try:
         tty.setcbreak(file)
-        yield Keyboard(file)
+        yield pressed
     finally:
         termios.tcsetattr(file, termios.TCSADRAIN, before)

@@ -9,16 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from airpuck.boundary.errors import InputError
+from airpuck.live import dds
 from airpuck.live.clock import SECOND_NS
-from airpuck.live.dds import (
-    dds_topic,
-    domain_config,
-    domain_id,
-    idl_struct,
-    raw_type,
-    ros_topic,
-    ros_type,
-)
 from airpuck.recording.cdr import Types
 
 if TYPE_CHECKING:
@@ -127,9 +119,10 @@ class Graph:
     def __init__(
         self, name: str, *, domain: int | None = None, interface: str | None = None
     ) -> None:
-        self.domain = domain_id(domain)
-        config = domain_config(interface)
+        self.domain = dds.domain_id(domain)
+        config = dds.domain_config(interface)
         try:
+            from cyclonedds import builtin
             from cyclonedds.core import DDSException, Policy, Qos, WaitSet
             from cyclonedds.domain import Domain, DomainParticipant
         except ImportError as error:
@@ -158,7 +151,14 @@ class Graph:
         self._topics: dict[str, tuple[str, Any]] = {}
         # Cyclone deletes a writer that nobody refers to.
         self._writers: list[Any] = []
-        self._discovery = _Discovery(self._participant)
+        self._participants = builtin.BuiltinDataReader(
+            self._participant, builtin.BuiltinTopicDcpsParticipant
+        )
+        self._publications = builtin.BuiltinDataReader(
+            self._participant, builtin.BuiltinTopicDcpsPublication
+        )
+        self._endpoints: dict[UUID, Endpoint] = {}
+        self._owners: dict[UUID, str] = {}
 
     def publisher(self, topic: str, msgtype: str, types: Types, quality: Quality) -> Publisher:
         """Publish on a topic.
@@ -261,10 +261,24 @@ class Graph:
         list of Endpoint
             Those alive.
         """
+        from cyclonedds.core import InstanceState, Policy
+
+        for item in self._publications.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                self._endpoints.pop(item.key, None)
+            elif (name := dds.ros_topic(item.topic_name)) is not None:
+                self._endpoints[item.key] = Endpoint(
+                    item.key,
+                    item.participant_key,
+                    name,
+                    dds.ros_type(item.type_name),
+                    isinstance(item.qos[Policy.Reliability], Policy.Reliability.Reliable),
+                    item.qos[Policy.Durability] != Policy.Durability.Volatile,
+                )
         left_out = None if own else self._participant.get_guid()
         return [
             endpoint
-            for endpoint in self._discovery.publishers()
+            for endpoint in self._endpoints.values()
             if endpoint.participant != left_out and topic in (None, endpoint.topic)
         ]
 
@@ -286,7 +300,20 @@ class Graph:
         str
             Name, process and machine, as far as the other side says.
         """
-        return self._discovery.owner(endpoint.participant)
+        from cyclonedds.core import InstanceState, Policy
+
+        for item in self._participants.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                continue
+            properties = {p.key: p.value for p in item.qos if type(p).__name__ == "Property"}
+            name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
+            # Not one of our processes: what Cyclone says of it, if it runs Cyclone.
+            self._owners[item.key] = name or (
+                f"{properties.get('__ProcessName', 'an unknown program')} (process "
+                f"{properties.get('__Pid', '?')} on {properties.get('__Hostname', '?')})"
+            )
+        who = endpoint.participant
+        return self._owners.get(who, f"an unknown program (participant {who})")
 
     def close(self) -> None:
         """Leave the graph; others see it at once."""
@@ -305,62 +332,10 @@ class Graph:
                 raise InputError(f"is {present} already, not {msgtype}", field=topic)
             return made
         if msgtype not in self._kinds:
-            self._kinds[msgtype] = raw_type(idl_struct(types, msgtype, self._structs))
-        made = Topic(self._participant, dds_topic(topic), self._kinds[msgtype])
+            self._kinds[msgtype] = dds.raw_type(dds.idl_struct(types, msgtype, self._structs))
+        made = Topic(self._participant, dds.dds_topic(topic), self._kinds[msgtype])
         self._topics[topic] = msgtype, made
         return made
-
-
-class _Discovery:
-    """What DDS knows of other participants and their writers, kept up to date."""
-
-    def __init__(self, participant: Any) -> None:
-        from cyclonedds.builtin import (
-            BuiltinDataReader,
-            BuiltinTopicDcpsParticipant,
-            BuiltinTopicDcpsPublication,
-        )
-
-        self._participants = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant)
-        self._publications = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-        self._owners: dict[UUID, str] = {}
-        self._endpoints: dict[UUID, Endpoint] = {}
-
-    def publishers(self) -> list[Endpoint]:
-        """Return the publishers on ROS topics now."""
-        from cyclonedds.core import InstanceState, Policy
-
-        for item in self._publications.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                self._endpoints.pop(item.key, None)
-                continue
-            topic = ros_topic(item.topic_name)
-            if topic is not None:
-                self._endpoints[item.key] = Endpoint(
-                    item.key,
-                    item.participant_key,
-                    topic,
-                    ros_type(item.type_name),
-                    isinstance(item.qos[Policy.Reliability], Policy.Reliability.Reliable),
-                    item.qos[Policy.Durability] != Policy.Durability.Volatile,
-                )
-        return list(self._endpoints.values())
-
-    def owner(self, participant: UUID) -> str:
-        """Name the process of a participant."""
-        from cyclonedds.core import InstanceState, Policy
-
-        for item in self._participants.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                continue
-            properties = {p.key: p.value for p in item.qos if type(p).__name__ == "Property"}
-            name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
-            # Not one of our processes: what Cyclone says of it, if it runs Cyclone.
-            self._owners[item.key] = name or (
-                f"{properties.get('__ProcessName', 'an unknown program')} (process "
-                f"{properties.get('__Pid', '?')} on {properties.get('__Hostname', '?')})"
-            )
-        return self._owners.get(participant, f"an unknown program (participant {participant})")
 
 
 def _qos(quality: Quality) -> Any:

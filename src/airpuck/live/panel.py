@@ -11,14 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.flight.health import Health
+from airpuck.live.clock import DEADLINE, JITTER_P99, LATENCY_P99
+from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
-from airpuck.live.timing import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.live.watch import Observer
 
 if TYPE_CHECKING:
     import viser
 
-_COLORS = {"info": "inherit", "warning": "#b35900", "error": "#c00000"}
+_WARNING, _ERROR = "#b35900", "#c00000"
 _BAR, _BAR_TOO_LONG, _BAR_GROUND = "#0072b2", "#d55e00", "#e3e7ea"
 #: Newest events that are shown.
 _SHOWN = 12
@@ -96,11 +97,9 @@ class Panel:
             gauges.append(Gauge("controller", "none"))
         self._flight.content = gauges_html(gauges)
         self._health.content = health_html(observer.health)
-        newest = [
-            paragraph(f"{now - e.time:.0f} s ago, {e.name}: {e.text}", _COLORS[e.level])
-            for e in list(observer.events)[: -_SHOWN - 1 : -1]
-        ]
-        self._events.content = "".join(newest) or paragraph("none yet")
+        newest = list(observer.events)[: -_SHOWN - 1 : -1]
+        lines = [_event_html(event, now - came) for came, event in newest]
+        self._events.content = "".join(lines) or paragraph("none yet")
 
 
 class Gauge(NamedTuple):
@@ -153,7 +152,7 @@ def health_html(health: Health) -> str:
     words = [f"{percent:.0f} ± {deviation:.0f} %" for percent, deviation in thrusts.tolist()]
     words.append(f"{1e3 * found.delay:+.1f} ± {1e3 * found.delay_deviation:.1f} ms")
     causes = map(Gauge, (*health.motors, "delay"), words, found.share.tolist())
-    findings = "".join(paragraph(finding, _COLORS["warning"]) for finding in health.findings)
+    findings = "".join(paragraph(finding, _WARNING) for finding in health.findings)
     return (
         paragraph(f"Errors after {health.horizon:g} s (bar: of 16 mm, 0.5 rad)")
         + gauges_html(list(errors))
@@ -161,6 +160,13 @@ def health_html(health: Health) -> str:
         + gauges_html(list(causes))
         + (findings or paragraph("as the model says"))
     )
+
+
+def _event_html(event: Any, age: float) -> str:
+    """Lay out an event that came some time ago [s]."""
+    severe, notable = (event.level >= EVENT_LEVELS[level] for level in ("error", "warning"))
+    color = _ERROR if severe else _WARNING if notable else "inherit"
+    return paragraph(f"{age:.0f} s ago, {event.name}: {event.msg}", color)
 
 
 def paragraph(text: str, color: str = "inherit") -> str:

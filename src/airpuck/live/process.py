@@ -1,4 +1,4 @@
-"""What the live processes share: settings, joining the graph, an orderly end, real-time care."""
+"""A process on the graph: how it joins, its streams as numbers, its events, clock and end."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from airpuck.boundary.errors import InputError
-from airpuck.live.clock import Clock, Every
+from airpuck.live.clock import Clock, Every, StampClock
 from airpuck.live.dds import LEASE, domain_config, domain_id
 from airpuck.live.events import EventLog
-from airpuck.live.graph import SENSOR, STATE, Graph, Quality
-from airpuck.live.streams import Inbox, Outbox
+from airpuck.live.graph import SENSOR, STATE, Endpoint, Graph, Quality
 from airpuck.recording.message import StreamCodec
 from airpuck.recording.stream import Topics
 
@@ -29,6 +31,13 @@ _HEARTBEAT = 1.0
 _LOOK_AROUND = 0.6
 #: Priority above ordinary processes, below the system's own.
 _PRIORITY = 10
+#: A difference between clocks that is worth a warning [s].
+_NOTABLE_OFFSET = 0.1
+#: A process that did not look for this long stood still [s]; messages that waited for it in the
+#: system's buffers go on coming for this long [s].
+_STOOD_STILL, _COMES_LATE = 0.1, 0.05
+#: How often the last message is sent again, for those that came late [s].
+_REMIND = 1.0
 
 
 @dataclass(frozen=True)
@@ -68,10 +77,9 @@ class LiveSettings:
 
 
 class Process:
-    """A process on the graph: its streams, its events, its clock, and its end.
+    """A process on the graph, to be used as a context manager.
 
-    Use it as a context manager. From `start` on, SIGINT and SIGTERM end the loop rather than the
-    process.
+    From `start` on, SIGINT and SIGTERM end its loop rather than the process.
     """
 
     def __init__(self, name: str, settings: LiveSettings) -> None:
@@ -92,25 +100,9 @@ class Process:
             signal.signal(number, handler)
         self.graph.close()
 
-    def inbox(
-        self, stream: str, motors: tuple[str, ...] = (), *, wakes: bool = False, quiet: bool = False
-    ) -> Inbox:
-        """Subscribe to a stream; a quiet inbox does not report what is wrong with messages."""
-        events = None if quiet else self.events
-        return Inbox(self.graph, *self._stream(stream, motors), self.clock, events, wakes=wakes)
-
-    def outbox(self, stream: str, motors: tuple[str, ...] = ()) -> Outbox:
-        """Publish a stream."""
-        return Outbox(self.graph, *self._stream(stream, motors), self.clock)
-
-    def _stream(self, stream: str, motors: tuple[str, ...]) -> tuple[str, StreamCodec, Quality]:
-        """Return topic, codec and quality of service of a stream."""
-        topic = self.settings.topics.by_stream[stream]
-        return topic, StreamCodec(stream, motors), _QUALITY.get(stream, SENSOR)
-
     def refuse_second(self, stream: str, motors: tuple[str, ...], role: str) -> None:
         """Raise an InputError if another process publishes a stream; it has one publisher only."""
-        topic, codec, quality = self._stream(stream, motors)
+        topic, codec, quality = _wire(self, stream, motors)
         heard = self.graph.subscription(topic, codec.msgtype, codec.types, quality)
         start = time.monotonic()
         while (others := self.graph.publishers(topic)) or self.graph.age < _LOOK_AROUND:
@@ -144,23 +136,135 @@ class Process:
         self.interrupted = True
 
 
-def hurry() -> None:
-    """Ask the system to run this process first; continue without, where it may not."""
+def _wire(
+    process: Process, stream: str, motors: tuple[str, ...]
+) -> tuple[str, StreamCodec, Quality]:
+    """Return topic, codec and quality of service of a stream."""
+    topic = process.settings.topics.by_stream[stream]
+    return topic, StreamCodec(stream, motors), _QUALITY.get(stream, SENSOR)
+
+
+class Inbox:
+    """One stream as it arrives; what is wrong with its messages is logged, unless it is quiet."""
+
+    def __init__(
+        self, process: Process, stream: str, motors: tuple[str, ...] = (), *, quiet: bool = False
+    ) -> None:
+        self._graph, self._clock = process.graph, process.clock
+        self._events = None if quiet else process.events
+        self._topic, self._codec, quality = _wire(process, stream, motors)
+        self._subscription = self._graph.subscription(
+            self._topic, self._codec.msgtype, self._codec.types, quality, wakes=True
+        )
+        self._stamps, self._reported_offset = StampClock(), 0.0
+        self._looked, self._late_until = self._clock.now, -math.inf
+        self._strangers: set[Endpoint] = set()
+        #: Messages that could be used, and that could not.
+        self.good = self.bad = 0
+
+    def discard(self) -> None:
+        """Drop what has come."""
+        self._subscription.take()
+
+    def take(self) -> list[tuple[float, Float[np.ndarray, " k"]]]:
+        """Take what has come: when each message was stamped, on our clock [s], and its numbers."""
+        taken = []
+        for stamp_ns, values in self._decoded():
+            arrival = self._clock.now
+            if stamp_ns is None:
+                taken.append((arrival, values))
+                continue
+            stamp = self._clock.of(stamp_ns)
+            placed = self._stamps.time(stamp, arrival)
+            if placed is None:
+                age = arrival - stamp - self._stamps.offset
+                self._refuse("stamp", f"wrong or late stamp on {self._topic}: {age:.3f} s old")
+            else:
+                taken.append((placed, values))
+        self.good += len(taken)
+        offset = self._stamps.offset
+        if abs(offset - self._reported_offset) > _NOTABLE_OFFSET:
+            self._reported_offset = offset
+            self._warn(f"the clock behind {self._topic} differs by {-offset:.3f} s; allowed for")
+        return taken
+
+    def take_commands(self) -> list[Float[np.ndarray, " k"]]:
+        """Take numbers that act on arrival, whatever their stamps and the sender's clock say."""
+        before, self._looked = self._looked, self._clock.now
+        if self._looked - before > _STOOD_STILL:
+            self._late_until = self._looked + _COMES_LATE
+        late = self._looked < self._late_until
+        taken = []
+        for _, values in self._decoded():
+            if not np.isfinite(values).all():
+                self._refuse("finite", f"numbers on {self._topic} that are not finite")
+            elif late:
+                self._refuse("late", f"late messages on {self._topic}")
+            else:
+                taken.append(values)
+        self.good += len(taken)
+        return taken
+
+    def report_strangers(self) -> None:
+        """Warn once of each publisher of another type on the topic: it is not heard."""
+        for endpoint in self._graph.publishers(self._topic):
+            if endpoint.msgtype != self._codec.msgtype and endpoint not in self._strangers:
+                self._strangers.add(endpoint)
+                text = (
+                    f"{self._graph.describe(endpoint)} publishes {endpoint.msgtype} on "
+                    f"{self._topic}, which should be {self._codec.msgtype}; it is not heard"
+                )
+                self._warn(text, kind=text)
+
+    def _decoded(self) -> Iterator[tuple[int | None, Float[np.ndarray, " k"]]]:
+        """Take stamps [ns since the epoch] and numbers; garbage is refused."""
+        for sample in self._subscription.take():
+            try:
+                message = self._codec.decode(sample.data)
+            except ValueError as error:
+                self._refuse("garbage", f"garbage on {self._topic}: {error}")
+            else:
+                yield message
+
+    def _refuse(self, kind: str, text: str) -> None:
+        """Count a message that cannot be used, and warn."""
+        self.bad += 1
+        self._warn(text, kind=f"{kind} {self._topic}")
+
+    def _warn(self, text: str, kind: str | None = None) -> None:
+        if self._events is not None:
+            self._events.log("warning", text, kind=kind)
+
+
+class Outbox:
+    """One stream as it leaves."""
+
+    def __init__(self, process: Process, stream: str, motors: tuple[str, ...] = ()) -> None:
+        self._clock = process.clock
+        topic, self._codec, quality = _wire(process, stream, motors)
+        self._publisher = process.graph.publisher(
+            topic, self._codec.msgtype, self._codec.types, quality
+        )
+        self._last: Sequence[float] | Float[np.ndarray, " k"] | None = None
+        #: When the last message was sent [s].
+        self.sent = -math.inf
+
+    def send(
+        self, values: Sequence[float] | Float[np.ndarray, " k"], moment: float | None = None
+    ) -> None:
+        """Send numbers of some moment on our clock [s], by default now."""
+        moment = self._clock.now if moment is None else moment
+        self._publisher.send(self._codec.encode(self._clock.stamp_ns(moment), values))
+        self._last, self.sent = values, self._clock.now
+
+    def remind(self) -> None:
+        """Send the last numbers again, if that was a second ago, for those that came late."""
+        if self._last is not None and self._clock.now - self.sent > _REMIND:
+            self.send(self._last)
+
+
+def prioritize(*, first: bool) -> None:
+    """Ask the system to run this thread before all others, or as any other; it may refuse."""
     with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-
-
-@contextlib.contextmanager
-def unhurried() -> Iterator[None]:
-    """Let others run first for a while, such as during compilation."""
-    try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    except (OSError, AttributeError):
-        yield
-        return
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, *before)
+        policy, priority = (os.SCHED_FIFO, _PRIORITY) if first else (os.SCHED_OTHER, 0)
+        os.sched_setscheduler(0, policy, os.sched_param(priority))

@@ -132,6 +132,7 @@ class GuardedPilot:
         log: Callable[[Literal["info", "error"], str], object],
     ) -> None:
         self.pilot, self.guard = pilot, guard
+        self.imu, self.mouse, self.sent = pilot.imu, pilot.mouse, pilot.sent
         self._idle, self._log = idle, log
         #: Why the motors idle, as last logged; None while they run.
         self._logged: str | None = ""
@@ -145,18 +146,6 @@ class GuardedPilot:
         """Judge a pose and pass it on; see `Pilot.pose`."""
         self.guard.pose(time, np.asarray(pose, dtype=float))
         self.pilot.pose(time, np.asarray(pose, dtype=float))
-
-    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
-        """Pass an inertial measurement on; see `Pilot.imu`."""
-        self.pilot.imu(time, np.asarray(acceleration), gyro)
-
-    def mouse(self, time: float, velocity: Numbers) -> None:
-        """Pass a velocity on; see `Pilot.mouse`."""
-        self.pilot.mouse(time, np.asarray(velocity))
-
-    def sent(self, time: float, command: Numbers) -> None:
-        """Pass on what was sent; see `Pilot.sent`."""
-        self.pilot.sent(time, np.asarray(command))
 
     def step(self, time: float) -> Step:
         """Compute a command that is safe to send."""

@@ -116,7 +116,7 @@ class Scene:
         # An arrow of no length has no direction.
         lengths = np.maximum(_PER_NEWTON * forces, 1e-3)[:, None]
         along = np.column_stack([vehicle.directions, np.zeros(len(forces))])
-        self._arrows.points = np.stack([begin, begin + lengths * along], axis=1).astype(np.float32)
+        self._arrows.points = np.stack([begin, begin + lengths * along], axis=1, dtype=np.float32)
         if len(self._trail) > 1:
             trail = np.array(self._trail)
             missing = np.repeat(trail[:1], _TRAIL_POINTS - len(trail), axis=0)
@@ -222,8 +222,7 @@ def _place(frame: viser.FrameHandle, pose: Float[np.ndarray, " k"]) -> None:
 
 def _segments(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1 2 3"]:
     """Return the segments of a line through points."""
-    segments = np.stack([points[:-1], points[1:]], axis=1)
-    return segments if segments.dtype == np.uint8 else segments.astype(np.float32)
+    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 def _draw_table(scene: viser.SceneApi, table: Table) -> None:
@@ -231,15 +230,16 @@ def _draw_table(scene: viser.SceneApi, table: Table) -> None:
     length, width = table.length_m, table.width_m
     scene.add_box("/table", _TABLE, (length, width, _THICK), position=(0, 0, -_THICK / 2))
     x, y = (length + _RAIL_WIDTH) / 2, (width + _RAIL_WIDTH) / 2
-    for name, at, size in (
-        ("left", (-x, 0), (_RAIL_WIDTH, width)),
-        ("right", (x, 0), (_RAIL_WIDTH, width)),
-        ("near", (0, -y), (length + 2 * _RAIL_WIDTH, _RAIL_WIDTH)),
-        ("far", (0, y), (length + 2 * _RAIL_WIDTH, _RAIL_WIDTH)),
-    ):
-        scene.add_box(
-            f"/rails/{name}", _RAIL, (*size, _RAIL_HEIGHT), position=(*at, _RAIL_HEIGHT / 2)
-        )
+    short = (_RAIL_WIDTH, width, _RAIL_HEIGHT)
+    long = (length + 2 * _RAIL_WIDTH, _RAIL_WIDTH, _RAIL_HEIGHT)
+    rails = (
+        ("left", -x, 0, short),
+        ("right", x, 0, short),
+        ("near", 0, -y, long),
+        ("far", 0, y, long),
+    )
+    for name, rail_x, rail_y, size in rails:
+        scene.add_box(f"/rails/{name}", _RAIL, size, position=(rail_x, rail_y, _RAIL_HEIGHT / 2))
     scene.add_frame("/origin", axes_length=0.1, axes_radius=0.003)
     for axis, at in (("x", (0.12, 0, 0)), ("y", (0, 0.12, 0))):
         scene.add_label(f"/origin/{axis}", axis, position=at, anchor="center-center")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from airpuck.live.process import LiveSettings, Process, hurry
+from airpuck.live.process import Inbox, LiveSettings, Outbox, Process, prioritize
 from airpuck.model.model_file import Model
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
@@ -52,7 +52,7 @@ def serve_twin(
     warm = Twin(model, twin_settings, seed=seed, pose=pose)
     warm.wait_until(_WARM_UP)
     twin = Twin(model, twin_settings, seed=seed, pose=pose, plant=warm.plant, logs=False)
-    hurry()
+    prioritize(first=True)
     with Process(NAME, settings or LiveSettings()) as process:
         process.refuse_second("pose", (), "motion capture")
         table = _Table(twin, process)
@@ -66,9 +66,9 @@ class _Table:
 
     def __init__(self, twin: Twin, process: Process) -> None:
         self._twin, self._process = twin, process
-        self._sensors = {kind: process.outbox(kind) for kind in ("pose", "imu", "mouse")}
+        self._sensors = {kind: Outbox(process, kind) for kind in ("pose", "imu", "mouse")}
         motors = twin.model.vehicle.propeller_names
-        self._commands = process.inbox("command", motors, wakes=True)
+        self._commands = Inbox(process, "command", motors)
         self._poses = self._stops = 0
         self._running = False
         process.events.heartbeat("info", "starting", {})

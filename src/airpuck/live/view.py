@@ -16,7 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.live.clock import Every
 from airpuck.live.panel import Panel
-from airpuck.live.process import LiveSettings, Process
+from airpuck.live.process import LiveSettings, Outbox, Process
 from airpuck.live.scene import Scene
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
@@ -28,6 +28,9 @@ _PICTURE, _GAUGES = 0.04, 0.5
 _COMMANDED = 0.5
 #: The controller's process comes first.
 _NICE = 5
+#: How to move the set point, or why that has no effect.
+_FREE = "Drag the yellow ring, turn it by its knob, or enter numbers."
+_PLANNED = "The controller follows a plan of its own; airpuck fly --topic follows this one."
 
 
 def view_live(
@@ -105,7 +108,7 @@ class _Page:
         reach = table.reach(model.vehicle.radius_m)
         self._server, self._process = server, process
         self._wishes = Wishes(reach)
-        self._references = process.outbox("reference")
+        self._references = Outbox(process, "reference")
         self._observer = Observer(process, model)
         self._scene = Scene(server, model, table, self._wishes.put)
         self._panel = Panel(server, reach, self._wishes.put)
@@ -144,7 +147,7 @@ class _Page:
             if self._gauges.begins(now):
                 if wanted is not None:
                     self._panel.show_set_point(wanted)
-                self._panel.show(self._observer, _hint(planned))
+                self._panel.show(self._observer, _PLANNED if planned else _FREE)
 
 
 @contextlib.contextmanager
@@ -159,13 +162,6 @@ def _served(host: str, port: int) -> Iterator[Any]:
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-
-
-def _hint(planned: bool) -> str:
-    """Explain how to move the set point, or why that is of no use."""
-    if planned:
-        return "The controller follows a plan of its own; airpuck fly --topic follows this one."
-    return "Drag the yellow ring, turn it by its knob, or enter numbers."
 
 
 def _check_free(host: str, port: int) -> None:

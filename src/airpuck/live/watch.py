@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.flight.health import Health, HealthMonitor
-from airpuck.live.events import EVENT_LEVELS, EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
+from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.live.graph import LOG, STATE, Quality
-from airpuck.live.process import LiveSettings, Process
+from airpuck.live.process import Inbox, LiveSettings, Process
 from airpuck.model.model_file import Model
 from airpuck.recording.message import MessageCodec, definitions
 
@@ -27,19 +27,6 @@ _COUNTED = 1.0
 _EVENTS = 200
 
 
-@dataclass(frozen=True)
-class Event:
-    """What a process said on ``/rosout``."""
-
-    #: When it came [s].
-    time: float
-    #: ``info``, ``warning`` or ``error``.
-    level: str
-    #: Who said it, and what.
-    name: str
-    text: str
-
-
 class Observer:
     """Keeps the newest of what a craft and its controller publish, and judges the craft."""
 
@@ -48,8 +35,8 @@ class Observer:
         self.clock = process.clock
         # Commands before poses: a pose may show the effect of a command that came with it.
         self._inboxes = {
-            "command": process.inbox("command", model.vehicle.propeller_names, quiet=True),
-            **{k: process.inbox(k, quiet=True) for k in ("pose", "reference", "estimate")},
+            "command": Inbox(process, "command", model.vehicle.propeller_names, quiet=True),
+            **{k: Inbox(process, k, quiet=True) for k in ("pose", "reference", "estimate")},
         }
         #: Newest numbers of each stream, and when they came [s].
         self.newest: dict[str, Float[np.ndarray, " k"]] = {}
@@ -58,7 +45,8 @@ class Observer:
         self.rates: dict[str, float] = {}
         #: Newest heartbeat of each process: when it came [s], its state, its figures.
         self.beats: dict[str, tuple[float, str, Mapping[str, str]]] = {}
-        self.events: deque[Event] = deque(maxlen=_EVENTS)
+        #: Newest events: when each came [s], and the message.
+        self.events: deque[tuple[float, Any]] = deque(maxlen=_EVENTS)
         self._take_events = _messages(process, EVENTS, EVENT_TYPE, LOG)
         self._take_beats = _messages(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
         self._counts: Counter[str] = Counter()
@@ -101,9 +89,7 @@ class Observer:
 
     def _listen(self, now: float) -> None:
         """Take in events and heartbeats."""
-        for event in self._take_events():
-            level = next((k for k, n in reversed(EVENT_LEVELS.items()) if event.level >= n), "info")
-            self.events.append(Event(now, level, event.name, event.msg))
+        self.events.extend((now, event) for event in self._take_events())
         for message in self._take_beats():
             for status in message.status:
                 figures = {pair.key: pair.value for pair in status.values}
