@@ -180,7 +180,7 @@ def test_track_says_that_it_flies_without_the_real_flights(tmp_path, folder):
     arguments = ("track", "--model", "paper:M4", "--model", "paper:M3", "--twin", "none.toml")
     lines = airpuck(*arguments, cwd=tmp_path, env=env).stderr.strip().splitlines()
     assert len(lines) == 2
-    assert "beside paper:M4: " in lines[0]
+    assert "with paper:M4 is missing: " in lines[0]
     assert ("not set" if folder is None else "elsewhere") in lines[0]
     # Who asks for no real flight is told nothing.
     assert refused(airpuck(*arguments, "--dwell", "2", cwd=tmp_path, env=env), "none.toml")

@@ -71,7 +71,7 @@ def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, t
     assert refused(airpuck("compare", *models), "know the error")
     process = airpuck("compare", *models, flown / "bag", "--json", tmp_path / "c.json")
     assert process.returncode == 0, process.stderr
-    assert "drift is not told: there is no quantity" in process.stdout
+    assert "drift is unknown: there is no quantity" in process.stdout
     figures = json.loads((tmp_path / "c.json").read_text())
     assert figures["drift"]["changes"] == figures["drift"]["verdicts"] == []
     assert len(figures["evaluations"]) == 2

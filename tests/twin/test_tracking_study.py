@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from airpuck.cli.output import print_tracks, write_json
+from airpuck.cli.flying import track_lines
+from airpuck.cli.output import write_json
 from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
 from airpuck.report.tracking_report import tracking_sections
@@ -48,7 +49,7 @@ def test_all_moves_of_a_flight_are_reported_however_many(imitated):
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path, capsys):
+def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path):
     settings = default_twin_settings()
     capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.2, 1.45),)})
     flown = tracking_study(
@@ -60,8 +61,7 @@ def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path, c
     write_json(tmp_path / "track.json", flown[0].to_json())
     content = json.loads((tmp_path / "track.json").read_text(), parse_constant=pytest.fail)
     assert content["setpoints"][0]["steady_state_error"] is None
-    print_tracks(flown)
-    assert "no poses at the end" in capsys.readouterr().out.splitlines()[0]
+    assert "no poses at the end" in next(track_lines(flown))
     table = tracking_sections(flown)[0].blocks[1]
     assert table.rows[0][4] == "no poses"
 

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import airpuck
+from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.inputs import (
     choose,
-    known_flights,
-    missing_flights,
+    published_flights,
     read_belief,
     read_controls,
     read_craft,
     read_flight,
+    read_twin,
 )
 from airpuck.cli.options import (
     Json,
+    PageFolder,
     Seed,
     Span,
     TopicsFile,
@@ -26,15 +30,12 @@ from airpuck.cli.options import (
     TwinFile,
     VehicleFile,
 )
-from airpuck.cli.output import (
-    check_destinations,
-    is_stdout,
-    print_excitation,
-    print_replay,
-    print_tracks,
-    warn,
-    write_json,
-)
+from airpuck.cli.output import check_destinations, report
+
+if TYPE_CHECKING:
+    from airpuck.flight.replay import Replay
+    from airpuck.twin.experiments import Excited
+    from airpuck.twin.tracking_study import Tracked
 
 PANEL = "Control and flight"
 
@@ -54,34 +55,27 @@ def replay(
     tuning: TuningFile = None,
     span: Span = None,
     topics: TopicsFile = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write a page of figures.")
-    ] = None,
+    output: PageFolder = None,
     json_file: Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with those sent."""
     from airpuck.control.tuning import default_tuning
-    from airpuck.flight.replay import replay
 
     check_destinations(output=output, json=json_file)
-    craft = read_belief(model)
-    settings = read_controls(tuning) or default_tuning()
-    result = replay(
+    craft, settings = read_belief(model), read_controls(tuning) or default_tuning()
+    result = airpuck.replay(
         read_flight(flight, topics),
         craft,
         tuning=settings,
         fit_gains=fit_gains,
         span=span or (0.0, 1.0),
     )
+    page = None
     if output is not None:
         from airpuck.report.replay_report import replay_report
 
-        replay_report(result, craft, settings.period_s, output)
-    write_json(json_file, result.to_json())
-    if not is_stdout(json_file):
-        print_replay(result)
-        if output is not None:
-            print(output / "index.html")
+        page = replay_report(result, craft, settings.period_s, output)
+    report(result.to_json(), json_file, *_replay_lines(result), page)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -115,43 +109,39 @@ def excite(
     json_file: Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
-    from airpuck import write_bag, write_csv
-    from airpuck.boundary.errors import InputError
     from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
-    from airpuck.model.model_file import nominal_model, read_model
+    from airpuck.model.model_file import nominal_model
     from airpuck.twin.experiments import fly_excitation
-    from airpuck.twin.settings import read_twin_settings
 
     craft = read_craft(vehicle)
     if craft is not None and model is not None:
         raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
-    truth = nominal_model(craft) if craft is not None else read_model(model or "paper:M3")
+    truth = airpuck.read_model(model or "paper:M3") if craft is None else nominal_model(craft)
     # Before the flight: a folder that is in the way should not cost a minute.
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
     check_destinations(output=output, json=json_file)
+    given = {"duration_s": duration, "amplitude": amplitude, "hold_s": hold}
     planned = ExcitationPlan() if plan is None else read_excitation_plan(plan)
+    planned = planned.model_copy(update={k: v for k, v in given.items() if v is not None})
     excited = fly_excitation(
         truth,
-        planned.duration_s if duration is None else duration,
+        planned.duration_s,
         seed,
-        amplitude=planned.amplitude if amplitude is None else amplitude,
-        hold=planned.hold_s if hold is None else hold,
+        amplitude=planned.amplitude,
+        hold=planned.hold_s,
         margin=planned.margin_m,
-        settings=None if twin is None else read_twin_settings(twin),
+        settings=read_twin(twin),
         tuning=read_controls(tuning),
     )
-    (write_csv if csv else write_bag)(excited.recording, output)
+    (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     streams = excited.recording.streams
     figures = {
         "messages": {name: len(stream) for name, stream in streams.items()},
         "paused_s": excited.paused,
         "rail_contacts_s": list(excited.contacts),
     }
-    write_json(json_file, figures)
-    if not is_stdout(json_file):
-        print_excitation(excited)
-        print(output)
+    report(figures, json_file, _excitation_line(excited), output)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -184,17 +174,12 @@ def track(
     seed: Seed = 0,
     twin: TwinFile = None,
     tuning: TuningFile = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write a page of figures.")
-    ] = None,
+    output: PageFolder = None,
     json_file: Json = None,
 ) -> None:
     """Fly the paper's set points on the twin, beside the real flights."""
-    from airpuck.boundary.errors import InputError
     from airpuck.control.tuning import ESTIMATORS, default_tuning
-    from airpuck.model.model_file import read_model
-    from airpuck.twin.settings import read_twin_settings
-    from airpuck.twin.tracking_study import DWELL, tracking_study
+    from airpuck.twin.tracking_study import DWELL
 
     choose("--controller", controller, ("paper", "full"))
     if estimator is not None:
@@ -204,37 +189,34 @@ def track(
         raise InputError("a flight has its own times; give one of the two", field="--dwell")
     if dwell is not None and not 0.1 <= dwell <= 1000:
         raise InputError("must be between 0.1 and 1000 s", field="--dwell")
-    paths = flights or (known_flights(names) if dwell is None and controller == "paper" else [])
-    if not flights and paths:
-        warn(missing_flights(names, paths))
+    paths: list[Path | None] = list(flights or ())
+    if not paths and dwell is None and controller == "paper":
+        paths = published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
     check_destinations(output=output, json=json_file)
     controls = read_controls(tuning)
     if estimator is not None:
         controls = (controls or default_tuning()).with_estimator(estimator)
-    plant = read_model(truth)
-    tracked = tracking_study(
+    plant = airpuck.read_model(truth)
+    tracked = airpuck.tracking_study(
         [read_belief(name) for name in names],
         plant,
         flights=[None if path is None else read_flight(path, None) for path in paths],
         dwell=dwell or DWELL,
         seed=seed,
         full_controller=controller == "full",
-        settings=None if twin is None else read_twin_settings(twin),
+        settings=read_twin(twin),
         tuning=controls,
     )
+    page = None
     if output is not None:
         from airpuck.report.tracking_report import tracking_report
 
-        tracking_report(tracked, plant.name, output)
+        page = tracking_report(tracked, plant.name, output)
     # The keys of the last model stand at the top, too: for one model nothing need be looked up.
     flown = [flight.to_json() for flight in tracked]
-    write_json(json_file, {**flown[-1], "flights": flown})
-    if not is_stdout(json_file):
-        print_tracks(tracked)
-        if output is not None:
-            print(output / "index.html")
+    report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), page)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -256,19 +238,59 @@ def animate(
     ] = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
-    from airpuck.report.animation import animate
     from airpuck.report.animation_frames import TABLE
 
     check_destinations(output=output)
-    flight = read_flight(recording, topics)
-    print(
-        animate(
-            flight,
-            output,
-            vehicle=read_craft(vehicle),
-            span=span or (0.0, 1.0),
-            speed=speed,
-            frames_per_second=fps,
-            table=table or TABLE,
-        )
+    page = airpuck.animate(
+        read_flight(recording, topics),
+        output,
+        vehicle=read_craft(vehicle),
+        span=span or (0.0, 1.0),
+        speed=speed,
+        frames_per_second=fps,
+        table=table or TABLE,
     )
+    print(page)
+
+
+def _replay_lines(replay: Replay) -> Iterator[str]:
+    """Yield how much recorded and computed commands agree."""
+    figures = replay.to_json()
+    for motor in figures["motors"]:
+        yield (
+            f"{motor['name']:16s} correlation {motor['correlation']:6.3f}   "
+            f"median difference {motor['median_abs']:.4f}"
+        )
+    yield f"{'all':16s} {'':18s}   median difference {figures['median_abs']:.4f}"
+    fitted = "fitted" if replay.fitted else "from the tuning"
+    yield f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items())
+    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
+    yield f"{figures['steps']} of {int(replay.span.sum())} steps compared; outcomes: {outcomes}"
+
+
+def _excitation_line(excited: Excited) -> str:
+    """Say how near to the rails the craft came."""
+    contacts, met = excited.contacts, "none"
+    if contacts:
+        times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)
+        met = f"{len(contacts)}, at {times} s (rails are in no model)"
+    return f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {met}"
+
+
+def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
+    """Yield what became of the set points."""
+    for flight in flights:
+        for result in flight.results:
+            time, end = result.settling_time, "no poses at the end"
+            settled = "did not settle" if time is None else f"settled in {time:.2f} s"
+            if result.steady_state_error is not None:
+                x, y, yaw = result.steady_state_error
+                end = f"off by {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad at the end"
+            x, y, yaw = result.pose
+            yield f"{flight.model:8s} to ({x:4.1f}, {y:4.1f}, {yaw:4.1f}): {settled:18s} {end}"
+        if flight.rmse is not None:
+            x, y, yaw = flight.rmse
+            yield (
+                f"{flight.model:8s} twin against the real flight, 6 s from the first move on: "
+                f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
+            )

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.cli.output import warn
 
 if TYPE_CHECKING:
     from airpuck.control.tuning import Tuning
@@ -13,27 +18,46 @@ if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
     from airpuck.evaluation.evaluate import Protocol
     from airpuck.model.model_file import Model
-    from airpuck.recording.stream import Recording
+    from airpuck.recording.stream import Recording, Topics
+    from airpuck.twin.settings import TwinSettings
 
 
 def read_craft(path: Path | None) -> Vehicle | None:
     """Read the vehicle file, if one is given."""
-    if path is None:
-        return None
-    from airpuck.craft.vehicle import read_vehicle
+    return None if path is None else airpuck.read_vehicle(path)
 
-    return read_vehicle(path)
+
+def read_twin(path: Path | None) -> TwinSettings | None:
+    """Read the settings of the twin, if a file is given."""
+    return None if path is None else airpuck.read_twin_settings(path)
+
+
+def topic_names(path: Path | None) -> Topics | None:
+    """Read the names of topics, if a file is given."""
+    from airpuck.recording.stream import read_topics
+
+    return None if path is None else read_topics(path)
+
+
+def read_flight(recording: Path, topics: Path | None) -> Recording:
+    """Read a recording as it was logged."""
+    return airpuck.read_recording(recording, topics=topic_names(topics))
 
 
 def load(
-    recording: Path, vehicle: Vehicle | None, topics: Path | None, delay: float | None = None
+    recording: Path,
+    vehicle: Vehicle | None,
+    topics: Path | None,
+    delay: float | None = None,
+    *,
+    span: tuple[float, float] | None = None,
+    quiet: bool = True,
 ) -> Trajectory:
-    """Load and preprocess a recording."""
-    from airpuck.preprocessing.pipeline import load_trajectory
-    from airpuck.recording.stream import read_topics
-
-    names = None if topics is None else read_topics(topics)
-    return load_trajectory(recording, vehicle, topics=names, delay=delay)
+    """Load and preprocess a recording, or the part of it that --span names, and print warnings."""
+    names = topic_names(topics)
+    trajectory = airpuck.load_trajectory(recording, vehicle, topics=names, delay=delay)
+    warn(trajectory.warnings, quiet)
+    return cut(trajectory, span)
 
 
 def cut(trajectory: Trajectory, span: tuple[float, float] | None) -> Trajectory:
@@ -44,8 +68,6 @@ def cut(trajectory: Trajectory, span: tuple[float, float] | None) -> Trajectory:
 @contextmanager
 def about(file: str | Path, field: str | None = None) -> Iterator[None]:
     """Name the file, and the field as the file calls it, in what is refused."""
-    from airpuck.boundary.errors import InputError
-
     try:
         yield
     except InputError as error:
@@ -56,23 +78,21 @@ def about(file: str | Path, field: str | None = None) -> Iterator[None]:
 
 def read_belief(name: str) -> Model:
     """Read a model for the controller, which inverts its thrust curves."""
-    from airpuck.model.model_file import read_model
     from airpuck.physics.thrust import InverseThrust
 
-    model = read_model(name)
+    model = airpuck.read_model(name)
     with about(name, "parameters.thrust_N"):
         InverseThrust(model.dynamics.thrust)
     return model
 
 
 def read_controls(path: Path | None) -> Tuning | None:
-    """Read the tuning file, if one is given, and see that it gives a regulator."""
+    """Read the tuning file, if one is given, and check that it gives a regulator."""
     if path is None:
         return None
     from airpuck.control.lqr import regulator
-    from airpuck.control.tuning import read_tuning
 
-    tuning = read_tuning(path)
+    tuning = airpuck.read_tuning(path)
     with about(path):
         regulator(tuning.weights, tuning.period_s)
     return tuning
@@ -80,14 +100,12 @@ def read_controls(path: Path | None) -> Tuning | None:
 
 def choose(option: str, value: str, choices: tuple[str, ...]) -> None:
     """Refuse a value that is not among the choices."""
-    from airpuck.boundary.errors import InputError
-
     if value not in choices:
         raise InputError(f"{value!r} is none of {', '.join(choices)}", field=option)
 
 
 def choose_protocol(protocol: str, encoder: str) -> Protocol:
-    """Return the protocol that is named; refuse names that are none."""
+    """Return the protocol of this name; refuse unknown names."""
     from airpuck.evaluation.evaluate import ENCODERS, PROTOCOLS
 
     choose("--protocol", protocol, tuple(PROTOCOLS))
@@ -95,45 +113,21 @@ def choose_protocol(protocol: str, encoder: str) -> Protocol:
     return PROTOCOLS[protocol]
 
 
-def read_flight(recording: Path, topics: Path | None) -> Recording:
-    """Read a recording as it was logged."""
-    from airpuck.recording.read import read_recording
-    from airpuck.recording.stream import read_topics
-
-    return read_recording(recording, topics=None if topics is None else read_topics(topics))
-
-
-def known_flights(models: list[str]) -> list[Path | None]:
-    """Find the paper's flights with these models in $AIRPUCK_DATA, if that is set."""
-    import os
-
+def published_flights(models: Sequence[str]) -> list[Path | None]:
+    """Find the paper's flights with these models in $AIRPUCK_DATA; warn where that has none."""
     from airpuck.recording.dataset import VARIABLE
 
     folder = os.environ.get(VARIABLE)
-    flights = []
+    flights: list[Path | None] = []
     for model in models:
         path = Path(folder or "") / "control_experiment" / f"data_{model.removeprefix('paper:')}"
         published = model.startswith("paper:") and bool(folder) and path.is_dir()
         flights.append(path if published else None)
+    found = zip(models, flights, strict=True)
+    missing = [m for m, flight in found if flight is None and m in ("paper:M0", "paper:M4")]
+    if missing:
+        reason = f"{folder} has no control_experiment" if folder else f"${VARIABLE} is not set"
+        text = f"the real flight with {' and '.join(missing)} is missing: {reason}; "
+        text += f"set {VARIABLE} to the dataset (airpuck fetch downloads it and prints its folder)"
+        warn([text])
     return flights
-
-
-def missing_flights(models: Sequence[str], flights: Sequence[Path | None]) -> list[str]:
-    """Say which of the paper's flights `known_flights` did not find, and why."""
-    import os
-
-    from airpuck.recording.dataset import VARIABLE
-
-    missing = [
-        model
-        for model, flight in zip(models, flights, strict=True)
-        if flight is None and model in ("paper:M0", "paper:M4")
-    ]
-    if not missing:
-        return []
-    folder = os.environ.get(VARIABLE)
-    why = f"{folder} has no control_experiment of theirs" if folder else f"${VARIABLE} is not set"
-    return [
-        f"no real flight stands beside {' and '.join(missing)}: {why}; set {VARIABLE} to the "
-        "dataset (airpuck fetch downloads it and prints its folder)"
-    ]

@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 from airpuck.cli.app import app
 from airpuck.cli.inputs import read_belief, read_controls, read_craft, read_flight
 from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile, VehicleFile
-from airpuck.cli.output import check_destinations, is_stdout, write_json
+from airpuck.cli.output import check_destinations, is_stdout, report, write_json
 
 if TYPE_CHECKING:
     from airpuck.control.reference import SetPoints
@@ -75,9 +75,9 @@ def twin(
     report(
         figures,
         json_file,
-        quiet,
         f"{figures['duration_s']:.1f} s: {figures['poses']} poses sent, {figures['commands']} "
         f"commands received, motors stopped {figures['stops']} times for lack of commands",
+        quiet=quiet,
     )
 
 
@@ -181,10 +181,10 @@ def fly(
     report(
         figures,
         json_file,
-        quiet,
         f"{figures['duration_s']:.1f} s, periods: {outcomes}\n"
         f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
         f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
+        quiet=quiet,
     )
 
 
@@ -209,7 +209,7 @@ def record(
     live = live_settings(domain, interface, None, duration, quiet)
     figures = record(output, live, motors=motors)
     counts = [f"{count:8d}  {topic}" for topic, count in figures["messages"].items()]
-    report(figures, json_file, quiet, "\n".join([*counts, str(output)]))
+    report(figures, json_file, *counts, output, quiet=quiet)
 
 
 @app.command(rich_help_panel=_PANEL)
@@ -256,7 +256,7 @@ def preflight(
         live = live_settings(domain, interface, topics, None, quiet)
         found = preflight_live(craft, replace(PulsePlan(), **given), live)
     checks = [f"{check.verdict:6s}{check.name:17s}{check.words}" for check in found.checks]
-    report(found.to_json(), json_file, False, "\n".join(checks))
+    report(found.to_json(), json_file, *checks)
     if not found.ready:
         wrong = [check.name for check in found.checks if check.verdict == "wrong"]
         raise InputError(f"not ready to fly: mend {', '.join(wrong)}, then check again")
@@ -333,13 +333,6 @@ def read_model_or_vehicle(model: str | None, vehicle: Path | None) -> Model:
     if vehicle is not None:
         raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
     return read_belief(model)
-
-
-def report(figures: Any, json_file: Path | None, quiet: bool, text: str) -> None:
-    """Write figures where --json says, and print text unless it would be in the way."""
-    write_json(json_file, figures)
-    if not quiet and not is_stdout(json_file):
-        print(text)
 
 
 def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None) -> SetPoints:

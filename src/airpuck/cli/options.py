@@ -30,6 +30,10 @@ TuningFile = Annotated[
     Path | None,
     typer.Option("--tuning", metavar="FILE", help="Controller tuning; by default the packaged."),
 ]
+PageFolder = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="DIR", help="Write a page of figures, too."),
+]
 RecordingPath = Annotated[
     Path,
     typer.Argument(

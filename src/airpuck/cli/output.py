@@ -5,25 +5,24 @@ from __future__ import annotations
 import json
 import math
 import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from airpuck.boundary.errors import InputError
+
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from airpuck.evaluation.evaluate import Evaluation
-    from airpuck.flight.replay import Replay
     from airpuck.identification.method import Iteration
-    from airpuck.twin.experiments import Excited
-    from airpuck.twin.tracking_study import Tracked
 
 
 def check_destinations(**paths: Path | None) -> None:
-    """Refuse places that cannot be written to, before any work is done for them."""
-    import tempfile
-
-    from airpuck.boundary.errors import InputError
-
+    """Refuse places that cannot be written to, before the work is done; keys are options."""
     taken: dict[Path, str] = {}
     for option, path in paths.items():
         if path is None or is_stdout(path):
@@ -60,14 +59,48 @@ def warn(warnings: Any, quiet: bool = False) -> None:
 
 
 def console() -> Console:
-    """Return where tables are printed; what is not a terminal has no width, rows go on as long."""
+    """Return where tables are printed; where that is no terminal, rows may be longer."""
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else 160)
 
 
+def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = False) -> None:
+    """Write figures where --json says, and print the rest unless it would be in the way.
+
+    What is shown are lines, paths and tables; None is left out.
+    """
+    write_json(json_file, figures)
+    if quiet or is_stdout(json_file):
+        return
+    for part in shown:
+        if isinstance(part, (str, Path)):
+            print(part)
+        elif part is not None:
+            console().print(part)
+
+
+def table(
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    title: str | None = None,
+    left: Sequence[str] | None = None,
+) -> Table:
+    """Lay out a table, with the columns of these headings (by default the first) to the left."""
+    from rich.table import Table
+
+    made = Table(title=title, title_justify="left")
+    for heading in headings:
+        to_left = heading in (headings[:1] if left is None else left)
+        made.add_column(heading, justify="left" if to_left else "right", overflow="fold")
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
 def is_stdout(json_file: Path | None) -> bool:
-    """Say whether JSON goes to standard output, where nothing else may then be printed."""
+    """Tell whether JSON goes to standard output, where nothing else may then be printed."""
     return json_file is not None and str(json_file) == "-"
 
 
@@ -86,7 +119,7 @@ def write_json(json_file: Path | None, figures: Any) -> None:
 
 
 def _without_nan(figures: Any) -> Any:
-    """Put null for what is no number, which JSON has no word for."""
+    """Replace numbers that are not finite by null: JSON has no word for them."""
     if isinstance(figures, dict):
         return {key: _without_nan(value) for key, value in figures.items()}
     if isinstance(figures, (list, tuple)):
@@ -94,23 +127,18 @@ def _without_nan(figures: Any) -> Any:
     return None if isinstance(figures, float) and not math.isfinite(figures) else figures
 
 
-def show_progress(quiet: bool) -> Any:
+@contextmanager
+def show_progress(quiet: bool) -> Iterator[Any]:
     """Show an optimiser's iterations: one live line on a terminal, plain lines elsewhere."""
-    from contextlib import contextmanager
+    if quiet:
+        yield lambda _: None
+    elif sys.stderr.isatty():
+        from rich.console import Console
 
-    @contextmanager
-    def shown() -> Any:
-        if quiet:
-            yield lambda _: None
-        elif sys.stderr.isatty():
-            from rich.console import Console
-
-            with Console(stderr=True).status("compiling …") as status:
-                yield lambda iteration: status.update(_line(iteration))
-        else:
-            yield lambda iteration: print(_line(iteration), file=sys.stderr)
-
-    return shown()
+        with Console(stderr=True).status("compiling …") as status:
+            yield lambda iteration: status.update(_line(iteration))
+    else:
+        yield lambda iteration: print(_line(iteration), file=sys.stderr)
 
 
 def _line(iteration: Iteration) -> str:
@@ -120,74 +148,22 @@ def _line(iteration: Iteration) -> str:
     return f"iteration {iteration.number}: loss {iteration.loss:.4e}{tail}"
 
 
-def print_table(names: list[str], evaluations: list[Evaluation]) -> None:
+def print_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> None:
     """Print errors of several models as a table."""
-    from rich.table import Table
+    console().print(error_table(names, evaluations))
 
+
+def error_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Table:
+    """Lay out the errors of several models."""
     first = evaluations[0]
-    after = first.horizon_step * first.sample_period
-    table = Table(
-        title=f"Prediction error after {after:.3f} s, {first.errors.shape[2]} windows, "
-        f"protocol {first.protocol.name}",
-        title_justify="left",
-    )
-    for heading in ("model", "x mm", "y mm", "yaw rad", "median x", "median y", "median yaw"):
-        table.add_column(
-            heading, justify="left" if heading == "model" else "right", overflow="fold"
-        )
+    rows = []
     for name, evaluation in zip(names, evaluations, strict=True):
-        row = [
-            f"{factor * value:.{digits}f}"
-            for values in (evaluation.rmse, evaluation.median_abs)
-            for value, factor, digits in zip(values, (1e3, 1e3, 1), (2, 2, 4), strict=True)
-        ]
-        table.add_row(name, *row)
-    console().print(table)
-
-
-def print_replay(replay: Replay) -> None:
-    """Print how much recorded and computed commands agree."""
-    figures = replay.to_json()
-    for motor in figures["motors"]:
-        print(
-            f"{motor['name']:16s} correlation {motor['correlation']:6.3f}   "
-            f"median difference {motor['median_abs']:.4f}"
-        )
-    print(f"{'all':16s} {'':18s}   median difference {figures['median_abs']:.4f}")
-    fitted = "fitted" if replay.fitted else "from the tuning"
-    print(f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items()))
-    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
-    print(f"{figures['steps']} of {int(replay.span.sum())} steps compared; outcomes: {outcomes}")
-
-
-def print_excitation(excited: Excited) -> None:
-    """Print how near to the rails the craft came."""
-    contacts = excited.contacts
-    told = "none"
-    if contacts:
-        times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)
-        told = f"{len(contacts)}, at {times} s (rails are in no model)"
-    print(f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {told}")
-
-
-def print_tracks(flights: list[Tracked]) -> None:
-    """Print what became of the set points."""
-    for flight in flights:
-        for result in flight.results:
-            settled = result.settling_time
-            end = "no poses at the end"
-            if result.steady_state_error is not None:
-                x, y, yaw = result.steady_state_error
-                end = f"off by {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad at the end"
-            print(
-                f"{flight.model:8s} to ({result.pose[0]:4.1f}, {result.pose[1]:4.1f}, "
-                f"{result.pose[2]:4.1f}): "
-                f"{'did not settle' if settled is None else f'settled in {settled:.2f} s':18s} "
-                f"{end}"
-            )
-        if flight.rmse is not None:
-            x, y, yaw = flight.rmse
-            print(
-                f"{flight.model:8s} twin against the real flight, 6 s from the first move on: "
-                f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
-            )
+        (x, y, yaw), (mx, my, myaw) = evaluation.rmse, evaluation.median_abs
+        errors = [f"{1e3 * value:.2f}" for value in (x, y, mx, my)]
+        rows.append([name, *errors[:2], f"{yaw:.4f}", *errors[2:], f"{myaw:.4f}"])
+    return table(
+        ("model", "x mm", "y mm", "yaw rad", "median x", "median y", "median yaw"),
+        rows,
+        title=f"Prediction error after {first.horizon_step * first.sample_period:.3f} s, "
+        f"{first.errors.shape[2]} windows, protocol {first.protocol.name}",
+    )

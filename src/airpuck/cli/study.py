@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
+import airpuck
 from airpuck.cli.app import app
 from airpuck.cli.options import Json, Quiet
-from airpuck.cli.output import check_destinations, is_stdout, say, write_json
+from airpuck.cli.output import check_destinations, report, say
 
 PANEL = "The paper's study"
 
-#: Called --out at first; scripts may still say so.
+#: Called --out at first; scripts may still use that.
 Out = Annotated[
     Path, typer.Option("-o", "--output", "--out", metavar="DIR", help="Folder to write to.")
 ]
@@ -27,10 +28,11 @@ def fetch(
     quiet: Quiet = False,
 ) -> None:
     """Download and verify the public dataset (or verify $AIRPUCK_DATA)."""
-    from airpuck.recording.dataset import fetch
-
-    tell = say(quiet)
-    print(fetch(all=everything, progress=lambda done, of, name: tell(f"{done + 1}/{of} {name}")))
+    show = say(quiet)
+    fetched = airpuck.fetch(
+        all=everything, progress=lambda done, of, name: show(f"{done + 1}/{of} {name}")
+    )
+    print(fetched)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -43,13 +45,9 @@ def reproduce(
     quiet: Quiet = False,
 ) -> None:
     """Reproduce the paper's tables and figures, published against ours."""
-    from airpuck.report.reproduce import reproduce
-
     check_destinations(output=output, json=json_file)
-    result = reproduce(data, output, progress=say(quiet))
-    write_json(json_file, result.to_json())
-    if not is_stdout(json_file):
-        print(output / "index.html")
+    result = airpuck.reproduce(data, output, progress=say(quiet))
+    report(result.to_json(), json_file, output / "index.html")
 
 
 @app.command(rich_help_panel=PANEL)
@@ -57,7 +55,7 @@ def demo(
     output: Out = Path("demo"),
     quiet: Quiet = False,
 ) -> None:
-    """Walk the whole way on recordings that are simulated: no download, no hardware."""
+    """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.demo import demo
 
     check_destinations(output=output)

@@ -1,0 +1,109 @@
+"""The command for many flights and fits."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.cli.app import app
+from airpuck.cli.options import Json, Quiet
+from airpuck.cli.output import check_destinations, report, table, write_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from airpuck.campaigns.campaign import Campaign
+
+#: Failures that are printed; all are in results.csv.
+_SHOWN = 10
+
+
+@app.command(rich_help_panel="Many at once")
+def campaign(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A spec.toml.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results.")
+    ],
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="TCP", help="Address of a Dask scheduler, tcp://HOST:PORT."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Processes to start; as many as processors.", min=1),
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Run again what failed.")] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run many independent flights or fits; what is done already is not done again."""
+    if scheduler is not None and workers is not None:
+        raise InputError("a running cluster has its own; give one of the two", field="--workers")
+    check_destinations(output=output, json=json_file)
+    try:
+        with _progress(quiet) as progress:
+            found = airpuck.campaign(
+                spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
+            )
+    except KeyboardInterrupt:
+        print("airpuck: interrupted; run it again for what is missing", file=sys.stderr)
+        raise typer.Exit(130) from None
+    figures = found.to_json()
+    write_json(output / "summary.json", figures)
+    report(figures, json_file, *_summary(found), output / "results.csv")
+    if len(found.failures) == len(found.entries):
+        raise InputError(f"every item failed; the first: {found.failures[0][1]}", file=spec)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[int, int, int], None]]:
+    """Show a bar on a terminal, a line for every tenth of the items elsewhere."""
+    if quiet:
+        yield lambda done, of, failed: None
+    elif not sys.stderr.isatty():
+        yield _print_tenths
+    else:
+        from rich.console import Console
+        from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+
+        columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("")
+            yield lambda done, of, failed: bar.update(
+                task, completed=done, total=of, description=f"{failed} failed" if failed else ""
+            )
+
+
+def _print_tenths(done: int, of: int, failed: int) -> None:
+    """Print a line whenever another tenth of the items is done."""
+    if done == 0 or 10 * done // of > 10 * (done - 1) // of:
+        print(f"{done} of {of} items done, {failed} failed", file=sys.stderr, flush=True)
+
+
+def _summary(found: Campaign) -> Iterator[str | Table]:
+    """Yield the statistics of every figure, setting by setting, and what failed."""
+    headings = ("mean", "sd", "min", "q05", "q50", "q95", "max")
+    for setting in found.settings:
+        values = [f"{k} = {json.dumps(v, default=str)}" for k, v in setting["setting"].items()]
+        failed = f", {setting['failed']} failed" if setting["failed"] else ""
+        yield f"{', '.join(values) or 'all'}: {setting['items']} items{failed}"
+        rows = [
+            [name, *(f"{f[h]:.4g}" if math.isfinite(f[h]) else "" for h in headings)]
+            for name, f in setting["figures"].items()
+        ]
+        yield table(("figure", *headings), rows)
+    for entry, why in found.failures[:_SHOWN]:
+        setting = f" {entry.setting}" if entry.setting else ""
+        yield f"failed:{setting} seed {entry.item.seed}: {why}"
+    more = len(found.failures) - _SHOWN
+    if more > 0:
+        yield f"… and {more} more, in results.csv"

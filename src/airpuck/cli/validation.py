@@ -1,0 +1,236 @@
+"""Commands that judge models and recordings: what a model is and what it leaves unexplained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.cli.app import app
+from airpuck.cli.fit_output import value_texts
+from airpuck.cli.inputs import about, choose_protocol, load, read_craft
+from airpuck.cli.learning import PANEL
+from airpuck.cli.options import (
+    EncoderName,
+    Json,
+    ModelName,
+    PageFolder,
+    ProtocolName,
+    Quiet,
+    RecordingPath,
+    Span,
+    TopicsFile,
+    VehicleFile,
+)
+from airpuck.cli.output import check_destinations, error_table, report, table, warn
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from airpuck.evaluation.drift import Drift
+    from airpuck.evaluation.fit_measures import FitMeasures
+    from airpuck.evaluation.presentation import Presentation
+
+#: What a model's name ends with, which no recording's does.
+_MODEL_FILES = (".toml", ".json")
+
+
+@app.command(rich_help_panel=PANEL)
+def faults(
+    recording: RecordingPath,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL", help="Of the healthy craft; by default M3, fitted to the recording."
+        ),
+    ] = None,
+    output: PageFolder = None,
+    span: Span = None,
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find when motors, radio or cameras failed, or something hit the craft."""
+    if model is not None and vehicle is not None:
+        raise InputError("is the model's; leave out one of both", field="--vehicle")
+    check_destinations(output=output, json=json_file)
+    healthy = None if model is None else airpuck.read_model(model)
+    craft = healthy.vehicle if healthy else read_craft(vehicle)
+    trajectory = load(recording, craft, topics, span=span, quiet=quiet)
+    if healthy is None:
+        fit = airpuck.identify(trajectory, vehicle=craft)
+        warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
+        healthy = fit.model
+    found = airpuck.find_faults(trajectory, healthy)
+    page = None
+    if output is not None:
+        from airpuck.report.fault_report import fault_report
+
+        page = fault_report(trajectory, found, healthy, output)
+    spans = sorted((*trajectory.excluded, *found), key=lambda s: s.start)
+    usable = float(trajectory.leave_out(found).usable.mean())
+    names = {"start_s": "start", "stop_s": "stop", "cause": "cause", "confidence": "confidence"}
+    figures = {
+        "model": healthy.name,
+        "duration_s": trajectory.duration,
+        "usable": usable,
+        "spans": [{key: getattr(s, name) for key, name in names.items()} for s in spans],
+    }
+    rows = [
+        [
+            f"{s.start:.3f}",
+            f"{s.stop:.3f}",
+            s.cause,
+            "measured" if s.confidence == 1 else f"{min(s.confidence, 0.99):.2f}",
+        ]
+        for s in spans
+    ]
+    headings = ("from s", "to s", "cause", "confidence")
+    shown = table(headings, rows, left=("cause",)) if spans else None
+    share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without any fault"
+    report(figures, json_file, shown, share, page)
+
+
+@app.command(rich_help_panel=PANEL)
+def present(model: ModelName, json_file: Json = None) -> None:
+    """Present a model: structure, parameters with errors, what follows, how it was learned."""
+    presentation = airpuck.present(airpuck.read_model(model))
+    report(presentation.to_json(), json_file, *_presented(presentation))
+
+
+@app.command(rich_help_panel=PANEL)
+def compare(
+    models: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="MODEL... RECORDING",
+            help="Models, then the recording; two models alone: what drifted.",
+        ),
+    ],
+    span: Span = None,
+    protocol: ProtocolName = "paper",
+    encoder: EncoderName = "paper",
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare models on one recording; of two learned models, say what drifted."""
+    from airpuck.evaluation.fit_measures import measure_fit
+
+    chosen = choose_protocol(protocol, encoder)
+    alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
+    names = models if alone else models[:-1]
+    if not names or (alone and len(names) != 2):
+        raise InputError("give at least one MODEL and a RECORDING, or two MODELs")
+    read = [airpuck.read_model(name) for name in names]
+    figures: dict[str, Any] = {}
+    shown: list[Any] = []
+    if len(read) == 2 and (alone or all(m.uncertainty is not None for m in read)):
+        try:
+            drift = airpuck.drift(*read)
+        except InputError as error:
+            if alone:
+                raise
+            drift = airpuck.Drift((), (f"drift is unknown: {error.problem}",))
+        figures["drift"] = drift.to_json()
+        shown += _drift_lines(names, drift)
+    if not alone:
+        trajectory = load(Path(models[-1]), read[0].vehicle, topics, span=span, quiet=quiet)
+        evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
+        fits = [measure_fit(model, trajectory) for model in read]
+        figures["evaluations"] = [
+            {**evaluation.to_json(), **fit.to_json(), "name": name}
+            for name, evaluation, fit in zip(names, evaluations, fits, strict=True)
+        ]
+        shown = [error_table(names, evaluations), _fit_table(names, fits), *shown]
+    report(figures, json_file, *shown)
+
+
+@app.command(rich_help_panel=PANEL)
+def resid(
+    model: ModelName,
+    recording: RecordingPath,
+    span: Span = None,
+    output: PageFolder = None,
+    lags: Annotated[int, typer.Option(help="Largest lag, in samples.", min=5)] = 25,
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Test the one-step innovations of a model: whiteness, and what commands still explain."""
+    from airpuck.evaluation.fit_measures import measure_fit
+    from airpuck.evaluation.prediction_bands import bands_of_all_horizons
+
+    check_destinations(output=output, json=json_file)
+    judged = airpuck.read_model(model)
+    trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
+    with about(recording):
+        tests = airpuck.resid(judged, trajectory, lags=lags)
+        fit = measure_fit(judged, trajectory, known=tests.innovations)
+        bands = bands_of_all_horizons(judged, trajectory, tests.innovations)
+    page = None
+    if output is not None:
+        from airpuck.report.residual_report import residual_report
+
+        page = residual_report(judged, trajectory, tests, fit, output, bands)
+    figures = {**tests.to_json(), **fit.to_json(), "bands": [one.to_json() for one in bands]}
+    outcome = "nothing rejected" if tests.passed else "rejected"
+    lines = [f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level"]
+    lines += [f"  {sentence}" for sentence in tests.verdicts]
+    for one in bands:
+        shares = ", ".join(f"{share:.0f} %" for share in one.coverage)
+        lines.append(
+            f"  95 % bands {one.horizon:.1f} s ahead hold {shares} of x, y, yaw in "
+            f"{len(one.start)} predictions"
+        )
+    report({**figures, "name": model}, json_file, *lines, _fit_table([model], [fit]), page)
+
+
+def _presented(presentation: Presentation) -> Iterator[str | Table]:
+    """Yield what is shown of a model."""
+    yield from presentation.structure
+    for title, values in (
+        ("Parameters ± standard error", presentation.parameters),
+        ("What follows from them", presentation.derived),
+    ):
+        headings = ("", "unit", "value", "95 % interval")
+        yield table(headings, [value_texts(value) for value in values], title=title)
+    yield from (f"{key}: {value}" for key, value in presentation.conditions)
+    yield from (f"note: {note}" for note in presentation.notes)
+
+
+def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
+    """Lay out fit percentages and information criteria."""
+    headings = (
+        "fit % (x, y, yaw)",
+        f"{fits[0].steps} steps ahead",
+        f"simulated {fits[0].restart:g} s",
+        "simulated throughout",
+        "parameters",
+        "log-likelihood",
+        "AIC",
+        "BIC",
+    )
+    rows = []
+    for name, fit in zip(names, fits, strict=True):
+        percentages = [
+            " ".join(f"{value:.1f}" for value in values)
+            for values in (fit.k_step, fit.free_run, fit.whole)
+        ]
+        criteria = [f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)]
+        rows.append([name, *percentages, str(fit.parameters), *criteria])
+    return table(headings, rows, title="Fit, and criteria from one-step innovations")
+
+
+def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
+    """Say what changed from one model to the other."""
+    sentences = [*found.verdicts, *(f"note: {note}" for note in found.notes)]
+    return [
+        f"from {names[0]} to {names[1]}, {len(found.changes)} quantities:",
+        *(f"  {sentence}" for sentence in sentences),
+    ]
