@@ -14,11 +14,11 @@ from airpuck.data.windows import Past, make_windows
 from airpuck.estimate.actuation import (
     ActuationEncoder,
     EffectivenessPrior,
-    _accelerations,
+    _motion,
     _motor_speeds,
-    twice_integrated,
 )
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.estimate.motor_regression import accelerations_by_motor, twice_integrated
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
@@ -108,7 +108,7 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     found = encoder.estimate(MODEL.dynamics, past)
 
     speed = _motor_speeds(MODEL.dynamics, past)
-    by_motor, rest = _accelerations(MODEL.dynamics, past, speed, velocity == "causal")
+    by_motor, rest = accelerations_by_motor(MODEL.dynamics, _motion(past, encoder.causal), speed)
     basis = twice_integrated(by_motor, past.duration)[..., 0]
     whole = twice_integrated(rest + by_motor.sum(axis=2), past.duration)
     offset = whole[..., 0]
@@ -184,7 +184,7 @@ def contrast_density(encoder, past, prior):
     """Log density of what of the measurements does not depend on pose and speed."""
     size, step = len(past.state), float(np.median(past.duration))
     speed = _motor_speeds(MODEL.dynamics, past)
-    by_motor, rest = _accelerations(MODEL.dynamics, past, speed, encoder.causal)
+    by_motor, rest = accelerations_by_motor(MODEL.dynamics, _motion(past, encoder.causal), speed)
     basis = twice_integrated(by_motor, past.duration)
     offset = twice_integrated(rest, past.duration) + basis.sum(axis=-2)
     elapsed = np.cumsum(np.insert(past.duration[:, 0], 0, 0.0))
@@ -249,7 +249,7 @@ def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
     dynamics = replace(MODEL.dynamics, effects=effects)
     past = past_of(flight, 20, 100)
     speed = _motor_speeds(dynamics, past)
-    by_motor, rest = _accelerations(dynamics, past, speed, causal=False)
+    by_motor, rest = accelerations_by_motor(dynamics, past.state, speed)
     for k in (0, 7, 19):
         whole = np.array(acceleration(np, dynamics, past.state[k, 2:6], speed[k]))
         np.testing.assert_allclose(by_motor[k].sum(axis=1) + rest[k], whole, atol=1e-12)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
-from airpuck.flight.effect_match import match_effects, turned
+from airpuck.faults.effect_match import match_effects, turned
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight import (
     Preflight,

@@ -17,8 +17,14 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.windows import Past
+from airpuck.estimate.motor_regression import (
+    accelerations_by_motor,
+    normal_equations,
+    solved,
+    twice_integrated,
+)
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.thrust import thrust_slope
 
 
@@ -146,59 +152,63 @@ class ActuationEncoder:
         accelerations. p and v have no prior.
         """
         speed = _motor_speeds(dynamics, past)
-        by_motor, rest = _accelerations(dynamics, past, speed, self.causal)
+        by_motor, rest = accelerations_by_motor(dynamics, _motion(past, self.causal), speed)
         basis = twice_integrated(by_motor, past.duration)
         present = np.asarray(past.state)[-1]
-        residual = (
-            past.state[:, :3]
-            - present[:3]
-            - twice_integrated(rest, past.duration)
-            - basis.sum(axis=-2)
-        )
-        elapsed = np.cumsum(np.insert(past.duration, 0, 0.0, axis=0), axis=0)
-        regression = _regression(basis, elapsed - elapsed[-1])
-        step = float(np.median(past.duration))
-        inverse = precisions(
-            len(basis),
-            step,
-            self.pose_noise,
-            self.disturbance,
-            _unknown_start(dynamics),
-            float(dynamics.motor_time_constant),
-        )
-        information, score, square = _normal_equations(regression, residual, inverse)
+        modelled = twice_integrated(rest, past.duration) + basis.sum(axis=2)
+        residual = past.state[:, :3] - present[:3] - modelled
+        rows, aim = self._weighted(dynamics, past, basis, residual)
         if not self.causal:
             linear, angular = self.velocity_noise
-            precise = np.array([linear, linear, angular]) ** -2.0
-            information[:, [3, 4, 5], [3, 4, 5]] += precise
-            score[:, 3:6] += precise * present[3:].T
-            square += (precise * present[3:].T ** 2).sum(axis=1)
-        measured = residual[:, :, 0].size + (0 if self.causal else 3) - 6
-        solution, covariance, probability = self._compete(information, score, square, measured)
+            precise = np.array([linear, linear, angular])[:, None] ** -1.0
+            velocity = precise * np.eye(rows.shape[2])[3:6]
+            velocity = np.broadcast_to(velocity, (len(rows), *velocity.shape))
+            rows = np.concatenate([rows, velocity], axis=1)
+            aim = np.concatenate([aim, (precise * present[3:]).T], axis=1)
+        solution, covariance, probability = self._compete(rows, aim)
         state = np.concatenate([present[:3] + solution[:, :3].T, solution[:, 3:6].T, speed[-1]])
         spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, 6:].T
         return Actuation(state, 1 + solution[:, 6:].T, spread, probability)
 
-    def _compete(
+    def _weighted(
         self,
-        information: Float[np.ndarray, "B m m"],
-        score: Float[np.ndarray, "B m"],
-        square: Float[np.ndarray, " B"],
-        measured: int,
+        dynamics: Dynamics,
+        past: Past,
+        basis: Float[np.ndarray, "E 3 n B"],
+        residual: Float[np.ndarray, "E 3 B"],
+    ) -> tuple[Float[np.ndarray, "B N m"], Float[np.ndarray, "B N"]]:
+        """Return the regression on p, v (x, y, γ each) and e, in units of the noise."""
+        length, _, n, batch = basis.shape
+        elapsed = np.cumsum(np.insert(past.duration, 0, 0.0, axis=0), axis=0)
+        step, lag = float(np.median(past.duration)), float(dynamics.motor_time_constant)
+        noises = zip(self.pose_noise, self.disturbance, _unknown_start(dynamics), strict=True)
+        linear, angular = (_whitening(length, step, noise, lag) for noise in noises)
+        rows = []
+        for c, whitening in enumerate((linear, linear, angular)):
+            matrix = np.zeros((batch, length, 6 + n))
+            matrix[..., c] = 1.0
+            matrix[..., 3 + c] = (elapsed - elapsed[-1]).T
+            matrix[..., 6:] = np.moveaxis(basis[:, c], -1, 0)
+            rows.append(whitening @ np.append(matrix, residual[:, c].T[..., None], axis=2))
+        joined = np.concatenate(rows, axis=1)
+        return joined[..., :-1], joined[..., -1]
+
+    def _compete(
+        self, rows: Float[np.ndarray, "B N m"], aim: Float[np.ndarray, "B N"]
     ) -> tuple[Float[np.ndarray, "B m"], Float[np.ndarray, "B m m"], Float[np.ndarray, "H B"]]:
-        """Solve the regression with each prior; return their mean by evidence."""
-        n = score.shape[1] - 6
+        """Solve the regression with each prior; return the mean, weighted by their evidence."""
+        information, score, square = normal_equations(rows, aim)
+        measured = rows.shape[1] - 6
         solutions, covariances, evidence = [], [], []
         for prior in self.priors:
-            before = prior.covariance(n)
-            whole = information.copy()
-            whole[:, 6:, 6:] += np.linalg.inv(before)
-            solution = np.linalg.solve(whole, score[..., None])[..., 0]
+            before = prior.covariance(rows.shape[2] - 6)
+            precision = np.pad(np.linalg.inv(before), (6, 0))
+            solution, covariance = solved(information, score, precision)
             misfit = square - (score * solution).sum(axis=1)
             likelihood = -(self.tail + measured) / 2 * np.log1p(misfit / self.tail)
-            volume = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(before)[1]
+            volume = np.linalg.slogdet(before)[1] - np.linalg.slogdet(covariance)[1]
             solutions.append(solution)
-            covariances.append(np.linalg.inv(whole))
+            covariances.append(covariance)
             evidence.append(np.log(prior.weight) + self.tempering * (likelihood - volume / 2))
         weight = np.exp(np.array(evidence) - np.max(evidence, axis=0))
         weight /= weight.sum(axis=0)
@@ -216,32 +226,13 @@ def _motor_speeds(dynamics: Dynamics, past: Past) -> Float[np.ndarray, "E n B"]:
     return np.array(speeds)
 
 
-def _accelerations(
-    dynamics: Dynamics, past: Past, speed: Float[np.ndarray, "E n B"], causal: bool
-) -> tuple[Float[np.ndarray, "E 3 n B"], Float[np.ndarray, "E 3 B"]]:
-    """Return the accelerations that each motor gives along the measured yaw, and all others."""
+def _motion(past: Past, causal: bool) -> Float[np.ndarray, "E 6 B"]:
+    """Return the states of the past; causally, with velocities from differences of poses."""
     state = np.asarray(past.state)
-    yaw, velocity, spin = state[:, 2], state[:, 3:5], state[:, 5]
-    if causal:
-        rates = np.diff(state[:, :3], axis=0) / np.asarray(past.duration)[:, None]
-        rates = np.concatenate([rates, rates[-1:]])
-        velocity, spin = rates[:, :2], rates[:, 2]
-    motion = yaw, velocity[:, 0], velocity[:, 1], spin
-    by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))
-    return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
-
-
-def twice_integrated(
-    acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
-) -> Float[np.ndarray, "E ... B"]:
-    """Integrate backwards from the present twice, linear between samples."""
-    position = np.zeros_like(acceleration)
-    velocity = np.zeros_like(acceleration[0])
-    for k in range(len(duration) - 1, -1, -1):
-        h, here, there = duration[k], acceleration[k], acceleration[k + 1]
-        velocity = velocity - h / 2 * (here + there)
-        position[k] = position[k + 1] - h * velocity - h**2 / 6 * (2 * here + there)
-    return position
+    if not causal:
+        return state
+    rates = np.diff(state[:, :3], axis=0) / np.asarray(past.duration)[:, None]
+    return np.concatenate([state[:, :3], np.concatenate([rates, rates[-1:]])], axis=1)
 
 
 def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
@@ -252,51 +243,21 @@ def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=32)
-def precisions(
+def _whitening(
     length: int,
     step: float,
-    pose_noise: tuple[float, float],
-    disturbance: tuple[float, float],
-    start: tuple[float, float],
+    noise: tuple[float, float, float],
     time_constant: float,
-) -> tuple[Float[np.ndarray, "E E"], ...]:
-    """Return the inverse covariances of the residuals of x, y and γ."""
+) -> Float[np.ndarray, "E E"]:
+    """Return the matrix that makes the residuals of an axis white, of variance one.
+
+    The noise is that of the poses, the density of the accelerations, and how far these may be off
+    at first.
+    """
+    pose, density, first = noise
     integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))
     fading = np.exp(-np.arange(length) * step / time_constant) if time_constant > 0 else 0.0
-    found = []
-    for noise, density, first in zip(pose_noise, disturbance, start, strict=True):
-        accelerations = density**2 / step * np.eye(length)
-        # An error of the first speeds lasts, fading like the motors' lag.
-        accelerations += first**2 * np.outer(fading, fading)
-        covariance = noise**2 * np.eye(length) + integral @ accelerations @ integral.T
-        found.append(np.linalg.inv(covariance))
-    return found[0], found[0], found[1]
-
-
-def _regression(
-    basis: Float[np.ndarray, "E 3 n B"], elapsed: Float[np.ndarray, "E B"]
-) -> Float[np.ndarray, "B 3 E m"]:
-    """Return the matrix from p, v (x, y, γ each) and the motors' deviations to the residuals."""
-    length, _, n, batch = basis.shape
-    matrix = np.zeros((batch, 3, length, 6 + n))
-    for c in range(3):
-        matrix[:, c, :, c] = 1.0
-        matrix[:, c, :, 3 + c] = elapsed.T
-        matrix[:, c, :, 6:] = np.moveaxis(basis[:, c], -1, 0)
-    return matrix
-
-
-def _normal_equations(
-    regression: Float[np.ndarray, "B 3 E m"],
-    residual: Float[np.ndarray, "E 3 B"],
-    precisions: tuple[Float[np.ndarray, "E E"], ...],
-) -> tuple[Float[np.ndarray, "B m m"], Float[np.ndarray, "B m"], Float[np.ndarray, " B"]]:
-    """Return XᵀSX, XᵀSr and rᵀSr of each window, summed over the channels."""
-    information, score, square = 0.0, 0.0, 0.0
-    for c, precision in enumerate(precisions):
-        matrix, error = regression[:, c], residual[:, c].T
-        weighted = precision @ matrix
-        information = information + np.swapaxes(matrix, 1, 2) @ weighted
-        score = score + (error[:, None] @ weighted)[:, 0]
-        square = square + np.einsum("be,bf,ef->b", error, error, precision, optimize=True)
-    return np.asarray(information), np.asarray(score), np.asarray(square)
+    # An error of the first speeds lasts, fading like the motors' lag.
+    accelerations = density**2 / step * np.eye(length) + first**2 * np.outer(fading, fading)
+    covariance = pose**2 * np.eye(length) + integral @ accelerations @ integral.T
+    return np.linalg.inv(np.linalg.cholesky(covariance))

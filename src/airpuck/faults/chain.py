@@ -1,4 +1,4 @@
-"""The hidden Markov chain of the craft's faults: its states, and how one follows another."""
+"""The hidden Markov chain of the craft's faults, and the probabilities of its states."""
 
 from __future__ import annotations
 
@@ -82,3 +82,30 @@ def fault_chain(faults: Sequence[Fault], names: Sequence[str]) -> Chain:
     transition[0, 0], initial[0] = 1 - transition[0].sum(), 1 - initial.sum()
     causes[UNEXPLAINED] = np.arange(size) == size - 1
     return Chain(transition, initial, causes)
+
+
+def state_probabilities(
+    log_likelihood: Float[np.ndarray, "K S"],
+    transition: Float[np.ndarray, "S S"],
+    initial: Float[np.ndarray, " S"],
+) -> Float[np.ndarray, "K S"]:
+    """Return the probabilities of the states of a hidden Markov chain, given all observations.
+
+    L. E. Baum, T. Petrie, G. Soules and N. Weiss, Annals of Mathematical Statistics 41 (1970)
+    164-171, scaled at every step (Rabiner, Proceedings of the IEEE 77, 1989, sec. V.A).
+    """
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+    forward = np.empty_like(likelihood)
+    now = initial
+    for k, seen in enumerate(likelihood):
+        now = now * seen
+        now /= now.sum()
+        forward[k] = now
+        now = now @ transition
+    later = np.ones(len(initial))
+    for k in range(len(likelihood) - 1, -1, -1):
+        forward[k] *= later
+        forward[k] /= forward[k].sum()
+        later = transition @ (likelihood[k] * later)
+        later /= later.sum()
+    return forward

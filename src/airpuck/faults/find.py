@@ -7,9 +7,8 @@ from jaxtyping import Bool, Float
 from scipy.special import gammaln
 
 from airpuck.data.trajectory import Span, Trajectory, check_propellers, runs
-from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain
+from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain, state_probabilities
 from airpuck.faults.hypotheses import STEP, Predicted, predict_faults, usable_steps
-from airpuck.faults.markov import state_probabilities
 from airpuck.model.model_file import Model
 
 NOT_ARMED, CONTACT = "not armed", "contact"

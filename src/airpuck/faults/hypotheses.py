@@ -9,15 +9,17 @@ motors end in one that lasts.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.data.trajectory import Trajectory
+from airpuck.estimate.motor_regression import accelerations_by_motor
 from airpuck.physics.motor import lag_decay, motor_speeds
-from airpuck.physics.rigid_body import Dynamics, acceleration
+from airpuck.physics.rigid_body import Dynamics
 
 #: Length of a step [s]: about the motors' lag, and long enough that smoothed velocities at its two
 #: ends share no pose.
@@ -62,46 +64,43 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     """Predict what each hypothesis would have done to the craft, along the measured motion."""
     half = max(1, round(STEP / trajectory.sample_period / _SPACING))
     knots = np.arange(0, len(trajectory), _SPACING * half)
-    steps = len(knots) - 1
     # The middles of equal parts of every step.
     index = knots[:-1, None] + np.arange(_SPACING // 2, _SPACING * half, _SPACING)
-    speed = motor_speeds(trajectory.time, trajectory.input, float(dynamics.motor_time_constant))
-    length = float(np.median(np.diff(trajectory.time[knots])))
-    stopping = _stopping_steps(dynamics, length)
-    motion = trajectory.state[index, 2:6]
+    lag, time = float(dynamics.motor_time_constant), trajectory.time
+    speed = motor_speeds(time, trajectory.input, lag)
+    length = float(np.median(np.diff(time[knots])))
+    stopping = _stopping_steps(lag, length)
 
-    def by_motor(speed: Float[np.ndarray, "K q n"]) -> Float[np.ndarray, "K 3 m"]:
-        return _by_motor(dynamics, motion, speed).mean(axis=1)
+    def means(index: Any, speed: Any) -> tuple[Any, Any]:
+        """Mean accelerations over all steps, of each motor and of all together."""
+        state = np.moveaxis(trajectory.state[index], 2, 1)
+        by_motor, rest = accelerations_by_motor(dynamics, state, np.moveaxis(speed, 2, 1))
+        by_motor, rest = by_motor.mean(axis=-1), rest.mean(axis=-1)
+        return by_motor, by_motor.sum(axis=-1) + rest
 
-    normal = by_motor(speed[index])
-    n = speed.shape[1]
-    standing = np.zeros((stopping, steps, 3, n + 1))
-    standing[..., -1] = normal[..., -1]
-    held = np.zeros((round(LONGEST_HOLD / length), steps, 3))
+    normal, total = means(index, speed[index])
+    standing = np.zeros((stopping, *normal.shape))
+    held = np.zeros((round(LONGEST_HOLD / length), *total.shape))
     for age in range(max(len(held), stopping - 1)):
-        begin = knots[np.maximum(np.arange(steps) - age, 0)]
-        elapsed = trajectory.time[index] - trajectory.time[begin][:, None]
-        left = lag_decay(np, elapsed, dynamics.motor_time_constant)[..., None]
+        begin = knots[np.maximum(np.arange(len(total)) - age, 0)]
+        elapsed = time[index] - time[begin][:, None]
+        left = lag_decay(np, elapsed, lag)[..., None]
         before = speed[begin][:, None]
         if age < stopping - 1:
-            standing[age] = by_motor(before * left)
+            standing[age], _ = means(index, before * left)
         if age < len(held):
             last = trajectory.input[np.maximum(begin - 1, 0)][:, None]
-            followed = _together(dynamics, motion, last + (before - last) * left)
-            held[age] = followed.mean(axis=1)
-    total = normal.sum(axis=-1)
-    faults = [Fault(tuple(range(n)), stopping), Fault((), len(held))]
-    faulty = [standing.sum(axis=-1), held]
-    lost = normal - standing
-    for number in range(1, min(n, 3)):
+            _, held[age] = means(index, last + (before - last) * left)
+    n, lost = speed.shape[1], normal - standing
+    faults, faulty = [Fault((), len(held))], [held]
+    for number in (n, *range(1, min(n, 3))):
         for motors in combinations(range(n), number):
             faults.append(Fault(motors, stopping))
             faulty.append(total - lost[..., list(motors)].sum(axis=-1))
-    ends = _together(dynamics, trajectory.state[knots, 2:6], speed[knots])
-    rates = trajectory.state[knots, 3:]
+    _, ends = means(knots[:, None], speed[knots][:, None])
     return Predicted(
         knots=knots,
-        measured=np.diff(rates, axis=0) / np.diff(trajectory.time[knots])[:, None],
+        measured=np.diff(trajectory.state[knots, 3:], axis=0) / np.diff(time[knots])[:, None],
         normal=total,
         change=np.diff(ends, axis=0),
         faults=tuple(faults),
@@ -109,43 +108,11 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     )
 
 
-def _stopping_steps(dynamics: Dynamics, length: float) -> int:
+def _stopping_steps(lag: float, length: float) -> int:
     """Return after how many steps a motor that nothing drives counts as standing."""
-    lasting = max(3 * float(dynamics.motor_time_constant), SHORTEST)
-    return max(2, min(math.ceil(lasting / length), 20))
-
-
-def _together(
-    dynamics: Dynamics, motion: Float[np.ndarray, "*B 4"], speed: Float[np.ndarray, "*B n"]
-) -> Float[np.ndarray, "*B 3"]:
-    """Return the accelerations that all motors give together."""
-    axes = acceleration(np, dynamics, np.moveaxis(motion, -1, 0), np.moveaxis(speed, -1, 0))
-    return np.stack(np.broadcast_arrays(*axes), axis=-1)
-
-
-def _by_motor(
-    dynamics: Dynamics, motion: Float[np.ndarray, "K q 4"], speed: Float[np.ndarray, "K q n"]
-) -> Float[np.ndarray, "K q 3 m"]:
-    """Return the accelerations that each motor gives, and last all others."""
-    n = speed.shape[-1]
-    # Accelerations are linear in the columns of Π: one at a time, and none.
-    columns = np.concatenate([np.eye(n), np.zeros((1, n))])
-    matrix = np.asarray(dynamics.configuration)[:, :, None] * columns.T
-    one_motor = replace(dynamics, configuration=matrix[..., None, None])
-    parts = np.stack(
-        np.broadcast_arrays(
-            *acceleration(
-                np,
-                one_motor,
-                np.moveaxis(motion, -1, 0)[:, None],
-                np.moveaxis(speed, -1, 0)[:, None],
-            )
-        )
-    )
-    parts[:, :-1] -= parts[:, -1:]
-    return np.moveaxis(parts, (0, 1), (-2, -1))
+    return max(2, min(math.ceil(max(3 * lag, SHORTEST) / length), 20))
 
 
 def usable_steps(trajectory: Trajectory, knots: Int[np.ndarray, " K1"]) -> Bool[np.ndarray, " K"]:
-    """Say which steps touch no excluded span."""
+    """Return which steps touch no excluded span."""
     return np.logical_and.reduceat(trajectory.usable, knots[:-1]) & trajectory.usable[knots[1:]]

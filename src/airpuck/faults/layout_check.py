@@ -11,14 +11,13 @@ from jaxtyping import Float
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.zero_order_hold import hold
+from airpuck.faults.effect_match import Match, cosines, is_mirrored, match_effects, rotation
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
 
 #: Longest transport delay that is tried [s].
 _LONGEST_DELAY = 0.1
-#: Cosine above which a measured and a stated direction agree (26 degrees apart).
-_AGREES = 0.9
 #: Rotation of the whole layout that is worth a remark [rad].
 _TURNED = 0.3
 #: Share of the variance that the commands must explain before anything is concluded.
@@ -133,21 +132,20 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
         fits.append((explained, shift * period, effect))
     explained, delay, measured = max(fits, key=lambda fit: fit[0])
 
-    likeness = _unit(measured).T @ _unit(stated)
     names = vehicle.propeller_names
-    rotation, mirrored = _whole_layout(measured, stated)
-    checks = []
-    for k, name in enumerate(names):
-        best = int(np.argmax(likeness[k]))
-        checks.append(
-            PropellerCheck(
-                name=name,
-                agreement=float(likeness[k, k]),
-                behaves_like=names[best],
-                verdict=_verdict(float(likeness[k, k]), float(likeness[k, best]), names[best]),
-            )
+    likeness = cosines(measured, stated)
+    matches = match_effects(measured, stated, np.arange(len(names)))
+    checks = [
+        PropellerCheck(
+            name=name,
+            agreement=float(likeness[k, k]),
+            behaves_like=names[int(np.argmax(likeness[k]))],
+            verdict=_verdict(matches[k], k, names),
         )
-    return LayoutCheck(tuple(checks), explained, delay, rotation, mirrored)
+        for k, name in enumerate(names)
+    ]
+    turned, mirrored = rotation(measured, stated), is_mirrored(measured, stated)
+    return LayoutCheck(tuple(checks), explained, delay, turned, mirrored)
 
 
 def _body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
@@ -176,35 +174,13 @@ def _regress(
     return effect, float(np.mean(shares))
 
 
-def _unit(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
-    """Scale columns to length one."""
-    length = np.linalg.norm(columns, axis=0)
-    return columns / np.where(length > 0, length, 1.0)
-
-
-def _whole_layout(
-    measured: Float[np.ndarray, "3 n"], stated: Float[np.ndarray, "3 n"]
-) -> tuple[float, bool]:
-    """Find the rotation that carries stated forces into measured ones; and whether a mirror helps.
-
-    In complex numbers, forces f → f exp(iα) for a rotation and conj(f) exp(iα) for a mirror; the
-    best α is the argument of the inner product (two-dimensional Procrustes). A rotation leaves
-    all moments as they are and a mirror turns them round, which tells it from single propellers
-    that are wrong.
-    """
-    mine, theirs = measured[0] + 1j * measured[1], stated[0] + 1j * stated[1]
-    turned, flipped = np.vdot(theirs, mine), np.sum(theirs * mine)
-    moments = float(measured[2] @ stated[2])
-    mirrored = abs(flipped) - moments > 1.5 * max(abs(turned) + moments, 0.0)
-    return float(np.angle(turned)), bool(mirrored)
-
-
-def _verdict(agreement: float, likeness: float, other: str) -> str:
-    """Say in words how a propeller's measured effect compares."""
-    if agreement >= _AGREES:
-        return "agrees"
-    if likeness >= _AGREES:
-        return f"behaves like {other}: motors are swapped"
-    if agreement <= -_AGREES:
+def _verdict(match: Match, k: int, names: tuple[str, ...]) -> str:
+    """Describe how a propeller's measured effect compares."""
+    if match.acts_as is None:
+        return "has no such effect: check its position, direction and wiring"
+    if match.acts_as != k:
+        reversed_ = "" if match.sign > 0 else " the other way round"
+        return f"behaves like {names[match.acts_as]}{reversed_}: motors are swapped"
+    if match.sign < 0:
         return "pushes the other way: its direction is wrong by 180 degrees"
-    return "has no such effect: check its position, direction and wiring"
+    return "agrees"

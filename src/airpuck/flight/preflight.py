@@ -2,39 +2,65 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.flight.effect_match import match_effects
+from airpuck.craft.vehicle import match_columns
+from airpuck.faults.effect_match import AGREES, Match, cosines, match_effects, rotation, turned
 from airpuck.flight.link import Link
 from airpuck.flight.loop import fly
-from airpuck.flight.preflight_checks import (
-    Check,
-    beyond_any_table,
-    delay_check,
-    frame_check,
-    motor_verdict,
-    pose_check,
-    pose_units,
-)
-from airpuck.flight.pulse_response import pulse_responses
+from airpuck.flight.pulse_response import PulseResponse, pulse_responses
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.clock import align_clocks
 from airpuck.recording.stream import Recording
 
+Verdict = Literal["ok", "look", "wrong"]
+
+#: Shares of the modelled thrust that need no remark: a pulse's length is uncertain by the jitter.
+_STRENGTH = (0.7, 1.4)
+#: Difference of the transport delay that is worth a remark, and that makes a controller unsafe [s].
+_DELAY_DIFFERS, _DELAY_WRONG = 8e-3, 3e-2
+#: Poses: least rate [1/s], greatest standard deviation at rest [m, rad] and drift at first [m/s].
+_RATE, _NOISE, _DRIFT = 50.0, (1e-3, 2e-2), 0.05
+#: Units by which lengths and angles may be off, and how many of them make an SI unit.
+_LENGTHS = {"millimetres": 1e3, "centimetres": 1e2}
+_DEGREES = 180 / np.pi
+#: As many times as far from the middle as the rails no craft is that stands on the table.
+_FAR = 2.0
+#: Rotation of the rigid body worth a remark, and that no controller should fly with [rad].
+_MISALIGNED, _TURNED = 0.12, 0.3
+#: Signs by which poses may be wrong, and what that is in words.
+_FRAMES = (
+    ((1, 1, 1), ""),
+    ((1, 1, -1), "the yaw has the wrong sign: it grows counter-clockwise, seen from above"),
+    ((1, -1, 1), "an axis of the position has the wrong sign, or x and y are exchanged"),
+    ((1, -1, -1), "seen from below: an axis and the yaw have the wrong sign"),
+)
 #: Share of the modelled effect below which a motor is said to do nothing.
 _SILENT = 0.15
 #: A pulse that fits this many times worse than the best of its motor was disturbed.
 _DISTURBED = 5.0
 #: No test turns the craft so often: a yaw that large is in degrees.
 _MOST_TURNS = 2
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked."""
+
+    #: What.
+    name: str
+    #: Whether it is right, deserves a look, or must be mended before a flight.
+    verdict: Verdict
+    #: What was found, and what to do.
+    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +124,7 @@ def judge_test(pilot: PulseTest, model: Model) -> Preflight:
         check = Check("poses", "wrong", "none came: is the motion capture sending, on this topic?")
         return _found_only(check, model)
     pose_time, poses = zip(*pilot.poses, strict=True)
-    beyond = beyond_any_table(poses[-1], pilot.reach) if pilot.stopped else None
+    beyond = _beyond_any_table(poses[-1], pilot.reach) if pilot.stopped else None
     if beyond is not None:
         return _found_only(beyond, model)
     command_time, commands = zip(*pilot.sent_commands, strict=True)
@@ -121,13 +147,7 @@ def _found_only(check: Check, model: Model) -> Preflight:
 def judge_recording(model: Model, recording: Recording) -> Preflight:
     """Judge the pulses of a recorded test; see `preflight`."""
     pose, command = recording["pose"], recording["command"]
-    names = model.vehicle.propeller_names
-    if set(command.columns) != set(names):
-        raise InputError(
-            f"has the motors {', '.join(command.columns)}; the model has {', '.join(names)}",
-            file=recording.source,
-        )
-    order = [command.columns.index(name) for name in names]
+    order = match_columns(model.vehicle, command.columns, source=recording.source)
     clocks = align_clocks(pose, command)
     return judge_pulses(
         model, clocks.pose_time, pose.values[:, :3], clocks.command_time, command.values[:, order]
@@ -144,7 +164,7 @@ def judge_pulses(
     """Compare what pulses did with what the model expects of them."""
     n, names = model.vehicle.n_propellers, model.vehicle.propeller_names
     pose = np.column_stack([pose[:, :2], _continuous(pose[:, 2])])
-    checks = [pose_check(time, pose, command_time, command, model.vehicle.command_min)]
+    checks = [_pose_check(time, pose, command_time, command, model.vehicle.command_min)]
     # Forces and moments in one unit: moments as forces at the radius of gyration.
     expected = acceleration_map(np, model.dynamics, 0.0, 0.0)[0]
     scale = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
@@ -164,7 +184,7 @@ def judge_pulses(
             effects[:, motor] = np.mean(good, axis=0)
         return scale * effects
 
-    unit, words = pose_units(responses, expected)
+    unit, words = _pose_units(responses, expected)
     if words:
         checks.append(Check("units", "wrong", words))
     effects, expected = measured(unit), scale * expected
@@ -178,7 +198,7 @@ def judge_pulses(
         checks.append(Check("motors", "wrong", words))
         return Preflight(tuple(checks), names, strength, np.nan)
     motors = np.flatnonzero(moves)
-    frame, explained = frame_check(
+    frame, explained = _frame_check(
         lambda change: measured(unit * change)[:, motors], expected[:, motors]
     )
     likeness = match_effects(
@@ -186,11 +206,11 @@ def judge_pulses(
     )
     checks.append(frame)
     for k, name in enumerate(names):
-        verdict, words = motor_verdict(names, k, likeness.get(k), float(strength[k]))
+        verdict, words = _motor_verdict(names, k, likeness.get(k), float(strength[k]))
         checks.append(Check(name, verdict, words))
     # A motor that does nothing has no delay: what fits its noise best says nothing.
     seen = delays[[moves[response.motor] for response in responses]]
-    checks.append(delay_check(seen, model.transport_delay))
+    checks.append(_delay_check(seen, model.transport_delay))
     return Preflight(tuple(checks), names, strength, float(np.median(seen)))
 
 
@@ -198,3 +218,143 @@ def _continuous(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     """Undo the jumps of a wrapped yaw, be it in radians or, by mistake, in degrees."""
     in_degrees = np.abs(yaw).max(initial=0.0) > _MOST_TURNS * 2 * np.pi
     return np.unwrap(yaw, period=360.0 if in_degrees else 2 * np.pi)
+
+
+def _pose_check(
+    time: Float[np.ndarray, " N"],
+    pose: Float[np.ndarray, "N 3"],
+    command_time: Float[np.ndarray, " K"],
+    command: Float[np.ndarray, "K n"],
+    idle: float,
+) -> Check:
+    """Check rate, noise and drift of the poses before the first pulse."""
+    running = (command > idle + 1e-6).any(axis=1)
+    begins = command_time[running.argmax()] if running.any() else np.inf
+    rest = time < begins
+    rate = 1 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    if rate < _RATE or rest.sum() < 10:
+        return Check("poses", "wrong", f"come at {rate:.0f} Hz; at least {_RATE:g} are needed")
+    if not np.ptp(pose, axis=0).any():
+        return Check("poses", "wrong", "never change: the rigid body is not tracked")
+    line = np.column_stack([np.ones(rest.sum()), time[rest] - time[0]])
+    solution, left, *_ = np.linalg.lstsq(line, pose[rest], rcond=None)
+    noise = np.sqrt(left / rest.sum()) if len(left) else np.zeros(3)
+    drift = float(np.hypot(*solution[1, :2]))
+    words = (
+        f"{rate:.0f} Hz, noise {1e3 * noise[:2].max():.2g} mm and {1e3 * noise[2]:.2g} mrad at rest"
+    )
+    if drift > _DRIFT:
+        return Check("poses", "look", f"{words}; the craft drifts at {drift:.2f} m/s: let it rest")
+    if noise[:2].max() > _NOISE[0] or noise[2] > _NOISE[1]:
+        return Check("poses", "look", f"{words}: more than motion capture should have")
+    return Check("poses", "ok", words)
+
+
+def _beyond_any_table(
+    pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2"]
+) -> Check | None:
+    """Say in which units a craft would be on the table that is far from it in metres."""
+    x, y = pose[:2]
+    if (np.abs(pose[:2]) <= _FAR * reach).all():
+        return None
+    fitting = [
+        unit for unit, factor in _LENGTHS.items() if (np.abs(pose[:2]) <= factor * reach).all()
+    ]
+    like = f"is it in {' or '.join(fitting)}, or is" if fitting else "is"
+    words = (
+        f"the craft is at x = {x:.4g}, y = {y:.4g}, beyond any table in metres: {like} the origin "
+        "not the middle of the table?"
+    )
+    return Check("units", "wrong", words)
+
+
+def _pose_units(
+    responses: list[PulseResponse], expected: Float[np.ndarray, "3 n"]
+) -> tuple[Float[np.ndarray, " 3"], str]:
+    """Say in which units poses seem to be, by how much too large the effects are."""
+    if not responses:
+        return np.ones(3), ""
+    push, turn = (
+        float(np.median([_ratio(r.effect[part], expected[part, r.motor]) for r in responses]))
+        for part in (slice(0, 2), slice(2, 3))
+    )
+    for unit, factor in _LENGTHS.items():
+        if factor / 3 < push <= 3 * factor:
+            words = f"positions are in {unit}, not in metres"
+            return np.array([1 / factor, 1 / factor, 1.0]), words
+    if _DEGREES / 3 < turn < 3 * _DEGREES:
+        return np.array([1.0, 1.0, 1 / _DEGREES]), "the yaw is in degrees, not in radians"
+    return np.ones(3), ""
+
+
+def _ratio(measured: Float[np.ndarray, " k"], expected: Float[np.ndarray, " k"]) -> float:
+    """Return the ratio of the lengths of two vectors."""
+    least = float(np.finfo(float).tiny)
+    return float(np.linalg.norm(measured)) / max(float(np.linalg.norm(expected)), least)
+
+
+def _frame_check(
+    measured: Callable[[Float[np.ndarray, " 3"]], Float[np.ndarray, "3 m"]],
+    expected: Float[np.ndarray, "3 m"],
+) -> tuple[Check, bool]:
+    """Look for a frame of the poses that explains what all motors do, the likely ones first.
+
+    One that explains only some of them is none: a motor that is wrong must not hide behind it.
+    """
+    for change, words in _FRAMES:
+        effects = measured(np.array(change))
+        if not words and (np.diag(cosines(-effects, expected)) >= AGREES).all():
+            words = "all motors push the other way: they spin or are mounted the wrong way round"
+            return Check("pose frame", "wrong", words), True
+        angle = rotation(effects, expected)
+        if (np.diag(cosines(effects, turned(expected, angle))) < AGREES).any():
+            continue
+        by = f"turned by {np.rad2deg(angle):.0f} degrees against the craft"
+        if words and abs(angle) > _TURNED:
+            words = f"{words}; {by}"
+        elif abs(angle) > _TURNED:
+            words = f"{by}: align the rigid body of the motion capture, or the motors' order"
+        if words:
+            return Check("pose frame", "wrong", words), True
+        if abs(angle) > _MISALIGNED:
+            return Check("pose frame", "look", f"{by}: a fit finds it as α"), True
+        return Check("pose frame", "ok", "as expected"), True
+    return Check("pose frame", "look", "no frame explains what single motors do"), False
+
+
+def _motor_verdict(
+    names: tuple[str, ...], k: int, likeness: Match | None, strength: float
+) -> tuple[Verdict, str]:
+    """Say what a motor does."""
+    if likeness is None:
+        if np.isnan(strength):
+            return "look", "was not tried"
+        return "wrong", "does nothing: cable, power, or a motor that stands"
+    share = f"{100 * strength:.0f} % of the modelled thrust"
+    if likeness.acts_as is None:
+        angle = np.rad2deg(np.arccos(np.clip(likeness.cosine, -1, 1)))
+        return "wrong", f"acts {angle:.0f} degrees off: check position and direction; {share}"
+    if likeness.acts_as != k:
+        other = names[likeness.acts_as]
+        reversed_ = "" if likeness.sign > 0 else " the other way round"
+        return "wrong", f"acts like {other}{reversed_}: cables or topics are swapped"
+    if likeness.sign < 0:
+        return "wrong", f"pushes the other way: spins or is mounted the wrong way round; {share}"
+    agrees = _STRENGTH[0] <= strength <= _STRENGTH[1]
+    return "ok" if agrees else "look", f"order and sign agree; {share}"
+
+
+def _delay_check(delays: Float[np.ndarray, " p"], modelled: float) -> Check:
+    """Compare the transport delay with the model's."""
+    found = float(np.median(delays))
+    spread = np.quantile(delays, [0.25, 0.75])
+    words = (
+        f"{1e3 * found:.0f} ms (quartiles {1e3 * spread[0]:.0f} to {1e3 * spread[1]:.0f}), "
+        f"the model has {1e3 * modelled:.0f} ms"
+    )
+    differs = abs(found - modelled)
+    if differs > _DELAY_WRONG:
+        return Check("transport delay", "wrong", f"{words}: identify anew, or mend the radio")
+    if differs > _DELAY_DIFFERS:
+        return Check("transport delay", "look", words)
+    return Check("transport delay", "ok", words)

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.zero_order_hold import mean_hold
-from airpuck.estimate.actuation import twice_integrated
+from airpuck.estimate.motor_regression import twice_integrated
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
 from airpuck.physics.rigid_body import acceleration, motor_accelerations

@@ -1,8 +1,11 @@
-"""Explain measured effects of propellers by an order and signs, or by a turn of them all."""
+"""Which propeller's effect is measured? Effects (two forces, a moment) compared by direction.
+
+Effects are columns; forces turn with the frame, moments do not. Lengths do not count, so that
+thrust, mass and inertia need not be right.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +19,8 @@ _OPPOSITE = 0.5
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """What a propeller's measured effect is like."""
+class Match:
+    """Whose effect a propeller has."""
 
     #: The propeller of the model whose effect it has; None: there is none.
     acts_as: int | None
@@ -27,13 +30,24 @@ class Likeness:
     cosine: float
 
 
-def turn_between(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> float:
-    """Find the rotation that carries expected forces into measured ones.
+def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> float:
+    """Find the rotation that carries expected forces into measured ones [rad].
 
     In complex numbers: the argument of their inner product (two-dimensional Procrustes).
     """
-    mine, theirs = measured[0] + 1j * measured[1], expected[0] + 1j * expected[1]
-    return float(np.angle(np.vdot(theirs, mine)))
+    return float(np.angle(np.vdot(_forces(expected), _forces(measured))))
+
+
+def is_mirrored(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> bool:
+    """Return whether a mirror fits better than a rotation.
+
+    Forces f become f exp(iα) by a rotation and conj(f) exp(iα) by a mirror. A rotation leaves all
+    moments as they are and a mirror reverses them; single wrong propellers do neither.
+    """
+    turned = abs(np.vdot(_forces(expected), _forces(measured)))
+    flipped = abs(np.sum(_forces(expected) * _forces(measured)))
+    moments = float(measured[2] @ expected[2])
+    return bool(flipped - moments > 1.5 * max(turned + moments, 0.0))
 
 
 def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
@@ -43,29 +57,29 @@ def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray,
 
 
 def cosines(
-    measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]
-) -> Float[np.ndarray, " m"]:
-    """Compare directions of effects, one with one."""
-    return np.sum(_unit(measured) * _unit(expected), axis=0)
+    measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 n"]
+) -> Float[np.ndarray, "m n"]:
+    """Compare the directions of all measured effects with all expected ones."""
+    return _unit(measured).T @ _unit(expected)
 
 
 def match_effects(
     measured: Float[np.ndarray, "3 m"],
     expected: Float[np.ndarray, "3 n"],
     motors: Int[np.ndarray, " m"],
-) -> Mapping[int, Likeness]:
-    """Say whose effect each propeller has.
+) -> dict[int, Match]:
+    """Find whose effect each measured propeller has.
 
     One that agrees with what is expected of it stays; the others are assigned to what is left such
     that most agree, in the same or in the opposite direction.
     """
     from scipy.optimize import linear_sum_assignment
 
-    table = _unit(measured).T @ _unit(expected)
+    table = cosines(measured, expected)
     own = table[np.arange(len(motors)), motors]
     agrees = own >= AGREES
     found = {
-        motor: Likeness(motor if stays else None, 1, float(cosine))
+        motor: Match(motor if stays else None, 1, float(cosine))
         for motor, stays, cosine in zip(motors.tolist(), agrees, own, strict=True)
     }
     worth = np.where(table >= AGREES, table, 0.0)
@@ -76,8 +90,13 @@ def match_effects(
         row, column = rows[i], columns[j]
         if worth[row, column] > 0:
             sign = 1 if table[row, column] > 0 else -1
-            found[int(motors[row])] = Likeness(int(column), sign, float(own[row]))
+            found[int(motors[row])] = Match(int(column), sign, float(own[row]))
     return found
+
+
+def _forces(effects: Float[np.ndarray, "3 m"]) -> np.ndarray:
+    """Return forces as complex numbers."""
+    return effects[0] + 1j * effects[1]
 
 
 def _unit(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:

@@ -1,0 +1,56 @@
+"""Linear regression of poses on what each motor would do.
+
+Along a measured motion the modelled accelerations are a sum over the motors; integrated twice they
+are what each motor adds to the poses. How strong a motor is, and when it began to turn, follow by
+weighted least squares with priors, here for a batch of windows at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+
+
+def accelerations_by_motor(
+    dynamics: Dynamics, state: Float[np.ndarray, "E z B"], speed: Float[np.ndarray, "E n B"]
+) -> tuple[Float[np.ndarray, "E 3 n B"], Float[np.ndarray, "E 3 B"]]:
+    """Return the accelerations that each motor gives along measured states, and all others."""
+    motion = np.moveaxis(np.asarray(state)[:, 2:6], 1, 0)
+    by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))
+    return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
+
+
+def twice_integrated(
+    acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
+) -> Float[np.ndarray, "E ... B"]:
+    """Integrate backwards from rest at the last sample, twice, linear between samples."""
+    h = duration.reshape(len(duration), *(1,) * (acceleration.ndim - 2), -1)
+    here, there = acceleration[:-1], acceleration[1:]
+    velocity = _sums_from_the_end(-h / 2 * (here + there))
+    position = _sums_from_the_end(-h * velocity - h**2 / 6 * (2 * here + there))
+    return np.concatenate([position, np.zeros_like(acceleration[:1])])
+
+
+def _sums_from_the_end(steps: Float[np.ndarray, "e ..."]) -> Float[np.ndarray, "e ..."]:
+    """Sum over each step and all later ones."""
+    return np.cumsum(steps[::-1], axis=0)[::-1]
+
+
+def normal_equations(
+    rows: Float[np.ndarray, "B N m"], aim: Float[np.ndarray, "B N"]
+) -> tuple[Float[np.ndarray, "B m m"], Float[np.ndarray, "B m"], Float[np.ndarray, " B"]]:
+    """Return XᵀX, Xᵀy and yᵀy of each window; rows and aim in units of their noise."""
+    across = np.swapaxes(rows, 1, 2)
+    return across @ rows, (across @ aim[..., None])[..., 0], (aim**2).sum(axis=1)
+
+
+def solved(
+    information: Float[np.ndarray, "*B m m"],
+    score: Float[np.ndarray, "*B m"],
+    prior: Float[np.ndarray, "m m"],
+) -> tuple[Float[np.ndarray, "*B m"], Float[np.ndarray, "*B m m"]]:
+    """Solve normal equations with a prior's precision; return unknowns and their covariance."""
+    covariance = np.linalg.inv(information + prior)
+    return (covariance @ score[..., None])[..., 0], covariance
