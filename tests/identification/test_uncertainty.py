@@ -8,13 +8,13 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.gauge import physical_thrust
-from airpuck.identification.feedback import Feedback
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.identifiability import identifiability_of
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import Loss
 from airpuck.identification.uncertainty import (
     binding_constraints,
+    grown,
     sandwich,
     shared_at_borders,
     widened,
@@ -139,13 +139,17 @@ def test_what_is_between_blocks_widens_all():
     np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
 
 
-def test_what_goes_round_in_the_data_widens_all():
-    """A gradient that follows its data by half of the information: 1 + 1/2 + 1/4 errors."""
+def test_errors_can_grow():
+    """By a factor, and by a matrix that mixes them."""
     quadratic, parameters, free = quadratic_at_the_truth()
     plain = sandwich(quadratic, parameters, free)
-    hessian = quadratic.hessian
-    wide = sandwich(quadratic, parameters, free, feedback=Feedback(-0.5 * hessian, hessian, 2))
+    wide = grown(plain, 1.75 * np.eye(len(free)))
     np.testing.assert_allclose(wide.standard_errors, 1.75 * plain.standard_errors, rtol=1e-6)
+    first, second = np.flatnonzero(np.isfinite(plain.standard_errors))[:2]
+    mixing = np.eye(len(free))
+    mixing[first, second] = 1.0
+    expected = plain.propagate(lambda vector: vector[first] + vector[second])
+    assert grown(plain, mixing).standard_errors[first] == pytest.approx(expected, rel=1e-6)
 
 
 def test_an_error_of_its_own_widens_one_parameter(fit):

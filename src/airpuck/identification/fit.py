@@ -14,17 +14,17 @@ from airpuck import __version__
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
-from airpuck.identification.feedback import preparation_feedback
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method, Outcome, minimize_on
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.preparation_error import error_growth, score_derivatives
 from airpuck.identification.problem import Loss, Preparation, Problem
 from airpuck.identification.retiming import delay_jitter, retime_packets, variance_of_mean
 from airpuck.identification.robust import reweighted
-from airpuck.identification.uncertainty import sandwich, shared_at_borders, widened
+from airpuck.identification.uncertainty import grown, sandwich, shared_at_borders, varying, widened
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
@@ -237,23 +237,18 @@ def judge(solution: Solution, began: float) -> Fit:
 def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Uncertainty:
     """Estimate the covariance of the parameters at the optimum of a loss."""
     loss, _, _ = solution.result
-    shared = shared_at_borders(loss)
-    known = sandwich(quadratic, model.parameters, model.free, shared=shared)
-    if any(map(len, solution.packets)) and np.isfinite(known.standard_errors).any():
-        feedback = preparation_feedback(
-            loss,
-            solution.trajectories,
-            model,
-            solution.packets,
-            known.standard_errors,
-            solution.problem.retimings,
+    parameters, free, packets = model.parameters, model.free, solution.packets
+    known = sandwich(quadratic, parameters, free, shared=shared_at_borders(loss))
+    if any(map(len, packets)) and np.isfinite(known.standard_errors).any():
+        mixed, hessian = score_derivatives(
+            loss, solution.trajectories, model, packets, known.standard_errors
         )
-        known = sandwich(quadratic, model.parameters, model.free, shared=shared, feedback=feedback)
+        basis = varying(quadratic.hessian, parameters, free).basis
+        known = grown(known, error_growth(mixed, hessian, basis, solution.problem.retimings))
     if model.delay_jitter is None:
         return known
-    delay = model.parameters.mask(frozenset({"transport_delay"}))
-    variance = variance_of_mean(solution.packets, model.delay_jitter.standard_deviation_s)
-    return widened(known, delay, variance)
+    delay = parameters.mask(frozenset({"transport_delay"}))
+    return widened(known, delay, variance_of_mean(packets, model.delay_jitter.standard_deviation_s))
 
 
 def _conditions(solution: Solution) -> dict[str, Any]:

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.data.windows import Windows
-from airpuck.identification.feedback import Feedback
 from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
 from airpuck.model.gauge import gauge_constraints
 from airpuck.model.parameters import Parameters
@@ -146,6 +145,14 @@ def binding_constraints(
     return np.array(rows).reshape(-1, len(vector))
 
 
+def varying(
+    hessian: Float[np.ndarray, "P P"], parameters: Parameters, free: Bool[np.ndarray, " P"]
+) -> Subspace:
+    """Find the directions in which an estimate can vary along the constraints that hold it."""
+    rows = [binding_constraints(parameters, free), gauge_constraints(parameters, free)]
+    return subspace(hessian, free, np.concatenate(rows))
+
+
 def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
     """Return the ends and minima of F' where it has come down to its constraint."""
     degree = curve.shape[1]
@@ -163,7 +170,6 @@ def sandwich(
     constraints: Float[np.ndarray, "C P"] | None = None,
     gauge: Float[np.ndarray, "K P"] | None = None,
     shared: float = 0.0,
-    feedback: Feedback | None = None,
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters."""
     from scipy.special import stdtrit
@@ -189,8 +195,6 @@ def sandwich(
     change = _jackknife(
         quadratic.scores @ space.basis, space.basis.T @ quadratic.informations @ space.basis
     )
-    if feedback is not None:
-        change = change @ feedback.growth(space.basis).T
     factor = (count - 1) / count / (1 - shared)
     covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
@@ -219,6 +223,15 @@ def widened(
         covariance=uncertainty.covariance + np.diag(added),
         standard_errors=np.sqrt(uncertainty.standard_errors**2 + added),
     )
+
+
+def grown(uncertainty: Uncertainty, factor: Float[np.ndarray, "P P"]) -> Uncertainty:
+    """Multiply errors by a matrix."""
+    covariance = factor @ uncertainty.covariance @ factor.T
+    covariance = (covariance + covariance.T) / 2
+    known = np.isfinite(uncertainty.standard_errors)
+    errors = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
+    return replace(uncertainty, covariance=covariance, standard_errors=errors)
 
 
 def _jackknife(
