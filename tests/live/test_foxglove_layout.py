@@ -29,7 +29,7 @@ def test_the_layout_plots_what_is_recorded():
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
     for path in paths:
         topic, field = path.split(".", 1)
-        attrgetter(field)(MessageCodec(TYPES[topic]).blank())
+        attrgetter(field)(MessageCodec(TYPES[topic]).message())
     shown = {path.split(".", 1)[0] for path in paths}
     shown |= {panel["topicToRender"] for panel in panels.values() if "topicToRender" in panel}
     assert shown == set(TYPES)
@@ -52,7 +52,7 @@ def mcap(tmp_path: Path) -> Path:
         place = bag.add_topic(
             topic, msgtype, definitions(""), best_effort=False, transient_local=False
         )
-        bag.add(place, 1, 1, codec.encode(codec.blank()))
+        bag.add(place, 1, 1, codec.encode(codec.message()))
     bag.close()
     return next((tmp_path / "bag").glob("*.mcap"))
 

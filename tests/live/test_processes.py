@@ -254,7 +254,7 @@ def test_garbage_is_survived_and_told(table):
     try:
         watch.forget()
         text = MessageCodec("std_msgs/msg/String")
-        message = text.blank()
+        message = text.message()
         message.data = 300 * "nonsense"
         for _ in range(20):
             noise.send(text.encode(message))

@@ -53,7 +53,7 @@ def test_what_is_no_message_is_a_value_error(damage):
 
 def test_messages_with_sequences():
     codec = MessageCodec("diagnostic_msgs/msg/DiagnosticArray")
-    message = codec.blank()
+    message = codec.message()
     value = codec.message("diagnostic_msgs/msg/KeyValue", key="jitter", value="0.2 ms")
     message.status = [
         codec.message("diagnostic_msgs/msg/DiagnosticStatus", name="fly", level=1, values=[value])

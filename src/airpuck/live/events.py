@@ -69,7 +69,7 @@ class EventLog:
     def heartbeat(self, level: Level, text: str, values: Mapping[str, object]) -> None:
         """Publish that the process is alive, its state, and some figures; once a second."""
         self.flush()
-        message = self._heartbeat.blank()
+        message = self._heartbeat.message()
         _set_to_now(message.header.stamp)
         pairs = [
             self._heartbeat.message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
@@ -91,7 +91,7 @@ class EventLog:
         now = time.monotonic()
         self._published = {k: t for k, t in self._published.items() if now - t < _REPEATS}
         self._published[kind] = now
-        event = self._event.blank()
+        event = self._event.message()
         _set_to_now(event.stamp)
         event.level, event.name, event.msg = EVENT_LEVELS[level], self._name, text
         self._events.send(self._event.encode(event))

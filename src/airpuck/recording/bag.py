@@ -20,12 +20,11 @@ from airpuck.recording.message import (
     stamp_paths,
 )
 from airpuck.recording.salvage import Log, TopicLog, salvage_mcap
-from airpuck.recording.stream import COLUMNS, Recording, Stream, Topics
+from airpuck.recording.stream import COLUMNS, SECOND_NS, Recording, Stream, Topics
 
 METADATA = "metadata.yaml"
 #: Endings of storage files, compressed ones included.
 STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_SECOND_NS = 10**9
 
 
 def is_bag(path: Path) -> bool:
@@ -142,7 +141,7 @@ def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:
     parts = [*log.damage]
     if log.first_ns is not None and log.last_ns is not None:
         last = np.datetime_as_string(np.datetime64(log.last_ns // 10**6, "ms"), timezone="UTC")
-        seconds = (log.last_ns - log.first_ns) / _SECOND_NS
+        seconds = (log.last_ns - log.first_ns) / SECOND_NS
         parts.append(f"read up to {seconds:.3f} s from its start ({last})")
     return ("; ".join([*parts, missing] if missing else parts),)
 
@@ -158,7 +157,7 @@ def _missing(log: Log, metadata: Mapping[str, Any]) -> str:
     if log.last_ns is None or n_messages <= log.n_messages:
         return ""
     # Lost chunks inside the recording take messages, but no time from its end.
-    seconds = max(0, end_ns - log.last_ns) / _SECOND_NS
+    seconds = max(0, end_ns - log.last_ns) / SECOND_NS
     return f"the last {seconds:.3f} s and {n_messages - log.n_messages} messages are missing"
 
 
@@ -214,7 +213,7 @@ def _stream(stream: str, topic: TopicLog) -> Stream:
     stamp = received
     if stamps:
         seconds, nanoseconds = (values[path].astype(np.int64) for path in stamps)
-        stamp = seconds * _SECOND_NS + nanoseconds
+        stamp = seconds * SECOND_NS + nanoseconds
     return Stream(
         stamp_ns=stamp,
         received_ns=received,

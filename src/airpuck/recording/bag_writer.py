@@ -14,7 +14,7 @@ from airpuck.recording.bag import METADATA
 from airpuck.recording.cdr import Types, typestore
 from airpuck.recording.files import new_folder
 from airpuck.recording.message import StreamCodec
-from airpuck.recording.stream import Recording, Stream, Topics
+from airpuck.recording.stream import SECOND_NS, Recording, Stream, Topics
 
 #: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
 _ROSBAG2_VERSION = 8
@@ -22,7 +22,6 @@ _ROSBAG2_VERSION = 8
 _CHUNK_BYTES = 2**17
 #: The table's sensors and commands do not resend.
 _BEST_EFFORT = ("pose", "command", "imu", "mouse")
-_SECOND_NS = 10**9
 
 
 def write_bag(
@@ -83,7 +82,7 @@ def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
         raise ValueError("is not a stream that a bag can hold")
     if len(stream) and (
         stream.stamp_ns.min() < 0
-        or stream.stamp_ns.max() >= 2**31 * _SECOND_NS
+        or stream.stamp_ns.max() >= 2**31 * SECOND_NS
         or stream.received_ns.min() < 0
     ):
         raise ValueError("has time stamps that ROS cannot hold (before 1970 or after 2038)")

@@ -23,10 +23,10 @@ Types = Mapping[str, Any]
 
 #: ROS name -> NumPy code of the little-endian number.
 _NUMBERS = {
-    **{
-        np.dtype(code).name: f"<{code}"
-        for code in ["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"]
-    },
+    **{f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)},
+    **{f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)},
+    "float32": "<f4",
+    "float64": "<f8",
     **dict.fromkeys(("bool", "byte", "char", "octet"), "<u1"),
 }
 FLOAT64 = _NUMBERS["float64"]
@@ -45,12 +45,8 @@ class Field(NamedTuple):
     code: str
 
 
-def flatten(types: Types, msgtype: str) -> list[Field]:
+def flatten(types: Types, msgtype: str, prefix: str = "", depth: int = 0) -> list[Field]:
     """List the leaves of a message type in the order of the wire."""
-    return _leaves(types, msgtype, "", 0)
-
-
-def _leaves(types: Types, msgtype: str, prefix: str, depth: int) -> list[Field]:
     from rosbags.interfaces import Nodetype
 
     if msgtype not in types:
@@ -59,17 +55,18 @@ def _leaves(types: Types, msgtype: str, prefix: str, depth: int) -> list[Field]:
         raise ValueError(f"the definition of {msgtype} is nested too deeply")
     leaves = []
     for name, (node, description) in types[msgtype][1]:
-        count = ""
+        count = 1
         if node == Nodetype.ARRAY:
             (node, description), count = description
-        code = ""
-        if node == Nodetype.NAME and not count:
-            leaves += _leaves(types, description, f"{prefix}{name}.", depth + 1)
+        if node == Nodetype.NAME and count == 1:
+            leaves += flatten(types, description, f"{prefix}{name}.", depth + 1)
             continue
-        if node == Nodetype.BASE and description[0] in _NUMBERS:
-            code = f"{count}{_NUMBERS[description[0]]}"
-        elif node == Nodetype.BASE and description[0] == _STRING and not count:
-            code = _STRING
+        code = ""
+        if node == Nodetype.BASE:
+            if description[0] in _NUMBERS:
+                code = ("" if count == 1 else str(count)) + _NUMBERS[description[0]]
+            elif description[0] == _STRING and count == 1:
+                code = _STRING
         leaves.append(Field(prefix + name, code))
     return leaves
 
@@ -117,13 +114,13 @@ def decode(
 
 
 def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
-    """Return where a message's numbers and lengths of strings are; None where there is no saying.
+    """Return where a message has its numbers and lengths of strings; None where sizes vary.
 
     Messages have this layout if they agree in size, encapsulation and lengths of strings.
     """
     if message[:2] != _LITTLE_ENDIAN:
         return None
-    names, codes, offsets = ["encapsulation"], ["<u4"], [0]
+    names, numbers, offsets = ["encapsulation"], [np.dtype("<u4")], [0]
     end = _ENCAPSULATION
     for path, code in fields:
         if not code:
@@ -132,14 +129,14 @@ def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
         start = end + -(end - _ENCAPSULATION) % number.base.itemsize
         end = start + number.itemsize
         names.append(path)
-        codes.append(number)
+        numbers.append(number)
         offsets.append(start)
         if code == _STRING:
             end += int.from_bytes(message[start:end], "little")
     if not end <= len(message) < end + 4:
         return None
     return np.dtype(
-        {"names": names, "formats": codes, "offsets": offsets, "itemsize": len(message)}
+        {"names": names, "formats": numbers, "offsets": offsets, "itemsize": len(message)}
     )
 
 

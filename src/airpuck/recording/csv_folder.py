@@ -20,16 +20,15 @@ from jaxtyping import Int64
 from airpuck.boundary.errors import InputError
 from airpuck.recording.files import listing, new_folder, one_line, sha256
 from airpuck.recording.message import PATHS, columns_of
-from airpuck.recording.stream import COLUMNS, Recording, Stream, Topics
+from airpuck.recording.stream import COLUMNS, SECOND_NS, Recording, Stream, Topics
 
-_SECOND_NS = 10**9
 _RECEIVED = "log_time_ns"
 _SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _FRAME = "header.frame_id"
 _YAW = "pose.orientation.yaw"
 _QUATERNION = tuple(f"pose.orientation.{axis}" for axis in "wxyz")
 #: int64 nanoseconds end in the year 2262.
-_LATEST_SECOND = 2**63 // _SECOND_NS - 1
+_LATEST_SECOND = 2**63 // SECOND_NS - 1
 
 
 def is_csv_folder(path: Path) -> bool:
@@ -183,7 +182,7 @@ def _times(table: _Table) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " 
             file=table.path,
             field=_SECONDS,
         )
-    stamp = seconds * _SECOND_NS + nanoseconds
+    stamp = seconds * SECOND_NS + nanoseconds
     return stamp, table.numbers(_RECEIVED, int) if _RECEIVED in table.columns else stamp
 
 
@@ -234,7 +233,7 @@ def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
     table: dict[str, Sequence[object]] = {_RECEIVED: stream.received_ns.tolist()}
     # The authors' references carry no header; one whose stamps differ needs it to keep them.
     if name != "reference" or not np.array_equal(stream.stamp_ns, stream.received_ns):
-        seconds, nanoseconds = np.divmod(stream.stamp_ns, _SECOND_NS)
+        seconds, nanoseconds = np.divmod(stream.stamp_ns, SECOND_NS)
         table[_FRAME] = ["body" if name == "command" else ""] * n
         table[_NANOSECONDS] = nanoseconds.tolist()
         table[_SECONDS] = seconds.tolist()

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from airpuck.recording.cdr import FLOAT64, Field, Types, encode, flatten, layout_of, typestore
-from airpuck.recording.stream import COLUMNS
+from airpuck.recording.stream import COLUMNS, SECOND_NS
 
 HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
 HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
@@ -78,7 +78,6 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
 #: Frames that messages name; the others are in the world's.
 _FRAMES = {"command": "body", "imu": "body", "mouse": "body"}
 
-_SECOND_NS = 10**9
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 #: A quaternion whose squared norm is this close to one is taken as it is.
 _UNIT = 1e-3
@@ -90,16 +89,11 @@ def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Type
 
     try:
         if text and idl:
-            types: dict[str, Any] = {}
-            separator = "=" * 80 + "\n"
-            # Several IDL files in a row, each under a line that names it.
-            for part in text.split(separator) if text.startswith(separator) else [text]:
-                body = part.partition("\n")[2] if part.startswith("IDL: ") else part
-                # rosbags' parser knows no #include; the files included follow anyway.
-                plain = "\n".join(line for line in body.splitlines() if line[:1] != "#")
-                if plain.strip():
-                    types.update(get_types_from_idl(plain))
-            return types
+            # Several files follow each other, each under two lines that rosbags' parser does not
+            # know; nor does it know #include, but the files included are among them.
+            foreign = ("=" * 80, "IDL: ", "#")
+            lines = (line for line in text.splitlines() if not line.startswith(foreign))
+            return get_types_from_idl("\n".join(lines))
         return get_types_from_msg(text, msgtype) if text else _known_types()
     except (TypesysError, RecursionError) as error:
         raise ValueError(f"the embedded definition of {msgtype} cannot be parsed") from error
@@ -184,11 +178,7 @@ class MessageCodec:
         self.fields = flatten(known, msgtype)
         self._store = typestore(known, msgtype)
         # rosbags makes its code at the first use, which must not be in flight.
-        self.decode(self.encode(self.blank()))
-
-    def blank(self) -> Any:
-        """Make a message of zeros, empty strings and empty sequences."""
-        return self._blank(self.msgtype)
+        self.decode(self.encode(self.message()))
 
     def encode(self, message: Any) -> bytes:
         """Write a message."""
@@ -202,21 +192,17 @@ class MessageCodec:
         except Exception as error:
             raise ValueError(f"{len(data)} bytes are no {self.msgtype}") from error
 
-    def message(self, msgtype: str, **fields: Any) -> Any:
-        """Make a message of a type within this one, for a sequence of them."""
-        made = self._blank(msgtype)
-        for name, value in fields.items():
-            setattr(made, name, value)
-        return made
-
-    def _blank(self, msgtype: str) -> Any:
+    def message(self, msgtype: str = "", **fields: Any) -> Any:
+        """Make a message, or one of a type within; fields not given are zero or empty."""
         from rosbags.interfaces import Nodetype
 
         values: dict[str, Any] = {}
-        definition: Any = self._store.fielddefs[msgtype]
+        definition: Any = self._store.fielddefs[msgtype or self.msgtype]
         for name, (node, description) in definition[1]:
-            if node == Nodetype.NAME:
-                values[name] = self._blank(description)
+            if name in fields:
+                values[name] = fields[name]
+            elif node == Nodetype.NAME:
+                values[name] = self.message(description)
             elif node == Nodetype.BASE:
                 values[name] = "" if description[0] == "string" else 0
             elif node == Nodetype.ARRAY:
@@ -224,7 +210,7 @@ class MessageCodec:
                 values[name] = np.zeros(count, kind)
             else:
                 values[name] = []
-        return self._store.types[msgtype](**values)
+        return self._store.types[msgtype or self.msgtype](**values)
 
 
 class StreamCodec:
@@ -242,7 +228,7 @@ class StreamCodec:
         self._codec = MessageCodec(self.msgtype, self.types)
         self._stamps = stamp_paths(self._codec.fields)
         self._read = attrgetter(*self._stamps, *self._paths)
-        blank = self._codec.blank()
+        blank = self._codec.message()
         if self._stamps:
             blank.header.frame_id = _FRAMES.get(stream, "world")
         self._template = self._codec.encode(blank)
@@ -263,7 +249,7 @@ class StreamCodec:
             columns = (x, y, level, level, np.sin(yaw / 2), np.cos(yaw / 2))
         numbers = dict(zip(self._paths, columns, strict=True))
         if self._stamps:
-            numbers.update(zip(self._stamps, np.divmod(stamp_ns, _SECOND_NS), strict=True))
+            numbers.update(zip(self._stamps, np.divmod(stamp_ns, SECOND_NS), strict=True))
         return encode(self._template, self._layout, numbers)
 
     def decode(self, data: bytes) -> tuple[int | None, Float[np.ndarray, " k"]]:
@@ -271,6 +257,6 @@ class StreamCodec:
         numbers = self._read(self._codec.decode(data))
         stamp = None
         if self._stamps:
-            stamp = numbers[0] * _SECOND_NS + numbers[1]
+            stamp = numbers[0] * SECOND_NS + numbers[1]
             numbers = numbers[2:]
         return stamp, columns_of(self._stream, list(np.array(numbers, dtype=float)[:, None]))[0]

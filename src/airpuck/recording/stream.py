@@ -15,6 +15,7 @@ from jaxtyping import Float, Int64
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
 
+SECOND_NS = 10**9
 #: Columns of the streams whose meaning is fixed. A command's columns are the propellers' names.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

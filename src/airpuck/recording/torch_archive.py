@@ -11,11 +11,11 @@ import io
 import math
 import os
 import pickle
+import pickletools
 import re
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from pickletools import code2op
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,8 +123,8 @@ class _Instructions(dict[int, Callable[[Any], None]]):
     """Opcode -> what it does; any other one ends the reading."""
 
     def __missing__(self, code: int) -> Callable[[Any], None]:
-        opcode = code2op.get(chr(code))
-        raise Refused(f"it uses the instruction {opcode.name}" if opcode else "it is damaged")
+        names = [opcode.name for opcode in pickletools.opcodes if opcode.code == chr(code)]
+        raise Refused(f"it uses the instruction {names[0]}" if names else "it is damaged")
 
 
 class _Unpickler(pickle._Unpickler):
