@@ -19,7 +19,7 @@ import numpy as np
 from airpuck import Loss, Model, Preparation, evaluate, identify, load_trajectory
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import ENCODERS
-from airpuck.model.parameters import QUANTITIES
+from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import TERMS, named_rung
 from airpuck.recording.dataset import dataset_folder
 

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.model.model_file import Model
-from airpuck.physics.pytrees import register_pytrees
-from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rigid_body import Dynamics, register_pytrees
 from airpuck.physics.rollout import rollout
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 

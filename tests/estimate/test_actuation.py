@@ -22,7 +22,7 @@ from airpuck.estimate.motor_regression import accelerations_by_motor, twice_inte
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
-from airpuck.physics.effects import Drag, Inflow, PairInteraction
+from airpuck.physics.effects import Drag, Inflow, Layout, PairInteraction
 from airpuck.physics.rigid_body import acceleration
 from airpuck.recording.torch_archive import read_authors_experiment
 
@@ -242,8 +242,8 @@ def test_windows_do_not_know_of_each_other(flight):
 
 def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
     effects = (
-        Inflow.of(MODEL.vehicle, 0.1),
-        PairInteraction.of(MODEL.vehicle, 2.0),
+        Inflow.of(Layout(MODEL.vehicle), 0.1),
+        PairInteraction.of(Layout(MODEL.vehicle), 2.0),
         Drag(0.3, 0.2, 0.1, 0.05),
     )
     dynamics = replace(MODEL.dynamics, effects=effects)

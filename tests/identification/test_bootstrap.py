@@ -12,7 +12,7 @@ from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.problem import Preparation
 from airpuck.model.model_file import read_model
-from airpuck.model.uncertainty_section import DelayJitter
+from airpuck.model.uncertainty import DelayJitter
 
 from .test_uncertainty import noisy
 

@@ -14,7 +14,7 @@ from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification import objective
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
-from airpuck.model.parameters import EFFECTS
+from airpuck.model.quantities import EFFECTS
 from airpuck.model.rungs import TERMS, named_rung
 from airpuck.physics.rollout import rollout
 

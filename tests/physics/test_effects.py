@@ -17,6 +17,7 @@ from airpuck.physics.effects import (
     Drag,
     Effect,
     Inflow,
+    Layout,
     PairInteraction,
     Tilt,
     VoltageSag,
@@ -26,12 +27,13 @@ from airpuck.physics.thrust import thrust
 
 VEHICLE = default_vehicle()
 PARAMETERS = replace(published_model("M3").parameters, center_of_mass=np.zeros(2), angle_offset=0.0)
+LAYOUT = Layout(VEHICLE)
 BASE = PARAMETERS.dynamics(np, VEHICLE)
 STILL, STOPPED = np.zeros(4), np.zeros(6)
 ALL = (
-    Inflow.of(VEHICLE, 0.1),
-    PairInteraction.of(VEHICLE, 0.5),
-    VoltageSag.of(VEHICLE, 0.2),
+    Inflow.of(LAYOUT, 0.1),
+    PairInteraction.of(LAYOUT, 0.5),
+    VoltageSag.of(LAYOUT, 0.2),
     Drag(0.3, 0.2, 0.1, 0.05),
     Tilt(0.01, -0.02),
 )
@@ -97,7 +99,7 @@ def test_gravity_is_that_of_the_earth():
 
 def test_a_propeller_that_moves_along_its_thrust_loses_some():
     # motor_a_1 pushes left: moving left at 2 m/s costs 0.1·2, moving right gains as much.
-    inflow, one = Inflow.of(VEHICLE, 0.1), np.ones(6)
+    inflow, one = Inflow.of(LAYOUT, 0.1), np.ones(6)
     a_1, a_2 = named("motor_a_1"), named("motor_a_2")
     leftward = inflow.thrust(np, one, felt(left=2.0))
     assert leftward[a_1] == pytest.approx(0.8)
@@ -110,14 +112,14 @@ def test_a_propeller_that_moves_along_its_thrust_loses_some():
 
 def test_inflow_has_the_direction_of_each_propeller():
     # motor_b_1 pushes to 210 degrees, that is against forward motion by cos 30.
-    change = Inflow.of(VEHICLE, 0.1).thrust(np, np.ones(6), felt(forward=1.0)) - 1
+    change = Inflow.of(LAYOUT, 0.1).thrust(np, np.ones(6), felt(forward=1.0)) - 1
     assert change[named("motor_b_1")] == pytest.approx(0.1 * np.sqrt(3) / 2)
     assert change[named("motor_b_2")] == pytest.approx(-0.1 * np.sqrt(3) / 2)
 
 
 def test_a_spinning_craft_carries_its_propellers_along():
     # motor_a_1 sits 44 mm ahead and pushes left: at ω = 10 rad/s it moves left at 0.44 m/s.
-    found = Inflow.of(VEHICLE, 0.1).thrust(np, np.ones(6), felt(spin=10.0))
+    found = Inflow.of(LAYOUT, 0.1).thrust(np, np.ones(6), felt(spin=10.0))
     expected = 0.1 * 10 * 0.044048012075
     assert found[named("motor_a_1")] == pytest.approx(1 - expected)
     # Its twin pushes right from the same distance; the craft has a symmetry of a third of a turn.
@@ -130,7 +132,7 @@ def test_inflow_damps_any_motion(motion):
     # With all motors at the same thrust it takes power from every motion, F·v < 0.
     base = replace(BASE, thrust=np.tile([1.0, 0.0, 0.0], (6, 1)))
     speed = np.full(6, 0.5)
-    change = accelerate((Inflow.of(VEHICLE, 0.1),), motion, speed, base) - accelerate(
+    change = accelerate((Inflow.of(LAYOUT, 0.1),), motion, speed, base) - accelerate(
         (), motion, speed, base
     )
     _, vx, vy, spin = motion
@@ -144,14 +146,14 @@ def test_inflow_damps_any_motion(motion):
 def test_a_pair_interacts_by_hand():
     # 0.4 N and 0.1 N with c = 0.5: 0.4 / 1.05 and 0.1 / 1.2; whoever is alone loses nothing.
     force = np.array([0.4, 0.1, 0.3, 0.0, 0.0, 0.0])
-    found = PairInteraction.of(VEHICLE, 0.5).thrust(np, force, felt())
+    found = PairInteraction.of(LAYOUT, 0.5).thrust(np, force, felt())
     np.testing.assert_allclose(found, [0.4 / 1.05, 0.1 / 1.2, 0.3, 0, 0, 0], rtol=1e-14)
 
 
 def test_pairs_are_those_of_the_vehicle():
     pairs = (("motor_a_1", "motor_b_2"),)
     craft = Vehicle.model_validate({**VEHICLE.model_dump(), "pairs": pairs})
-    twins = PairInteraction.of(craft, 1.0).twins
+    twins = PairInteraction.of(Layout(craft), 1.0).twins
     assert twins.sum() == 2
     assert twins[0, 3] == twins[3, 0] == 1
 
@@ -160,14 +162,14 @@ def test_a_battery_sags_by_hand():
     # 4 N in all and c = 1/2: q = 2 / (1 + √9) = 1/2, so that a quarter of each thrust is left. The
     # load at that voltage, 1 N, costs c · 1 N = 1/2 of the voltage: the equation is satisfied.
     force = np.array([1.6, 0.4, 1.0, 0.0, 0.7, 0.3])
-    found = VoltageSag.of(VEHICLE, 0.5).thrust(np, force, felt())
+    found = VoltageSag.of(LAYOUT, 0.5).thrust(np, force, felt())
     np.testing.assert_allclose(found, force / 4, rtol=1e-14)
 
 
 @given(st.floats(0, 5), st.lists(st.floats(0, 2), min_size=6, max_size=6))
 def test_voltage_and_load_of_a_battery_agree(coefficient, thrusts):
     force = np.array(thrusts)
-    left = VoltageSag.of(VEHICLE, coefficient).thrust(np, force, felt())
+    left = VoltageSag.of(LAYOUT, coefficient).thrust(np, force, felt())
     voltage = 1 - coefficient * left.sum()
     np.testing.assert_allclose(left, voltage**2 * force, rtol=1e-9, atol=1e-300)
 
@@ -189,9 +191,9 @@ def test_effects_act_one_after_the_other():
         (Effect(),),
         (Drag(),),
         (Tilt(),),
-        (Inflow.of(VEHICLE, 0.0),),
-        (PairInteraction.of(VEHICLE, 0.0),),
-        (VoltageSag.of(VEHICLE, 0.0),),
+        (Inflow.of(LAYOUT, 0.0),),
+        (PairInteraction.of(LAYOUT, 0.0),),
+        (VoltageSag.of(LAYOUT, 0.0),),
     ],
 )
 @given(motions)

@@ -9,7 +9,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.model.uncertainty_section import DelayJitter
+from airpuck.model.uncertainty import DelayJitter
 from airpuck.report.fit_report import fit_report
 from airpuck.report.page import Picture, Section, Table, Text, write_page
 from airpuck.report.style import new_figure

@@ -10,13 +10,18 @@ import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import pydantic
 
 from airpuck.boundary.errors import InputError
 
 Schema = TypeVar("Schema", bound=pydantic.BaseModel)
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NonNegative = Annotated[float, pydantic.Field(ge=0)]
+#: Between 0 and 1.
+Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 
 
 class Section(pydantic.BaseModel):
@@ -28,18 +33,23 @@ class Section(pydantic.BaseModel):
 def read_toml(
     path: str | os.PathLike[str], schema: type[Schema], *, base: Schema | None = None
 ) -> Schema:
-    """Read a TOML file and check it against a schema."""
+    """Read a TOML file and check it against a schema; what it leaves out is as in `base`."""
+    content = load_toml(path)
+    if base is not None:
+        content = laid_over(base.model_dump(mode="json"), content)
+    return checked(content, schema, file=path)
+
+
+def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a TOML file without any check of its content."""
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as text ({error})", file=path) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not valid TOML: {error}", file=path) from error
-    if base is not None:
-        content = laid_over(base.model_dump(mode="json"), content)
-    return checked(content, schema, file=path)
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import pydantic
-
-from airpuck.boundary.files import Section
-
-Positive = Annotated[float, pydantic.Field(gt=0)]
+from airpuck.boundary.files import Fraction, NonNegative, Positive, Section
 
 
 class Table(Section):
@@ -26,8 +20,8 @@ class Table(Section):
 
     length_m: Positive = 2.2
     width_m: Positive = 1.1
-    restitution: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.7
-    friction: Annotated[float, pydantic.Field(ge=0)] = 0.1
+    restitution: Fraction = 0.7
+    friction: NonNegative = 0.1
 
     def reach(self, radius: float) -> tuple[float, float]:
         """Say how far from the middle the centre of a disc can get.

@@ -10,18 +10,20 @@ import os
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import pydantic
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml, write_toml
-
-Positive = Annotated[float, pydantic.Field(gt=0)]
-NonNegative = Annotated[float, pydantic.Field(ge=0)]
-Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
+from airpuck.boundary.files import (
+    Fraction,
+    NonNegative,
+    Positive,
+    Section,
+    read_toml,
+    write_toml,
+)
 
 
 class Propeller(Section):

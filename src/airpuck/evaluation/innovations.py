@@ -24,8 +24,7 @@ from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.noise_likelihood import initial_covariance, most_likely_noise
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
-from airpuck.physics.pytrees import register_pytrees
-from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rigid_body import Dynamics, register_pytrees
 from airpuck.physics.rollout import rollout
 
 #: Fewest innovations that a likelihood is made from.

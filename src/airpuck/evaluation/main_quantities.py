@@ -10,23 +10,15 @@ import numpy as np
 
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import Quantity
+from airpuck.model.quantities import QUANTITIES, Quantity
 from airpuck.physics.thrust import thrust
 
-#: Symbol, unit and factor from SI where people use others than files do.
-_SHOWN = {
-    "motor_time_constant": ("τ", "ms", 1e3, ".2f"),
-    "transport_delay": ("d", "ms", 1e3, ".2f"),
-    "inertia": ("I", "10⁻³ kg m²", 1e3, ".4f"),
-    "angle_offset": ("α", "mrad", 1e3, ".1f"),
-    "center_of_mass": ("r", "mm", 1e3, ".2f"),
-}
 #: Shown by what they do: thrusts at a speed, not coefficients; products, not the matrix.
 _BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
 #: Without a meaning where the configuration matrix is learned directly.
-UNUSED_WHERE_DIRECT = frozenset({"inertia", "angle_offset", "center_of_mass"})
+UNUSED_WHERE_DIRECT = frozenset(q.name for q in QUANTITIES if q.in_matrix)
 #: Quantities that are positive by nature, so that a change in percent says something.
-_POSITIVE = frozenset({"motor_time_constant", "transport_delay", "inertia", "thrust"})
+_POSITIVE = frozenset(q.name for q in QUANTITIES if q.positive)
 
 
 @dataclass(frozen=True)
@@ -91,8 +83,8 @@ def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[Ma
 
 def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
     """Return the entries of one quantity."""
-    plain = (quantity.symbol, quantity.unit, 1.0, ".4g")
-    symbol, unit, factor, form = _SHOWN.get(quantity.name, plain)
+    symbol = quantity.symbol
+    unit, factor, form = quantity.shown or (quantity.unit, 1.0, ".4g")
     degree = np.shape(model.parameters.thrust)[1]
     listed = []
     for k, entry in enumerate(quantity.entries(model.vehicle.propeller_names, degree)):

@@ -22,8 +22,7 @@ from airpuck.data.windows import Windows
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.normal_equations import compiled_normal_equations
 from airpuck.model.parameters import Parameters
-from airpuck.physics.pytrees import register_pytrees
-from airpuck.physics.rigid_body import CenterOfMassFrame
+from airpuck.physics.rigid_body import CenterOfMassFrame, register_pytrees
 
 #: Weights of the x, y and yaw errors before squaring, as in the published fits.
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.packet_delays import PacketDelays, packet_delays
 from airpuck.model.model_file import Model
-from airpuck.model.uncertainty_section import DelayJitter
+from airpuck.model.uncertainty import DelayJitter
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import ACCELERATION_WINDOW, velocity

@@ -1,4 +1,4 @@
-"""The physics: pure functions of state, input and parameters.
+"""What is learned: the table of quantities, rungs, and models with their files.
 
 Entry points: `model_file.published_model`, `rungs.named_rung`, `uncertainty.Uncertainty`.
 """

@@ -17,13 +17,19 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, checked, read_toml, write_toml
+from airpuck.boundary.files import Section, checked, load_toml, write_toml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.parameters import Parameters, nominal_parameters
-from airpuck.model.parameters_section import ParametersSection
 from airpuck.model.rungs import RUNGS
-from airpuck.model.uncertainty import Uncertainty
-from airpuck.model.uncertainty_section import DelayJitter, UncertaintySection, uncertainty_content
+from airpuck.model.sections import (
+    ParametersSection,
+    UncertaintySection,
+    parameters_content,
+    read_parameters,
+    read_uncertainty,
+    uncertainty_content,
+)
+from airpuck.model.uncertainty import DelayJitter, Uncertainty
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 
 if TYPE_CHECKING:
@@ -132,15 +138,22 @@ class Model:
             Of the quantity's shape; nan where the model has no uncertainty, or none for these
             parameters, and where the data do not determine the quantity.
         """
-        known = self.uncertainty
-        if known is None or not np.array_equal(known.estimate, self.parameters.to_vector()):
+        if self._known is None:
             return np.full(np.shape(quantity(self)), np.nan)
 
         def of(vector: Float[np.ndarray, " P"]) -> Any:
             parameters = self.parameters.with_vector(vector)
             return quantity(replace(self, parameters=parameters, uncertainty=None))
 
-        return known.propagate(of)
+        return self._known.propagate(of)
+
+    @property
+    def _known(self) -> Uncertainty | None:
+        """The uncertainty, unless it belongs to other parameters."""
+        known = self.uncertainty
+        if known is None or not np.array_equal(known.estimate, self.parameters.to_vector()):
+            return None
+        return known
 
     def to_statespace(
         self,
@@ -217,32 +230,26 @@ class Model:
         path : path-like
             The file to write.
         """
-        free, first = {}, 0
+        learned, free = self.parameters.with_vector(self.free), {}
         for quantity in self.parameters.quantities:
-            size = np.size(getattr(self.parameters, quantity.name))
-            entries = self.free[first : first + size]
-            same = bool((entries == entries[0]).all())
-            free[quantity.name] = bool(entries[0]) if same else entries.tolist()
-            first += size
+            entries = np.ravel(getattr(learned, quantity.name)).tolist()
+            free[quantity.name] = entries[0] if len(set(entries)) == 1 else entries
         content = {
             "format": _FORMAT,
             "name": self.name,
             "source": self.source,
-            "transport_delay_s": self.transport_delay,
             "center_of_mass_frame": self.frame,
             "encoder_indexing": self.indexing,
-            "parameters": {
-                q.key: np.asarray(getattr(self.parameters, q.name)).tolist()
-                for q in self.parameters.quantities
-                if q.name != "transport_delay"
-            },
+            "parameters": parameters_content(self.parameters),
             "free": free,
             "fit": dict(self.fit),
             "data": dict(self.data),
-            **uncertainty_content(self.uncertainty, self.parameters, self.vehicle),
-            **({"delay_jitter": self.delay_jitter.model_dump()} if self.delay_jitter else {}),
-            "vehicle": self.vehicle.model_dump(mode="json"),
         }
+        if self._known is not None:
+            content["uncertainty"] = uncertainty_content(self._known, self.parameters, self.vehicle)
+        if self.delay_jitter is not None:
+            content["delay_jitter"] = self.delay_jitter.model_dump()
+        content["vehicle"] = self.vehicle.model_dump(mode="json")
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
 
 
@@ -250,7 +257,6 @@ class _ModelFile(Section):
     format: Literal["airpuck model 1"]
     name: str
     source: str = ""
-    transport_delay_s: float = pydantic.Field(ge=0)
     center_of_mass_frame: CenterOfMassFrame = "body"
     encoder_indexing: Literal["start", "end"] = "start"
     parameters: ParametersSection
@@ -286,7 +292,12 @@ def read_model(name: str | os.PathLike[str]) -> Model:
     try:
         if Path(name).suffix == ".json":
             return _read_params_json(Path(name))
-        return _from_file(read_toml(name, _ModelFile))
+        content = load_toml(name)
+        # Older files have the transport delay beside the parameters.
+        if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
+            delay = {"transport_delay_s": content.pop("transport_delay_s")}
+            content["parameters"] = delay | content["parameters"]
+        return _from_file(checked(content, _ModelFile, file=name))
     except InputError as error:
         if error.file is None:
             raise InputError(error.problem, file=name, field=error.field) from None
@@ -295,37 +306,37 @@ def read_model(name: str | os.PathLike[str]) -> Model:
 
 def _from_file(content: _ModelFile) -> Model:
     """Assemble the model that a checked file describes."""
-    parameters = replace(
-        content.parameters.parameters(content.vehicle), transport_delay=content.transport_delay_s
-    )
-    known = {quantity.name for quantity in parameters.quantities}
-    for name in content.free:
-        if name not in known:
-            raise InputError(
-                f"is not a known key; it must be one of {', '.join(sorted(known))}",
-                field=f"free.{name}",
-            )
-    masks = []
-    for quantity in parameters.quantities:
-        size = np.size(getattr(parameters, quantity.name))
-        free = content.free.get(quantity.name, False)
-        if not isinstance(free, bool) and len(free) != size:
-            raise InputError(f"must be one truth value or {size}", field=f"free.{quantity.name}")
-        masks.append(np.broadcast_to(np.array(free), size))
+    parameters = read_parameters(content.parameters, content.vehicle)
     return Model(
         name=content.name,
         vehicle=content.vehicle,
         parameters=parameters,
-        free=np.concatenate(masks),
+        free=_free(content.free, parameters),
         frame=content.center_of_mass_frame,
         indexing=content.encoder_indexing,
         fit=content.fit,
         data=content.data,
         source=content.source,
         uncertainty=content.uncertainty
-        and content.uncertainty.uncertainty(parameters, content.vehicle),
+        and read_uncertainty(content.uncertainty, parameters, content.vehicle),
         delay_jitter=content.delay_jitter,
     )
+
+
+def _free(
+    free: Mapping[str, bool | tuple[bool, ...]], parameters: Parameters
+) -> Bool[np.ndarray, " P"]:
+    """Return which entries a file marks as learned."""
+    sizes = {q.name: np.size(getattr(parameters, q.name)) for q in parameters.quantities}
+    for name, entries in free.items():
+        if name not in sizes:
+            raise InputError(
+                f"is not a known key; it must be one of {', '.join(sorted(sizes))}",
+                field=f"free.{name}",
+            )
+        if not isinstance(entries, bool) and len(entries) != sizes[name]:
+            raise InputError(f"must be one truth value or {sizes[name]}", field=f"free.{name}")
+    return parameters.laid_out(free, False)
 
 
 def published_model(name: str) -> Model:
@@ -360,7 +371,7 @@ def published_model(name: str) -> Model:
             field="model",
         )
     vehicle = default_vehicle()
-    parameters = checked(published[name], ParametersSection).parameters(vehicle)
+    parameters = _with_nominal_delay(published[name], vehicle)
     return Model(
         name=name,
         vehicle=vehicle,
@@ -370,6 +381,14 @@ def published_model(name: str) -> Model:
         indexing="end",
         source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
     )
+
+
+def _with_nominal_delay(
+    section: Mapping[str, Any], vehicle: Vehicle, file: Path | None = None
+) -> Parameters:
+    """Read published parameters, which know no transport delay."""
+    content = {**section, "transport_delay_s": vehicle.nominal.transport_delay_s}
+    return read_parameters(checked(content, ParametersSection, file=file), vehicle)
 
 
 def nominal_model(vehicle: Vehicle) -> Model:
@@ -434,7 +453,7 @@ def _read_params_json(path: Path) -> Model:
     }
     if switches.learn_configuration_matrix:
         section["configuration_matrix_SI"] = values.configuration_matrix
-    parameters = checked(section, ParametersSection, file=path).parameters(vehicle)
+    parameters = _with_nominal_delay(section, vehicle, file=path)
     free = {
         "thrust": switches.learn_signal2thrust,
         "inertia": switches.learn_inertia,

@@ -1,235 +1,35 @@
-"""Everything that can be learned, as one set for all rungs of the model ladder.
-
-A rung (`airpuck.model.rungs`) only says which entries are free. `Quantity` states each
-parameter's unit, shape and bounds once, for files, summaries and optimisers alike.
-"""
+"""A point in parameter space, and the dynamics that follow from it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, make_dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.physics.effects import make_effects
+from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity
+from airpuck.physics.effects import Effect, Layout
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
 
-
-@dataclass(frozen=True)
-class Quantity:
-    """One kind of parameter."""
-
-    #: Attribute of `Parameters`.
-    name: str
-    #: Key in a model file; ends with the unit.
-    key: str
-    #: Unit for people.
-    unit: str
-    #: Symbol in the documentation.
-    symbol: str
-    #: Bounds that a fit must respect.
-    lower: float
-    upper: float
-    #: A few words.
-    meaning: str
-    #: ``(propeller names, degree) -> labels`` of the entries, in the order of the flat vector.
-    entries: Callable[[tuple[str, ...], int], tuple[str, ...]]
-
-    def of_entry(self, number: int) -> tuple[str, str]:
-        """Return what one entry is called, where each has a name of its own."""
-        symbols, units = self.symbol.split(", "), self.unit.split(", ")
-        return symbols[number], units[min(number, len(units) - 1)]
-
-
-def _scalar(_names: tuple[str, ...], _degree: int) -> tuple[str, ...]:
-    return ("",)
-
-
-QUANTITIES: tuple[Quantity, ...] = (
-    Quantity(
-        "thrust",
-        "thrust_N",
-        "N",
-        "a, b, c, …",
-        -np.inf,
-        np.inf,
-        "coefficients of φ, φ², φ³, … of each propeller's thrust",
-        lambda names, degree: tuple(f"{n} φ^{k}" for n in names for k in range(1, degree + 1)),
-    ),
-    Quantity(
-        "inertia",
-        "inertia_kg_m2",
-        "kg m²",
-        "I",
-        1e-7,
-        np.inf,
-        "moment of inertia about the centre of mass",
-        _scalar,
-    ),
-    Quantity(
-        "motor_time_constant",
-        "motor_time_constant_s",
-        "s",
-        "τ",
-        1e-4,
-        1.0,
-        "first-order lag of motor speed behind the command",
-        _scalar,
-    ),
-    Quantity(
-        "angle_offset",
-        "angle_offset_rad",
-        "rad",
-        "α",
-        -np.pi,
-        np.pi,
-        "rotation of the propeller layout against the measured yaw",
-        _scalar,
-    ),
-    Quantity(
-        "center_of_mass",
-        "center_of_mass_m",
-        "m",
-        "r",
-        -1.0,
-        1.0,
-        "offset of the centre of mass from the geometric centre",
-        lambda _names, _degree: ("x", "y"),
-    ),
-    Quantity(
-        "configuration_matrix",
-        "configuration_matrix_SI",
-        "1/kg, 1/kg, 1/(kg m)",
-        "Π",
-        -np.inf,
-        np.inf,
-        "directly learned map from thrusts to body accelerations",
-        lambda names, _degree: tuple(f"{row} {n}" for row in ("x", "y", "yaw") for n in names),
-    ),
-    Quantity(
-        "drag",
-        "drag_SI",
-        "1/s, 1/m, 1/s, 1/rad",
-        "c₁, c₂, d₁, d₂",
-        0.0,
-        np.inf,
-        "linear and quadratic drag of the velocity and of the spin",
-        lambda _names, _degree: ("linear", "quadratic", "spin linear", "spin quadratic"),
-    ),
-    Quantity(
-        "inflow",
-        "inflow_s_m",
-        "s/m",
-        "cᵢ",
-        -10.0,
-        10.0,
-        "loss of thrust per air speed along the propeller's axis",
-        _scalar,
-    ),
-    Quantity(
-        "pair_interaction",
-        "pair_interaction_1_N",
-        "1/N",
-        "cₚ",
-        # Nothing to speak of, yet with a derivative: zero is a stationary point (see EFFECTS).
-        1e-2,
-        1e3,
-        "loss of thrust per thrust of the twin",
-        _scalar,
-    ),
-    Quantity(
-        "voltage_sag",
-        "voltage_sag_1_N",
-        "1/N",
-        "cᵥ",
-        0.0,
-        1e3,
-        "loss of battery voltage per total thrust",
-        _scalar,
-    ),
-    Quantity(
-        "tilt",
-        "tilt_rad",
-        "rad",
-        "sₓ, s_y",
-        -0.5,
-        0.5,
-        "slope of the table",
-        lambda _names, _degree: ("x", "y"),
-    ),
-    Quantity(
-        "transport_delay",
-        "transport_delay_s",
-        "s",
-        "d",
-        0.0,
-        0.5,
-        "from a command's stamp to the motors",
-        _scalar,
-    ),
+#: A field for each quantity.
+_Values: Any = make_dataclass(
+    "_Values",
+    [(q.name, Any) if q.default is ... else (q.name, Any, q.default) for q in QUANTITIES],
+    frozen=True,
+    eq=False,
 )
-
-#: Quantities of the optional effects (`airpuck.physics.effects`), with where a fit starts. Twins
-#: that oppose each other lose alike: a small interaction does not change their difference, so zero
-#: is a stationary point.
-EFFECTS: dict[str, float | tuple[float, ...]] = {
-    "drag": (0.0, 0.0, 0.0, 0.0),
-    "inflow": 0.0,
-    "pair_interaction": 1.0,
-    "voltage_sag": 0.0,
-    "tilt": (0.0, 0.0),
-}
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
-    """A point in parameter space.
+class Parameters(_Values):
+    """A point θ in parameter space, with an attribute for each of `QUANTITIES`.
 
-    Attributes
-    ----------
-    thrust : array, shape (n, degree)
-        Coefficients of φ, φ², φ³, … of each propeller's thrust [N].
-    inertia : float
-        Moment of inertia I about the centre of mass [kg m²].
-    motor_time_constant : float
-        Lag τ of motor speed behind the command; 0: none is modelled [s].
-    angle_offset : float
-        Rotation α of the propeller layout against the measured yaw [rad].
-    center_of_mass : array, shape (2,)
-        Offset r of the centre of mass from the geometric centre, body frame [m].
-    configuration_matrix : array, shape (3, n), or None
-        Π, where it is learned directly; None where it follows from the vehicle and the parameters
-        above [1/kg, 1/kg, 1/(kg m)].
-    drag : array, shape (4,), or None
-        c₁ [1/s], c₂ [1/m], d₁ [1/s], d₂ [1/rad] of `airpuck.physics.effects.Drag`; None, as for the
-        optional effects below: not modelled.
-    inflow : float or None
-        Loss of thrust per air speed along the propeller's axis [s/m].
-    pair_interaction : float or None
-        Loss of thrust per thrust of the twin [1/N].
-    voltage_sag : float or None
-        Loss of battery voltage per total thrust [1/N].
-    tilt : array, shape (2,), or None
-        Slope of the table along its axes [rad].
-    transport_delay : float
-        From a command's stamp to the motors, d; no part of the equations of motion [s].
+    Values are numbers or arrays: real, complex or traced by JAX, in the units of the quantities'
+    keys.
     """
-
-    thrust: Any
-    inertia: Any
-    motor_time_constant: Any
-    angle_offset: Any
-    center_of_mass: Any
-    configuration_matrix: Any = None
-    drag: Any = None
-    inflow: Any = None
-    pair_interaction: Any = None
-    voltage_sag: Any = None
-    tilt: Any = None
-    transport_delay: Any = 0.0
 
     @property
     def quantities(self) -> Iterator[Quantity]:
@@ -257,7 +57,7 @@ class Parameters:
         Parameters
         ----------
         vector : array, shape (P,)
-            All entries; real, complex, or traced by JAX.
+            All entries; real, complex, truth values, or traced by JAX.
 
         Returns
         -------
@@ -271,6 +71,32 @@ class Parameters:
             entries[quantity.name] = vector[first:last].reshape(shape)
             first = last
         return replace(self, **entries)
+
+    def laid_out(self, values: Mapping[str, Any], otherwise: Any) -> np.ndarray:
+        """Lay values out as `to_vector` does.
+
+        Parameters
+        ----------
+        values : mapping
+            By name of the quantity: one value, or one for each entry.
+        otherwise : Any
+            The value of all other quantities.
+
+        Returns
+        -------
+        array, shape (P,)
+            One value for each entry.
+
+        Raises
+        ------
+        ValueError
+            If a quantity has another number of entries.
+        """
+        parts = []
+        for quantity in self.quantities:
+            size = np.size(getattr(self, quantity.name))
+            parts.append(np.broadcast_to(np.ravel(values.get(quantity.name, otherwise)), size))
+        return np.concatenate(parts)
 
     def labels(self, propellers: tuple[str, ...]) -> list[str]:
         """Name every entry of `to_vector`.
@@ -300,9 +126,8 @@ class Parameters:
         lower, upper : array, shape (P,)
             Bounds that a fit must respect.
         """
-        sizes = [np.size(getattr(self, q.name)) for q in self.quantities]
-        lower = np.repeat([q.lower for q in self.quantities], sizes)
-        upper = np.repeat([q.upper for q in self.quantities], sizes)
+        ends = ({q.name: q.bounds[end] for q in QUANTITIES} for end in (0, 1))
+        lower, upper = (self.laid_out(values, np.nan) for values in ends)
         return lower, upper
 
     def mask(self, free: frozenset[str]) -> Bool[np.ndarray, " P"]:
@@ -318,9 +143,7 @@ class Parameters:
         array of bool, shape (P,)
             True where the entry belongs to one of them.
         """
-        return np.concatenate(
-            [np.full(np.size(getattr(self, q.name)), q.name in free) for q in self.quantities]
-        )
+        return self.laid_out(dict.fromkeys(free, True), False)
 
     def dynamics(self, xp: Any, vehicle: Vehicle, frame: CenterOfMassFrame = "body") -> Dynamics:
         """Compute the coefficients of the equations of motion.
@@ -350,28 +173,53 @@ class Parameters:
                 self.angle_offset,
                 self.center_of_mass,
             )
+        coefficients = {name: getattr(self, name) for name in EFFECTS}
         return Dynamics(
             thrust=self.thrust,
             configuration=configuration,
             center_of_mass=self.center_of_mass,
             motor_time_constant=self.motor_time_constant,
             frame=frame,
-            effects=make_effects(
-                vehicle,
-                **{name: getattr(self, name) for name in EFFECTS},
-                angle_offset=self.angle_offset,
-                scale=1.0 if self.configuration_matrix is None else thrust_scale(xp, self, vehicle),
-                xp=xp,
-            ),
+            effects=make_effects(coefficients, self.layout(xp, vehicle)),
         )
+
+    def layout(self, xp: Any, vehicle: Vehicle) -> Layout:
+        """Return what optional effects are made from.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        vehicle : Vehicle
+            Geometry and mass.
+
+        Returns
+        -------
+        Layout
+            The vehicle's propellers, turned by the angle offset.
+        """
+        return Layout(vehicle, self.angle_offset, thrust_scale(xp, self, vehicle), xp)
+
+
+Parameters.__doc__ = f"{Parameters.__doc__}\n    Attributes\n    ----------\n" + "".join(
+    f"    {q.name}\n        {q.meaning.capitalize()} [{q.unit}].\n" for q in QUANTITIES
+)
+
+
+def make_effects(coefficients: Mapping[str, Any], layout: Layout) -> tuple[Effect, ...]:
+    """Make optional effects from their coefficients by name; None: left out."""
+    return tuple(
+        quantity.effect.of(layout, coefficients[name])
+        for name, quantity in EFFECTS.items()
+        if quantity.effect is not None and coefficients.get(name) is not None
+    )
 
 
 def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
     """Return the factor that brings each thrust to newtons.
 
-    By Newton's law a propeller's column of Π has a linear part of length 1/m. Where Π is learned
-    directly, s times the thrust and 1/s times the column give the same motion, and the length can
-    be any.
+    By Newton's law the linear part of a propeller's column of Π has the length 1/m. Where Π is
+    learned directly, s times the thrust and 1/s times the column give the same motion.
     """
     matrix = parameters.configuration_matrix
     if matrix is None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
-from airpuck.model.parameters import EFFECTS, Parameters, nominal_parameters
+from airpuck.model.parameters import Parameters, nominal_parameters
+from airpuck.model.quantities import EFFECTS, QUANTITIES
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
 
@@ -29,7 +31,7 @@ class Rung:
     direct: bool = False
     #: Powers of φ in the thrust curve, whatever the degree; None: all up to it.
     powers: tuple[int, ...] | None = None
-    #: Names of the optional effects that it models, in `airpuck.model.parameters.EFFECTS`.
+    #: Names of the optional effects that it models.
     effects: tuple[str, ...] = ()
     #: Degree of the thrust curves; None: that of the vehicle's nominal thrust.
     degree: int | None = None
@@ -46,7 +48,7 @@ class Rung:
         if self.direct:
             matrix = parameters.dynamics(np, vehicle).configuration
             parameters = replace(parameters, configuration_matrix=matrix)
-        starts = {name: EFFECTS[name] for name in self.effects}
+        starts = {name: EFFECTS[name].start for name in self.effects}
         return replace(
             parameters,
             **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
@@ -76,56 +78,33 @@ def _only(
     return result
 
 
-#: What M3 learns.
-_FIRST_PRINCIPLES = frozenset(
-    {"thrust", "inertia", "motor_time_constant", "angle_offset", "center_of_mass"}
-)
+def _of_paper(name: str, summary: str, **more: Any) -> Rung:
+    """Return a rung of table:models."""
+    return Rung(name, summary, frozenset(q.name for q in QUANTITIES if name in q.rungs), **more)
+
+
+_M3 = _of_paper("M3", "full first-principles model")
 
 RUNGS: dict[str, Rung] = {
     rung.name: rung
     for rung in (
-        Rung("M0", "thrust curves only; no motor lag", frozenset({"thrust"}), lag=False),
-        Rung("M1", "and the inertia; no motor lag", frozenset({"thrust", "inertia"}), lag=False),
-        Rung(
-            "M2",
-            "thrust curves and motor lag, inertia of a disc",
-            frozenset({"thrust", "motor_time_constant"}),
-        ),
-        Rung(
-            "M3",
-            "full first-principles model",
-            _FIRST_PRINCIPLES,
-        ),
-        Rung(
-            "M4",
-            "thrust curves, motor lag and a free configuration matrix",
-            frozenset({"thrust", "motor_time_constant", "configuration_matrix"}),
-            direct=True,
-        ),
-        Rung(
-            "M5",
-            "M3, inflow and pair interaction",
-            _FIRST_PRINCIPLES,
+        _of_paper("M0", "thrust curves only; no motor lag", lag=False),
+        _of_paper("M1", "and the inertia; no motor lag", lag=False),
+        _of_paper("M2", "thrust curves and motor lag, inertia of a disc"),
+        _M3,
+        _of_paper("M4", "thrust curves, motor lag and a free configuration matrix", direct=True),
+        replace(
+            _M3,
+            name="M5",
+            summary="M3, inflow and pair interaction",
             effects=("inflow", "pair_interaction"),
         ),
-        Rung(
-            "quadratic",
-            "M3 with the classical thrust κφ²",
-            _FIRST_PRINCIPLES,
-            powers=(2,),
-        ),
+        replace(_M3, name="quadratic", summary="M3 with the classical thrust κφ²", powers=(2,)),
     )
 }
 
-
 #: Optional terms of a rung's name, and the effects that they stand for.
-TERMS: dict[str, str] = {
-    "drag": "drag",
-    "inflow": "inflow",
-    "pair": "pair_interaction",
-    "sag": "voltage_sag",
-    "tilt": "tilt",
-}
+TERMS: dict[str, str] = {quantity.term: name for name, quantity in EFFECTS.items()}
 
 
 def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame = "body") -> Rung:

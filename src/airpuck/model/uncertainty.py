@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pydantic
 from jaxtyping import Bool, Float
+
+from airpuck.boundary.files import NonNegative, Section
 
 #: Step of a finite difference, in standard errors: small enough that a product of parameters is
 #: linear, large enough for double precision.
@@ -15,6 +18,17 @@ _STEP = 1e-3
 #: Share of a gradient along a direction that the data do not determine, above which the quantity
 #: is not determined. Finite differences are exact to about 1e-6.
 _ALONG = 1e-4
+
+
+class DelayJitter(Section):
+    """How much the transport delay differs from packet to packet; a table of a model file."""
+
+    #: Of the delays of single packets.
+    standard_deviation_s: NonNegative
+    #: Of that standard deviation.
+    standard_error_s: NonNegative
+    #: Packets behind it.
+    packets: int = pydantic.Field(ge=1)
 
 
 @dataclass(frozen=True, eq=False)

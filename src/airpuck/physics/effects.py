@@ -1,7 +1,8 @@
-"""Optional terms of the equations of motion, each a small piece that is added or left out.
+"""Optional terms of the equations of motion, beyond the paper's.
 
-An effect changes the thrusts, or adds a force or moment; `airpuck.physics.rigid_body.acceleration`
+An effect changes the thrusts, or adds accelerations; `airpuck.physics.rigid_body.acceleration`
 applies those of `Dynamics.effects` in order. All are array operations with the batch as last axis.
+A new effect is a class here, and an entry in `airpuck.model.parameters.Parameters`.
 """
 
 from __future__ import annotations
@@ -32,8 +33,26 @@ class BodyMotion:
     sin: Any
 
 
+@dataclass(frozen=True)
+class Layout:
+    """A craft as effects see it: where its propellers are, and how strong."""
+
+    vehicle: Vehicle
+    #: α, by which the propellers are turned against the measured yaw [rad].
+    angle_offset: Any = 0.0
+    #: Of each propeller, the factor that brings its thrust to newtons.
+    scale: Any = 1.0
+    #: Array namespace.
+    xp: Any = np
+
+
 class Effect:
     """Base of all effects: changes nothing."""
+
+    @classmethod
+    def of(cls, layout: Layout, value: Any) -> Effect:
+        """Make the effect from its coefficients, in the order of the class's fields."""
+        return cls(*value)
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Change the thrusts."""
@@ -79,14 +98,13 @@ class Inflow(Effect):
     axes: Any
 
     @classmethod
-    def of(
-        cls, vehicle: Vehicle, coefficient: Any, angle_offset: Any = 0.0, xp: Any = np
-    ) -> Inflow:
-        """Take the axes from a vehicle."""
-        (px, py), (dx, dy) = vehicle.positions.T, vehicle.directions.T
-        cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
+    def of(cls, layout: Layout, value: Any) -> Effect:
+        """Take the axes from the vehicle; see `Effect.of`."""
+        xp, angle = layout.xp, layout.angle_offset
+        (px, py), (dx, dy) = layout.vehicle.positions.T, layout.vehicle.directions.T
+        cos, sin = xp.cos(angle), xp.sin(angle)
         turned = [cos * dx - sin * dy, sin * dx + cos * dy, px * dy - py * dx]
-        return cls(coefficient, xp.stack(turned, axis=1))
+        return cls(value, xp.stack(turned, axis=1))
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
@@ -105,12 +123,12 @@ class PairInteraction(Effect):
     twins: Any
 
     @classmethod
-    def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> PairInteraction:
-        """Take the twins from a vehicle."""
-        twins = np.zeros((vehicle.n_propellers, vehicle.n_propellers))
-        for first, second in vehicle.pair_indices:
+    def of(cls, layout: Layout, value: Any) -> Effect:
+        """Take the twins from the vehicle; see `Effect.of`."""
+        twins = np.zeros((layout.vehicle.n_propellers, layout.vehicle.n_propellers))
+        for first, second in layout.vehicle.pair_indices:
             twins[first, second] = twins[second, first] = 1.0
-        return cls(coefficient, twins * scale)
+        return cls(value, twins * layout.scale)
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
@@ -135,9 +153,9 @@ class VoltageSag(Effect):
     weights: Any
 
     @classmethod
-    def of(cls, vehicle: Vehicle, coefficient: Any, scale: Any = 1.0) -> VoltageSag:
-        """Count all propellers of a vehicle."""
-        return cls(coefficient, np.ones(vehicle.n_propellers) * scale)
+    def of(cls, layout: Layout, value: Any) -> Effect:
+        """Count all propellers of the vehicle; see `Effect.of`."""
+        return cls(value, np.ones(layout.vehicle.n_propellers) * layout.scale)
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
@@ -157,34 +175,3 @@ class Tilt(Effect):
         """Let the craft slide; see `Effect.acceleration`."""
         ax, ay = GRAVITY * self.x, GRAVITY * self.y
         return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0
-
-
-#: All kinds of effects.
-KINDS = (Drag, Inflow, PairInteraction, VoltageSag, Tilt)
-
-
-def make_effects(
-    vehicle: Vehicle,
-    *,
-    drag: Any = None,
-    inflow: Any = None,
-    pair_interaction: Any = None,
-    voltage_sag: Any = None,
-    tilt: Any = None,
-    angle_offset: Any = 0.0,
-    scale: Any = 1.0,
-    xp: Any = np,
-) -> tuple[Effect, ...]:
-    """Make effects from their coefficients, in the order in which they act."""
-    chosen: list[Effect] = []
-    if inflow is not None:
-        chosen.append(Inflow.of(vehicle, inflow, angle_offset, xp))
-    if pair_interaction is not None:
-        chosen.append(PairInteraction.of(vehicle, pair_interaction, scale))
-    if voltage_sag is not None:
-        chosen.append(VoltageSag.of(vehicle, voltage_sag, scale))
-    if drag is not None:
-        chosen.append(Drag(drag[0], drag[1], drag[2], drag[3]))
-    if tilt is not None:
-        chosen.append(Tilt(tilt[0], tilt[1]))
-    return tuple(chosen)

@@ -6,7 +6,8 @@ namespace `xp`; the batch is the last axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -52,6 +53,16 @@ class Dynamics:
     motor_time_constant: Any
     frame: CenterOfMassFrame = "body"
     effects: tuple[Effect, ...] = ()
+
+
+@cache
+def register_pytrees() -> None:
+    """Let JAX see the arrays inside `Dynamics` and all effects."""
+    from jax.tree_util import register_dataclass
+
+    for kind in (Dynamics, *Effect.__subclasses__()):
+        names = {field.name for field in fields(kind)}  # pyright: ignore[reportArgumentType]
+        register_dataclass(kind, sorted(names - {"frame"}), sorted(names & {"frame"}))
 
 
 def configuration_matrix(

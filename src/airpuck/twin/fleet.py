@@ -23,8 +23,7 @@ from airpuck.compute.compiled import for_batches
 from airpuck.compute.process import usable_cores
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.physics.pytrees import register_pytrees
-from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rigid_body import Dynamics, register_pytrees
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import LONGEST_STEP, Disc, Plant, advance, build_plant, scaled
 from airpuck.twin.radio import heard_commands

@@ -13,11 +13,10 @@ from airpuck.compute.arrays import if_any
 from airpuck.compute.compiled import program
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import thrust_scale
-from airpuck.physics.effects import Effect, make_effects
+from airpuck.model.parameters import make_effects
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import step
-from airpuck.twin.settings import Effects, TwinSettings, default_twin_settings
+from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Longest step of the integration [s]: below half the period of control.
 LONGEST_STEP = 1 / 240
@@ -39,30 +38,11 @@ def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
         Compiled once, however many twins fly it.
     """
     settings = settings or default_twin_settings()
-    dynamics = replace(model.dynamics, effects=_effects(model, settings.effects))
+    layout = model.parameters.layout(np, model.vehicle)
+    switched_on = make_effects(settings.effects.coefficients(), layout)
+    dynamics = replace(model.dynamics, effects=model.dynamics.effects + switched_on)
     vehicle, inertia = model.vehicle, float(model.parameters.inertia)
     return Plant(dynamics, Disc(vehicle.mass_kg, inertia, vehicle.radius_m), settings.table)
-
-
-def _effects(model: Model, settings: Effects) -> tuple[Effect, ...]:
-    """Return the effects of the truth, and those that are switched on in addition."""
-    s = settings
-    drag = (
-        s.drag_linear_1_s,
-        s.drag_quadratic_1_m,
-        s.spin_drag_linear_1_s,
-        s.spin_drag_quadratic_1_rad,
-    )
-    return model.dynamics.effects + make_effects(
-        model.vehicle,
-        drag=drag if any(drag) else None,
-        inflow=s.inflow_s_m or None,
-        pair_interaction=s.pair_interaction_1_N or None,
-        voltage_sag=s.voltage_sag_1_N or None,
-        tilt=s.tilt_rad if any(s.tilt_rad) else None,
-        angle_offset=float(model.parameters.angle_offset),
-        scale=thrust_scale(np, model.parameters, model.vehicle),
-    )
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 from importlib import resources
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import pydantic
 
-from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.files import (
+    Fraction,
+    NonNegative,
+    Positive,
+    Section,
+    read_toml,
+    write_toml,
+)
 from airpuck.craft.table import Table
-
-Positive = Annotated[float, pydantic.Field(gt=0)]
-NonNegative = Annotated[float, pydantic.Field(ge=0)]
-Probability = Annotated[float, pydantic.Field(ge=0, le=1)]
+from airpuck.model.quantities import EFFECTS, Pair
 
 
 def _forward(interval: tuple[float, float]) -> tuple[float, float]:
@@ -34,7 +39,7 @@ class Radio(Section):
     #: Its standard deviation. It is normal and never negative; packets do not overtake each other.
     jitter_s: NonNegative = 0.0
     #: Share of packets that never arrive.
-    loss: Probability = 0.0
+    loss: Fraction = 0.0
     #: The motors stop when no packet came for this long.
     timeout_s: Positive = 0.2
     #: Times during which nothing arrives.
@@ -53,7 +58,7 @@ class MotionCapture(Section):
     latency_s: NonNegative = 0.001
     latency_jitter_s: NonNegative = 0.0003
     #: Share of frames that are missing.
-    dropped: Probability = 0.0
+    dropped: Fraction = 0.0
     #: Times without any frame.
     gaps_s: tuple[Interval, ...] = ()
     #: Stamps are (1 + drift) t + offset, t the recorder's time.
@@ -74,25 +79,30 @@ class OnBoard(Section):
     mouse_noise_m_s: NonNegative = 0.01
 
 
-class Effects(Section):
+def _effect_fields() -> dict[str, Any]:
+    """Return one field for each coefficient of the optional physics; zero: off."""
+    entries: dict[str, Any] = {}
+    for q in EFFECTS.values():
+        if q.toml is Pair:
+            entries[q.key] = (Pair, (0.0, 0.0))
+        else:  # losses
+            entries |= dict.fromkeys(q.settings or (q.key,), (NonNegative, 0.0))
+    return entries
+
+
+class Effects(pydantic.create_model("Coefficients", __base__=Section, **_effect_fields())):
     """Optional physics (`airpuck.physics.effects`); zero: off."""
 
-    #: Of the velocity.
-    drag_linear_1_s: NonNegative = 0.0
-    drag_quadratic_1_m: NonNegative = 0.0
-    #: Of the spin.
-    spin_drag_linear_1_s: NonNegative = 0.0
-    spin_drag_quadratic_1_rad: NonNegative = 0.0
-    #: Loss of thrust per air speed along the propeller's axis.
-    inflow_s_m: NonNegative = 0.0
-    #: Loss of thrust per thrust of the twin.
-    pair_interaction_1_N: NonNegative = 0.0
-    #: Loss of battery voltage per total thrust.
-    voltage_sag_1_N: NonNegative = 0.0
-    #: Slope of the table along x and y.
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
     #: Share of the thrust that is lost per second of flight.
     battery_sag_1_s: NonNegative = 0.0
+
+    def coefficients(self) -> dict[str, Any]:
+        """Return the coefficients of those that are switched on, by name."""
+        values = {}
+        for name, quantity in EFFECTS.items():
+            value = tuple(getattr(self, key) for key in quantity.settings or (quantity.key,))
+            values[name] = value if quantity.settings else value[0]
+        return {name: value for name, value in values.items() if np.any(value)}
 
 
 class Stall(Section):
@@ -114,7 +124,7 @@ class Weakness(Stall):
     """A motor that gives only a share of its thrust for a while."""
 
     #: Thrust given, of what the model says.
-    share: Probability
+    share: Fraction
 
 
 class Motors(Section):
@@ -125,7 +135,7 @@ class Motors(Section):
     #: A motor that idles begins to follow a higher command this much later.
     starting_delay_s: NonNegative = 0.0
     #: Commands below this value count as idling.
-    idle_below: Probability = 0.05
+    idle_below: Fraction = 0.05
     #: Failures.
     stalls: tuple[Stall, ...] = ()
     #: Losses of thrust; shares of one motor multiply.

@@ -1,0 +1,237 @@
+"""Everything that can be learned, in one table.
+
+Model files, labels, bounds, rungs, tables for people and the settings of the twin's optional
+effects derive from it. A new effect is a class in `airpuck.physics.effects` and an entry here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from airpuck.boundary.files import NonNegative, Positive
+from airpuck.physics.effects import Drag, Effect, Inflow, PairInteraction, Tilt, VoltageSag
+
+Pair = tuple[float, float]
+Rows = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One kind of parameter."""
+
+    #: Attribute of `airpuck.model.parameters.Parameters`.
+    name: str
+    #: Key in a model file; ends with the unit.
+    key: str
+    #: Unit and symbol; where entries have their own, separated by commas.
+    unit: str
+    symbol: str
+    #: A few words.
+    meaning: str
+    #: Type in a model file.
+    toml: Any = float
+    #: Bounds that a fit must respect.
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    #: Labels of the entries; or, where propellers have their own, a function of the propellers'
+    #: names and the degree of the thrust polynomials.
+    labels: tuple[str, ...] | Callable[[tuple[str, ...], int], tuple[str, ...]] = ("",)
+    #: Rungs of the paper's ladder that learn it (table:models).
+    rungs: tuple[str, ...] = ()
+    #: Whether it only serves to compute Π, and has no use where that is learned directly.
+    in_matrix: bool = False
+    #: Whether it is positive by nature, so that a change in percent means something.
+    positive: bool = False
+    #: In tables for people: unit, factor from the file's unit, format.
+    shown: tuple[str, float, str] | None = None
+    #: Value where it is not given; …: it must be given, None: it is not modelled.
+    default: Any = ...
+    #: Of an optional effect: its class, the term in a rung's name, where a fit starts, and its keys
+    #: in a twin's settings, if others than `key`.
+    effect: type[Effect] | None = None
+    term: str = ""
+    start: float | tuple[float, ...] = 0.0
+    settings: tuple[str, ...] = ()
+
+    def entries(self, propellers: tuple[str, ...], degree: int) -> tuple[str, ...]:
+        """Return the labels of the entries, in the order of the flat vector."""
+        return self.labels(propellers, degree) if callable(self.labels) else self.labels
+
+    def of_entry(self, number: int) -> tuple[str, str]:
+        """Return symbol and unit of one entry, where each has its own."""
+        symbols, units = self.symbol.split(", "), self.unit.split(", ")
+        return symbols[number], units[min(number, len(units) - 1)]
+
+
+def _coefficients(propellers: tuple[str, ...], degree: int) -> tuple[str, ...]:
+    return tuple(f"{name} φ^{power}" for name in propellers for power in range(1, degree + 1))
+
+
+def _matrix_entries(propellers: tuple[str, ...], _degree: int) -> tuple[str, ...]:
+    return tuple(f"{row} {name}" for row in ("x", "y", "yaw") for name in propellers)
+
+
+#: All quantities, in the order of the flat vector.
+QUANTITIES = (
+    Quantity(
+        "thrust",
+        "thrust_N",
+        "N",
+        "a, b, c, …",
+        "coefficients of φ, φ², φ³, … of each propeller's thrust",
+        Rows,
+        labels=_coefficients,
+        rungs=("M0", "M1", "M2", "M3", "M4"),
+        positive=True,
+    ),
+    Quantity(
+        "inertia",
+        "inertia_kg_m2",
+        "kg m²",
+        "I",
+        "moment of inertia about the centre of mass",
+        Positive,
+        bounds=(1e-7, np.inf),
+        rungs=("M1", "M3"),
+        in_matrix=True,
+        positive=True,
+        shown=("10⁻³ kg m²", 1e3, ".4f"),
+    ),
+    Quantity(
+        "motor_time_constant",
+        "motor_time_constant_s",
+        "s",
+        "τ",
+        "first-order lag of motor speed behind the command; 0: none is modelled",
+        NonNegative,
+        bounds=(1e-4, 1.0),
+        rungs=("M2", "M3", "M4"),
+        positive=True,
+        shown=("ms", 1e3, ".2f"),
+    ),
+    Quantity(
+        "angle_offset",
+        "angle_offset_rad",
+        "rad",
+        "α",
+        "rotation of the propeller layout against the measured yaw",
+        bounds=(-np.pi, np.pi),
+        rungs=("M3",),
+        in_matrix=True,
+        shown=("mrad", 1e3, ".1f"),
+    ),
+    Quantity(
+        "center_of_mass",
+        "center_of_mass_m",
+        "m",
+        "r",
+        "offset of the centre of mass from the geometric centre",
+        Pair,
+        bounds=(-1.0, 1.0),
+        labels=("x", "y"),
+        rungs=("M3",),
+        in_matrix=True,
+        shown=("mm", 1e3, ".2f"),
+    ),
+    Quantity(
+        "configuration_matrix",
+        "configuration_matrix_SI",
+        "1/kg, 1/kg, 1/(kg m)",
+        "Π",
+        "directly learned map from thrusts to body accelerations",
+        Rows,
+        labels=_matrix_entries,
+        rungs=("M4",),
+        default=None,
+    ),
+    Quantity(
+        "drag",
+        "drag_SI",
+        "1/s, 1/m, 1/s, 1/rad",
+        "c₁, c₂, d₁, d₂",
+        "linear and quadratic drag of the velocity and of the spin",
+        tuple[float, float, float, float],
+        bounds=(0.0, np.inf),
+        labels=("linear", "quadratic", "spin linear", "spin quadratic"),
+        default=None,
+        effect=Drag,
+        term="drag",
+        start=(0.0, 0.0, 0.0, 0.0),
+        settings=(
+            "drag_linear_1_s",
+            "drag_quadratic_1_m",
+            "spin_drag_linear_1_s",
+            "spin_drag_quadratic_1_rad",
+        ),
+    ),
+    Quantity(
+        "inflow",
+        "inflow_s_m",
+        "s/m",
+        "cᵢ",
+        "loss of thrust per air speed along the propeller's axis",
+        bounds=(-10.0, 10.0),
+        default=None,
+        effect=Inflow,
+        term="inflow",
+    ),
+    # Twins that oppose each other lose alike, so a small interaction does not change the difference
+    # of their thrusts: zero is a stationary point. A fit starts away from it, and keeps above a
+    # negligible bound where the derivative does not vanish.
+    Quantity(
+        "pair_interaction",
+        "pair_interaction_1_N",
+        "1/N",
+        "cₚ",
+        "loss of thrust per thrust of the twin",
+        bounds=(1e-2, 1e3),
+        default=None,
+        effect=PairInteraction,
+        term="pair",
+        start=1.0,
+    ),
+    Quantity(
+        "voltage_sag",
+        "voltage_sag_1_N",
+        "1/N",
+        "cᵥ",
+        "loss of battery voltage per total thrust",
+        bounds=(0.0, 1e3),
+        default=None,
+        effect=VoltageSag,
+        term="sag",
+    ),
+    Quantity(
+        "tilt",
+        "tilt_rad",
+        "rad",
+        "sₓ, s_y",
+        "slope of the table",
+        Pair,
+        bounds=(-0.5, 0.5),
+        labels=("x", "y"),
+        default=None,
+        effect=Tilt,
+        term="tilt",
+        start=(0.0, 0.0),
+    ),
+    # No part of the equations of motion.
+    Quantity(
+        "transport_delay",
+        "transport_delay_s",
+        "s",
+        "d",
+        "from a command's stamp to the motors",
+        NonNegative,
+        bounds=(0.0, 0.5),
+        positive=True,
+        shown=("ms", 1e3, ".2f"),
+        default=0.0,
+    ),
+)
+
+#: Those of the optional effects, by name.
+EFFECTS = {quantity.name: quantity for quantity in QUANTITIES if quantity.effect is not None}

@@ -1,0 +1,204 @@
+"""Tables of a model file: values of the parameters, and how well they are known."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, get_origin
+
+import numpy as np
+import pydantic
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section
+from airpuck.craft.vehicle import Vehicle
+from airpuck.model.parameters import Parameters
+from airpuck.model.quantities import QUANTITIES, Rows
+from airpuck.model.uncertainty import Bootstrap, Uncertainty
+
+
+class NanSection(Section):
+    """A table where nan stands for what is not known."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
+
+
+def _one_field_each(section: type[Section], *, bounded: bool) -> type[Section]:
+    """Give a section a field for each quantity; required ones only where values are bounded."""
+    entries: dict[str, Any] = {}
+    for q in QUANTITIES:
+        kind = q.toml if bounded or get_origin(q.toml) is not Annotated else float
+        required = bounded and q.default is not None
+        entries[q.key] = (kind, ...) if required else (kind | None, None)
+    return pydantic.create_model(section.__name__, __base__=section, **entries)
+
+
+class ParametersSection(_one_field_each(Section, bounded=True)):
+    """The table ``[parameters]``."""
+
+
+class StandardErrors(_one_field_each(NanSection, bounded=False)):
+    """The table ``[uncertainty.standard_errors]``."""
+
+
+def parameters_content(parameters: Parameters) -> dict[str, Any]:
+    """Return the numbers of all quantities by their keys."""
+    return {q.key: np.asarray(getattr(parameters, q.name)).tolist() for q in parameters.quantities}
+
+
+def read_parameters(section: Any, vehicle: Vehicle) -> Parameters:
+    """Return the parameters that a table gives, or refuse numbers that do not fit the vehicle."""
+    values = {}
+    for quantity in QUANTITIES:
+        value = getattr(section, quantity.key)
+        if isinstance(value, tuple):
+            value = _array(value)
+            if value is None:
+                raise InputError(
+                    "its rows must all have the same length", field=f"parameters.{quantity.key}"
+                )
+        values[quantity.name] = value
+    n, matrix = vehicle.n_propellers, values["configuration_matrix"]
+    if len(values["thrust"]) != n:
+        raise InputError(
+            f"has {len(values['thrust'])} curves, but the vehicle has {n} propellers",
+            field="parameters.thrust_N",
+        )
+    if matrix is not None and matrix.shape != (3, n):
+        raise InputError(
+            f"must have 3 rows of {n} numbers, one for each propeller",
+            field="parameters.configuration_matrix_SI",
+        )
+    return Parameters(**values)
+
+
+def _array(rows: tuple[Any, ...]) -> np.ndarray | None:
+    """Return numbers or rows of numbers as an array, None if rows differ in length or are empty."""
+    try:
+        array = np.array(rows, dtype=float)
+    except ValueError:
+        return None
+    return array if array.size else None
+
+
+class BootstrapSection(NanSection):
+    """The table ``[uncertainty.bootstrap]``."""
+
+    replicates: int = pydantic.Field(ge=0)
+    seed: int
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+
+class UncertaintySection(NanSection):
+    """The table ``[uncertainty]``; `labels` names rows and columns of the covariance."""
+
+    method: Literal["sandwich"] = "sandwich"
+    clusters: int = pydantic.Field(ge=0)
+    quantile_95: float
+    notes: tuple[str, ...] = ()
+    labels: tuple[str, ...]
+    covariance: Rows
+    undetermined: Rows = ()
+    standard_errors: StandardErrors
+    bootstrap: BootstrapSection | None = None
+
+
+def uncertainty_content(
+    uncertainty: Uncertainty, parameters: Parameters, vehicle: Vehicle
+) -> dict[str, Any]:
+    """Return the table ``[uncertainty]``; entries without any uncertainty are left out."""
+    labels = np.array(parameters.labels(vehicle.propeller_names))
+    errors, bootstrap = uncertainty.standard_errors, uncertainty.bootstrap
+    used = (uncertainty.covariance != 0).any(axis=0) | np.isfinite(errors)
+    used |= (uncertainty.undetermined != 0).any(axis=0)
+    if bootstrap is not None:
+        used |= np.isfinite(bootstrap.lower)
+    content = {
+        "method": "sandwich",
+        "clusters": uncertainty.clusters,
+        "quantile_95": uncertainty.quantile,
+        "notes": list(uncertainty.notes),
+        "labels": labels[used].tolist(),
+        "covariance": uncertainty.covariance[np.ix_(used, used)].tolist(),
+        "undetermined": uncertainty.undetermined[:, used].tolist(),
+        "standard_errors": {
+            key: value
+            for key, value in parameters_content(parameters.with_vector(errors)).items()
+            if np.isfinite(value).any()
+        },
+    }
+    if bootstrap is not None:
+        content["bootstrap"] = {
+            "replicates": bootstrap.replicates,
+            "seed": bootstrap.seed,
+            "lower": bootstrap.lower[used].tolist(),
+            "upper": bootstrap.upper[used].tolist(),
+        }
+    return content
+
+
+def read_uncertainty(
+    section: UncertaintySection, parameters: Parameters, vehicle: Vehicle
+) -> Uncertainty:
+    """Return the uncertainty that a table gives, or refuse numbers that do not fit the model."""
+    labels = parameters.labels(vehicle.propeller_names)
+    for label in section.labels:
+        if label not in labels:
+            raise InputError(
+                f"has {label!r}, which is no parameter of this model", field="uncertainty.labels"
+            )
+    at = np.array([labels.index(label) for label in section.labels], dtype=int)
+    size = len(labels)
+    covariance, undetermined = np.zeros((size, size)), np.zeros((len(section.undetermined), size))
+    covariance[np.ix_(at, at)] = _rows(section.covariance, "covariance", len(at), len(at))
+    undetermined[:, at] = _rows(
+        section.undetermined, "undetermined", len(section.undetermined), len(at)
+    )
+    return Uncertainty(
+        estimate=parameters.to_vector(),
+        covariance=covariance,
+        standard_errors=_standard_errors(section.standard_errors, parameters),
+        undetermined=undetermined,
+        clusters=section.clusters,
+        quantile=section.quantile_95,
+        notes=section.notes,
+        bootstrap=section.bootstrap and _bootstrap(section.bootstrap, at, size),
+    )
+
+
+def _rows(rows: Rows, key: str, count: int, length: int) -> Float[np.ndarray, "count length"]:
+    """Return a matrix with one column for each label."""
+    if len(rows) != count or any(len(row) != length for row in rows):
+        raise InputError(
+            f"must have rows of {length} numbers, one for each label", field=f"uncertainty.{key}"
+        )
+    return np.array(rows, dtype=float).reshape(count, length)
+
+
+def _standard_errors(section: Any, parameters: Parameters) -> Float[np.ndarray, " P"]:
+    """Return the standard errors of all entries."""
+    given = {}
+    for quantity in parameters.quantities:
+        errors = getattr(section, quantity.key)
+        if errors is None:
+            continue
+        array = _array(errors) if isinstance(errors, tuple) else np.array(errors)
+        if array is None or array.shape != np.shape(getattr(parameters, quantity.name)):
+            raise InputError(
+                "must have the shape of the parameter",
+                field=f"uncertainty.standard_errors.{quantity.key}",
+            )
+        given[quantity.name] = array
+    return parameters.laid_out(given, np.nan)
+
+
+def _bootstrap(section: BootstrapSection, at: Any, size: int) -> Bootstrap:
+    """Return the intervals of all entries."""
+    ends = np.full((2, size), np.nan)
+    for end, values in zip(ends, (section.lower, section.upper), strict=True):
+        if len(values) != len(at):
+            raise InputError(
+                f"must have {len(at)} numbers, one for each label", field="uncertainty.bootstrap"
+            )
+        end[at] = values
+    return Bootstrap(section.replicates, section.seed, ends[0], ends[1])

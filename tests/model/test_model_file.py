@@ -1,0 +1,164 @@
+"""Model files: what is written is read back, older files are read, mistakes are named."""
+
+import tomllib
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.model.model_file import nominal_model, published_model, read_model
+
+#: As written before the transport delay was among the parameters.
+OLDER = """
+format = "airpuck model 1"
+name = "M3+inflow"
+source = "here"
+transport_delay_s = 0.021
+center_of_mass_frame = "body"
+encoder_indexing = "start"
+
+[parameters]
+thrust_N = [[0.1, 0.5], [0.2, 0.25]]
+inertia_kg_m2 = 0.00015
+motor_time_constant_s = 0.03
+angle_offset_rad = 0.01
+center_of_mass_m = [0.001, -0.002]
+inflow_s_m = 0.125
+
+[free]
+thrust = [true, true, true, false]
+motor_time_constant = true
+transport_delay = true
+
+[fit]
+loss = 1.5
+
+[uncertainty]
+method = "sandwich"
+clusters = 12
+quantile_95 = 2.2
+notes = ["a note"]
+labels = ["thrust left φ^1", "thrust left φ^2", "transport_delay"]
+covariance = [[0.0004, 0.0001, 0.0], [0.0001, 0.0001, 0.0], [0.0, 0.0, 1e-08]]
+undetermined = []
+
+[uncertainty.standard_errors]
+thrust_N = [[0.02, 0.01], [nan, nan]]
+transport_delay_s = 0.0001
+
+[uncertainty.bootstrap]
+replicates = 5
+seed = 1
+lower = [0.08, 0.49, 0.0209]
+upper = [0.12, 0.51, 0.0211]
+
+[delay_jitter]
+standard_deviation_s = 0.004
+standard_error_s = 0.001
+packets = 40
+
+[vehicle]
+name = "two fans"
+mass_kg = 0.1
+pairs = [["left", "right"]]
+propellers = [
+    {name = "left", position_m = [0.0, 0.05], direction_deg = 0.0},
+    {name = "right", position_m = [0.0, -0.05], direction_deg = 180.0},
+]
+nominal = {thrust_N = [0.1, 0.5], inertia_kg_m2 = 1e-4}
+"""
+
+
+@pytest.fixture
+def older(tmp_path):
+    def read(text=OLDER):
+        path = tmp_path / "model.toml"
+        path.write_text(text)
+        return read_model(path)
+
+    return read
+
+
+def same(first, second):
+    """Whether two objects have the same content, arrays and nan included."""
+    for entry in fields(first):
+        a, b = getattr(first, entry.name), getattr(second, entry.name)
+        if isinstance(a, np.ndarray) or a is None:
+            np.testing.assert_array_equal(a, b)
+        elif hasattr(a, "__dataclass_fields__"):
+            same(a, b)
+        else:
+            assert a == b or np.array_equal(a, b)
+
+
+def test_a_file_with_the_delay_beside_the_parameters_is_read(older):
+    model = older()
+    assert model.transport_delay == 0.021
+    assert model.delay_learned
+    np.testing.assert_array_equal(model.free, [1, 1, 1, 0, 0, 1, 0, 0, 0, 0, 1])
+    assert model.uncertainty.standard_errors[-1] == 1e-4
+    assert model.uncertainty.covariance[0, 1] == 1e-4
+    assert model.uncertainty.bootstrap.upper[-1] == 0.0211
+    assert model.standard_error(lambda m: m.transport_delay) == pytest.approx(1e-4)
+    assert model.delay_jitter.packets == 40
+    (inflow,) = model.dynamics.effects
+    assert inflow.coefficient == 0.125
+
+
+def test_all_survive_a_file(older, tmp_path):
+    for model in (older(), published_model("M4"), nominal_model(older().vehicle)):
+        model.save(tmp_path / "again.toml")
+        same(read_model(tmp_path / "again.toml"), model)
+        content = tomllib.loads((tmp_path / "again.toml").read_text())
+        assert "transport_delay_s" in content["parameters"]
+        assert "transport_delay_s" not in content
+
+
+def test_uncertainty_of_other_parameters_is_not_written(older, tmp_path):
+    moved = older().with_delay(0.03)
+    assert np.isnan(moved.standard_error(lambda m: m.transport_delay))
+    moved.save(tmp_path / "moved.toml")
+    assert read_model(tmp_path / "moved.toml").uncertainty is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "problem"),
+    [
+        ("transport_delay_s = 0.021\n", "", "parameters.transport_delay_s", "missing"),
+        ("delay_s = 0.021", "delay_s = -1.0", "parameters.transport_delay_s", "greater"),
+        ("inflow_s_m", "wind_s_m", "parameters.wind_s_m", "known key"),
+        ("inertia_kg_m2 = 0.00015", "inertia_kg_m2 = 0.0", "parameters.inertia_kg_m2", "greater"),
+        ("[0.2, 0.25]]", "[0.2]]", "parameters.thrust_N", "same length"),
+        (", [0.2, 0.25]]", "]", "parameters.thrust_N", "2 propellers"),
+        ("motor_time_constant = true", "lag = true", "free.lag", "known key"),
+        ("true, true, true, false", "true, false", "free.thrust", "truth value or 4"),
+        ("φ^2", "φ^9", "uncertainty.labels", "no parameter"),
+        ("0.0, 1e-08]", "1e-08]", "uncertainty.covariance", "rows of 3"),
+        ("[nan, nan]]", "[nan]]", "uncertainty.standard_errors.thrust_N", "shape"),
+        (", 0.0209]", "]", "uncertainty.bootstrap", "3 numbers"),
+        ("packets = 40", "packets = 0", "delay_jitter.packets", "greater"),
+    ],
+)
+def test_mistakes_are_named(older, old, new, field, problem):
+    assert old in OLDER
+    with pytest.raises(InputError, match=problem) as caught:
+        older(OLDER.replace(old, new, 1))
+    assert caught.value.field == field
+    assert caught.value.file.endswith("model.toml")
+
+
+def test_published_models_are_read_by_name():
+    assert read_model("paper:M3").parameters.transport_delay == 0.0208
+    with pytest.raises(InputError, match="paper:M4"):
+        read_model("paper:M9")
+
+
+def test_a_model_of_a_matrix_needs_three_rows(tmp_path):
+    model = published_model("M4")
+    wrong = replace(model.parameters, configuration_matrix=np.ones((2, 6)))
+    replace(model, parameters=wrong, free=model.free[: len(wrong.to_vector())]).save(
+        tmp_path / "m.toml"
+    )
+    with pytest.raises(InputError, match="3 rows of 6"):
+        read_model(tmp_path / "m.toml")
