@@ -193,7 +193,7 @@ def test_the_shorter_way_round_is_taken():
     craft = Estimate(0.0, np.array([0, 0, 3.0, 0, 0, 0]), IDLE, np.zeros(3))
     forward = controller.steer(craft, SetPoint(0, 0, -3.0).at(0, 0)).request
     back = controller.steer(craft, SetPoint(0, 0, 2.5).at(0, 0)).request
-    k = controller.gain[2, 2]
+    k = controller.law.gain[2, 2]
     # 2π - 6 ahead, 0.5 back; the idle motors turn it a little in the period that is settled.
     assert forward[2] - back[2] == pytest.approx(k * (2 * np.pi - 6 + 0.5), rel=1e-9)
     assert forward[2] > 0 > back[2]

@@ -39,7 +39,7 @@ def test_the_loop_on_the_nominal_craft_is_python_controls_linear_one():
     h, dynamics = ours.tuning.period_s, MODEL.dynamics
     lag, drive = motor_lag(float(dynamics.motor_time_constant), h)
     double = control.ss(np.eye(6, k=3), np.eye(6, 3, k=-3), np.eye(6), np.zeros((6, 3)))
-    plant, k = control.c2d(double, h, "zoh"), ours.gain
+    plant, k = control.c2d(double, h, "zoh"), ours.law.gain
     # Motors that already hold a middle thrust, for the request to be met from the beginning.
     speed = np.full(6, 0.35)
     x = np.zeros(6)
@@ -140,7 +140,7 @@ def test_without_rejection_the_offset_is_disturbance_over_gain():
     ours = controller(compiled=True, reject_disturbance=False)
     _, poses, _ = fly(ours, 4.0, push)
     # At rest nothing accelerates: 0 = -K e + d.
-    gains = np.diag(ours.gain[:, :3])
+    gains = np.diag(ours.law.gain[:, :3])
     np.testing.assert_allclose(poses[-50:].mean(axis=0), push / gains, rtol=0.03)
 
 

@@ -38,7 +38,7 @@ def test_a_stale_pose_idles_the_motors_until_the_next():
     step = ours.step(last + 10)
     assert step.flies
     # Begun anew there, at rest.
-    np.testing.assert_allclose(step.request[0], ours.gain[0, 0] * 0.05, atol=0.02)
+    np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
 
 
 @pytest.mark.parametrize("jump", [[0.2, 0, 0], [0, -0.2, 0], [0, 0, 2.0]])
@@ -298,7 +298,7 @@ def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
     step = ours.step(last + 2 * FRAME)
     assert step.flies
     # Begun anew there, at rest.
-    np.testing.assert_allclose(step.request[0], ours.gain[0, 0] * 0.05, atol=0.02)
+    np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
 
 
 def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):

@@ -1,6 +1,9 @@
-"""The linear-quadratic regulator on virtual accelerations."""
+"""The law of the controller: the acceleration that steers the craft, by a quadratic regulator."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -8,6 +11,27 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import point_mass
 from airpuck.control.tuning import Weights
+from airpuck.physics.angle import pose_difference
+
+
+@dataclass(frozen=True, eq=False)
+class LQR:
+    """A law of the controller: v = a_ref - K (x - x_ref), with the yaw error the shorter way.
+
+    Any law has the same two members. Where only its numbers differ, laws share compiled programs.
+    """
+
+    gain: Float[np.ndarray, "3 6"]
+
+    @property
+    def numbers(self) -> tuple[np.ndarray, ...]:
+        """Arrays that `acceleration` takes."""
+        return (self.gain,)
+
+    @staticmethod
+    def acceleration(xp: Any, state: Any, target: Any, feedforward: Any, gain: Any) -> Any:
+        """Compute the acceleration to ask for, disturbances left aside; a pure function."""
+        return feedforward - gain @ pose_difference(xp, state, target)
 
 
 def lqr(

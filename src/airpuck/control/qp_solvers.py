@@ -1,41 +1,17 @@
-"""Quadratic programming solvers behind one interface, for the two problems of an allocation."""
+"""Quadratic programming solvers for the two problems of an allocation.
+
+`constrained`: min x'Px/2 s.t. lower ≤ (x, Ax) ≤ upper, P = diag(cost).
+`nearest`: min |Ax - b|²/2 + x'Dx/2 s.t. lower ≤ x ≤ upper, D = diag(ties).
+Both return None where that is infeasible or was not solved. A solver is made for one problem size.
+"""
 
 from __future__ import annotations
-
-from abc import ABC, abstractmethod
 
 import numpy as np
 from jaxtyping import Float
 
 
-class Solver(ABC):
-    """A quadratic programming solver for one problem size, made once and then updated.
-
-    min x'Px/2 s.t. lower ≤ (x, Ax) ≤ upper (`constrained`), and
-    min |Ax - b|²/2 + x'Dx/2 s.t. lower ≤ x ≤ upper (`nearest`).
-    """
-
-    @abstractmethod
-    def constrained(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        lower: Float[np.ndarray, " m+3"],
-        upper: Float[np.ndarray, " m+3"],
-    ) -> Float[np.ndarray, " m"] | None:
-        """Solve with Ax = b; None if that is infeasible or was not solved."""
-
-    @abstractmethod
-    def nearest(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        b: Float[np.ndarray, " 3"],
-        lower: Float[np.ndarray, " m"],
-        upper: Float[np.ndarray, " m"],
-    ) -> Float[np.ndarray, " m"] | None:
-        """Bring Ax as near to b as the bounds allow; None if that was not solved."""
-
-
-class Piqp(Solver):
+class Piqp:
     """PIQP, the paper's solver (Schwan et al. 2023), an interior-point method."""
 
     # About 16 iterations solve a feasible problem. Where the bounds leave no interior it takes up
@@ -71,7 +47,7 @@ class Piqp(Solver):
         lower: Float[np.ndarray, " m+3"],
         upper: Float[np.ndarray, " m+3"],
     ) -> Float[np.ndarray, " m"] | None:
-        """Solve with Ax = b; see `Solver.constrained`."""
+        """Solve with Ax = b, the last three bounds."""
         lower, upper, b = lower[:-3], upper[:-3], upper[-3:]
         self._constrained.update(A=a, b=b, x_l=lower, x_u=upper)
         solved = self._constrained.solve() == self._solved
@@ -85,13 +61,13 @@ class Piqp(Solver):
         lower: Float[np.ndarray, " m"],
         upper: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"] | None:
-        """Bring Ax near to b; see `Solver.nearest`."""
+        """Bring Ax as near to b as the bounds allow."""
         self._nearest.update(P=a.T @ a + self._ties, c=-(b @ a), x_l=lower, x_u=upper)
         solved = self._nearest.solve() == self._solved
         return np.array(self._nearest.result.x) if solved else None
 
 
-class Daqp(Solver):
+class Daqp:
     """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method."""
 
     _OPTIMAL = 1
@@ -127,10 +103,10 @@ class Daqp(Solver):
         lower: Float[np.ndarray, " m+3"],
         upper: Float[np.ndarray, " m+3"],
     ) -> Float[np.ndarray, " m"] | None:
-        """Solve with Ax = b; see `Solver.constrained`."""
+        """Solve with Ax = b, the last three bounds."""
         model = self._constrained
-        # Told what kind each row is, it begins anew; otherwise from the last active set, so that an
-        # answer would depend on the question before it.
+        # With `sense` it begins anew; otherwise from the last active set, so that an answer would
+        # depend on the problem before it.
         if model.update(A=a, bupper=upper, blower=lower, sense=self._with_equality) < 0:
             return None
         x, _, flag, _ = model.solve()
@@ -143,11 +119,11 @@ class Daqp(Solver):
         lower: Float[np.ndarray, " m"],
         upper: Float[np.ndarray, " m"],
     ) -> Float[np.ndarray, " m"] | None:
-        """Bring Ax near to b; see `Solver.nearest`."""
+        """Bring Ax as near to b as the bounds allow."""
         x, _, flag, _ = self._solve_anew(
             a.T @ a + self._ties, -(b @ a), self._no_rows, upper, lower, self._bounds
         )
         return x if flag == self._OPTIMAL else None
 
 
-SOLVERS: dict[str, type[Piqp] | type[Daqp]] = {"daqp": Daqp, "piqp": Piqp}
+SOLVERS = {"daqp": Daqp, "piqp": Piqp}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -14,35 +14,27 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import program
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import Outcome, ThrustAllocator, all_finite
-from airpuck.control.control_law import control_law
-from airpuck.control.lqr import regulator
+from airpuck.control.lqr import LQR, regulator
+from airpuck.control.pose_gate import STALE, PoseGate
 from airpuck.control.reference import Reference, Target
+from airpuck.control.stages import Plan, command_stage, plan_stage
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
-from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
 from airpuck.physics.thrust import InverseThrust
 
 #: What callers may give for an array of one dimension.
 Numbers = Sequence[float] | np.ndarray
-#: What a control step ended with. The outcomes of the allocation fly; all others idle the motors;
-#: ``unsafe`` is said by a guard around the controller.
+#: How a control step ended. The outcomes of the allocation fly; all others idle the motors; a guard
+#: around the controller sets ``unsafe``.
 Status = (
     Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
 )
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", "open loop")
 
-#: No control without a pose from the last 50 ms: twelve frames of the motion capture.
-_STALE = 0.05
-#: A pose this far from its prediction cannot be the craft: [m, m, rad].
-_JUMP = (0.1, 0.1, 1.0)
 #: Commands that began to act longer ago than this matter to the motor speeds only [s].
 _REMEMBERED = 0.5
-#: Poses that agree with each other for this long, but not with the prediction, are believed [s];
-#: rounding of stamps must not cost a frame.
-_BELIEVED_AFTER = _STALE - 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,35 +112,35 @@ class TrackingController:
         self.model, self.reference, self.tuning = model, reference, tuning
         self.reject_disturbance = reject_disturbance
         self.compensate_delay = compensate_delay
-        self.gain = regulator(tuning.weights, tuning.period_s) if gain is None else gain
         InverseThrust(dynamics.thrust)  # refuses curves that fall
+        #: Which acceleration to ask for; may be exchanged for one with another gain.
+        self.law = LQR(regulator(tuning.weights, tuning.period_s) if gain is None else gain)
         #: Not to be exchanged: the programs below are made for it.
         self.filter = _estimator(model, tuning.estimation, compiled)
-        self._allocator = ThrustAllocator(
+        n, period, slack_weight = (
             vehicle.n_propellers,
-            model.radius_of_gyration,
+            tuning.period_s,
             tuning.allocation.slack_weight,
-            tuning.allocation.solver,
         )
-        self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
-        n, period, slack_weight = len(self._idle), tuning.period_s, tuning.allocation.slack_weight
-        law = control_law(model, period, slack_weight, reject_disturbance)
+        self._allocator = ThrustAllocator(
+            n, model.radius_of_gyration, slack_weight, tuning.allocation.solver
+        )
+        self._idle = np.full(n, vehicle.command_min)
         state, axes, motors, bounds = np.zeros(6), np.zeros(3), np.zeros(n), np.zeros(n + 5)
-        given, asked = (state, motors, axes, motors), (state, axes, self.gain)
-        self._plan = program(law.plan, *given, *asked, compiled=compiled)
+        asked = state, axes, *self.law.numbers
+        plan = plan_stage(model, period, self.law, slack_weight, reject_disturbance)
+        self._plan = program(plan, state, motors, axes, motors, *asked, compiled=compiled)
         self._command = program(
-            law.command, np.zeros(n + 2), bounds, bounds, motors, compiled=compiled
+            command_stage(model, period),
+            *(np.zeros(n + 2), bounds, bounds, motors),
+            compiled=compiled,
         )
-        one = not compiled or large_programs_are_fast()
-        self._predict_and_plan = self.filter.composed(law.plan, *asked) if one else None
-        #: Stamps of the last pose that was heard of, and of the last that was used.
-        self._heard: float | None = None
-        self._used = -math.inf
-        #: The last of the poses that agree with each other only, and the stamp of their first.
-        self._doubtful: Float[np.ndarray, " 3"] | None = None
-        self._doubtful_since = 0.0
-        self._bad_pose = False
-        #: The latest time that is known to have come.
+        #: Prediction and plan as one program, where that is faster.
+        self._predict_and_plan = None
+        if compensate_delay and (not compiled or large_programs_are_fast()):
+            self._predict_and_plan = self.filter.composed(plan, *asked)
+        self._gate = PoseGate()
+        #: The latest time that has certainly come.
         self._clock: float | None = None
 
     def pose(self, time: float, pose: Numbers) -> None:
@@ -171,27 +163,8 @@ class TrackingController:
         InputError
             If the pose is not three numbers.
         """
-        pose = _copied(pose, 3, "pose")
-        self._bad_pose = not (math.isfinite(time) and all_finite(pose))
-        heard = self._heard
-        if self._bad_pose or (heard is not None and heard - _STALE <= time <= heard):
-            return
-        self._heard = time
-        self._clock = time if self._clock is None else max(self._clock, time)
-        if heard is None or abs(time - heard) > _STALE:
-            # Too long ago to predict over, or the last stamp lay in the future: begin anew.
-            self._begin(time, pose)
-            return
-        # A prediction from before 50 ms of doubts is worth no more than they are.
-        if time - self._used <= _STALE and self.filter.pose(time, pose, gate=_JUMP):
-            self._used = time
-            self._doubtful = None
-            return
-        if self._doubtful is None or _far(pose, self._doubtful):
-            self._doubtful_since = time
-        self._doubtful = pose
-        if time - self._doubtful_since >= _BELIEVED_AFTER:
-            self._begin(time, pose)
+        if self._gate.offer(self.filter, time, _copied(pose, 3, "pose")):
+            self._clock = time if self._clock is None else max(self._clock, time)
 
     def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
         """Take note of an inertial measurement.
@@ -209,7 +182,7 @@ class TrackingController:
             Spin [rad/s].
         """
         acceleration = _copied(acceleration, 2, "acceleration")
-        if self._too_early(time) or not (all_finite(acceleration) and math.isfinite(gyro)):
+        if not (self._gate.is_recent(time) and all_finite(acceleration) and math.isfinite(gyro)):
             return
         noise = self.tuning.estimation
         self.filter.imu(time, acceleration, gyro, (noise.imu_acceleration_m_s2, noise.gyro_rad_s))
@@ -228,7 +201,7 @@ class TrackingController:
             Along the body's x and y axes [m/s].
         """
         velocity = _copied(velocity, 2, "velocity")
-        if self._too_early(time) or not all_finite(velocity):
+        if not (self._gate.is_recent(time) and all_finite(velocity)):
             return
         self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
 
@@ -253,7 +226,7 @@ class TrackingController:
         command = _copied(command, len(self._idle), "command")
         if not all_finite(command):
             return
-        late = self._clock is not None and time > self._clock + _STALE
+        late = self._clock is not None and time > self._clock + STALE
         if self._clock is not None and (late or not math.isfinite(time)):
             time = self._clock
         if not math.isfinite(time):
@@ -277,16 +250,14 @@ class TrackingController:
         """
         refusal = self.refusal(time)
         if refusal is not None:
-            return Step(self._idle.copy(), refusal, np.zeros(3), None)
+            return self._idling(refusal)
         delay = self.model.transport_delay
         target = self.reference.at(time, delay + self.tuning.period_s)
-        if self._predict_and_plan is None or not self.compensate_delay:
+        if self._predict_and_plan is None:
             return self.steer(self.predict(time), target)
-        return self._fulfilled(
-            *self.filter.predict_with(
-                self._predict_and_plan, time + delay, target.state, target.acceleration, self.gain
-            )
-        )
+        asked = target.state, target.acceleration, *self.law.numbers
+        estimate, plan = self.filter.predict_with(self._predict_and_plan, time + delay, *asked)
+        return self._carried_out(estimate, Plan(*plan))
 
     def predict(self, time: float) -> Estimate:
         """Predict the craft to when a command sent now begins to act.
@@ -329,24 +300,32 @@ class TrackingController:
             estimate.effectiveness,
             target.state,
             target.acceleration,
-            self.gain,
+            *self.law.numbers,
         )
-        return self._fulfilled(estimate, plan)
+        return self._carried_out(estimate, Plan(*plan))
 
-    def _fulfilled(self, estimate: Estimate, plan: Sequence[Any]) -> Step:
-        """Return the step that does what is planned."""
-        request, coasting, *posed = plan
-        solution, outcome = self._allocator.solve(*posed)
+    def _carried_out(self, estimate: Estimate, plan: Plan) -> Step:
+        """Allocate thrusts for a plan and invert them to commands."""
+        solution, outcome = self._allocator.solve(plan.a, plan.lower, plan.upper, plan.finite)
         if solution is None:
-            return Step(self._idle.copy(), "failed", request, estimate)
-        _, lower, upper, _ = posed
-        (command,) = self._command(solution, lower, upper, coasting)
+            return self._idling("failed", plan.request, estimate)
+        (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)
         if not all_finite(command):
-            return Step(self._idle.copy(), "failed", request, estimate)
-        return Step(command, outcome, request, estimate)
+            return self._idling("failed", plan.request, estimate)
+        return Step(command, outcome, plan.request, estimate)
+
+    def _idling(
+        self,
+        status: Status,
+        request: Float[np.ndarray, " 3"] | None = None,
+        estimate: Estimate | None = None,
+    ) -> Step:
+        """Return a step that idles the motors."""
+        request = np.zeros(3) if request is None else request
+        return Step(self._idle.copy(), status, request, estimate)
 
     def refusal(self, time: float) -> Status | None:
-        """Say why the craft cannot be steered now, if it cannot.
+        """Return why the craft cannot be steered now.
 
         Parameters
         ----------
@@ -361,69 +340,28 @@ class TrackingController:
         if not math.isfinite(time):
             return "bad input"
         self._clock = time
-        if self._bad_pose:
-            return "bad input"
-        if self._heard is None:
-            return "no pose"
-        if abs(time - self._heard) > _STALE:
-            return "stale pose"
-        if self._doubtful is not None:
-            return "jumping pose"
-        return None
-
-    def _begin(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Start the filter anew at a pose, keeping what is known of commands."""
-        self._doubtful = None
-        self._used = time
-        self.filter.restart(time, pose)
-
-    def _too_early(self, time: float) -> bool:
-        """Say whether a sensor on board speaks of a time that no pose is near."""
-        return self._heard is None or not abs(time - self._heard) <= _STALE
+        return self._gate.refusal(time)
 
 
 def _commands_all_directions(model: Model) -> bool:
-    """Say whether the propellers' forces and moments span all accelerations."""
+    """Return whether the propellers' forces and moments span all accelerations."""
     # Moments as forces at the radius of gyration: one unit for all three rows.
     strength = np.linalg.svd(model.propeller_effects, compute_uv=False)
     return len(strength) == 3 and bool(strength[2] > 1e-6 * strength[0])
 
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
-    """Copy what a caller may change later, and check how much of it there is."""
+    """Copy what a caller may change later, and check its shape."""
     copied = np.array(values, dtype=float)
     if copied.shape != (count,):
         raise InputError(f"give {count} numbers, not an array of shape {copied.shape}", field=name)
     return copied
 
 
-def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
-    """Say whether two poses cannot be neighbours."""
-    return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())
-
-
 def _estimator(model: Model, estimation: Estimation, compiled: bool) -> KalmanFilter:
-    """Make the estimator that the tuning names."""
+    """Return the estimator that the tuning names."""
     if estimation.estimator == "kalman":
-        return KalmanFilter(model, assumed_noise(estimation), compiled=compiled)
+        return KalmanFilter(model, estimation.noise, compiled=compiled)
     return ActuationFilter(
-        model, assumed_noise(estimation), lasting=estimation.forgetting_s, compiled=compiled
-    )
-
-
-def assumed_noise(estimation: Estimation) -> Noise:
-    """Translate the tuning for the filter."""
-    e = estimation
-    return Noise(
-        pose=(e.position_m, e.position_m, e.yaw_rad),
-        acceleration=(
-            e.acceleration_density,
-            e.acceleration_density,
-            e.angular_acceleration_density,
-        ),
-        disturbance=(
-            e.disturbance_density,
-            e.disturbance_density,
-            e.angular_disturbance_density,
-        ),
+        model, estimation.noise, lasting=estimation.forgetting_s, compiled=compiled
     )

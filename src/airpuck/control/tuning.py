@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.estimate.axis_filter import Noise
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
@@ -48,8 +49,7 @@ class Allocation(Section):
 class Estimation(Section):
     """The state estimator, and the noise that it assumes."""
 
-    #: Whether motors are taken to do what they are told, or the effectiveness of each is estimated,
-    #: too.
+    #: Whether motors are taken to follow their commands, or the effectiveness of each is estimated.
     estimator: Literal["kalman", "actuation"] = "kalman"
     #: Standard deviation of the motion capture.
     position_m: Positive
@@ -65,8 +65,19 @@ class Estimation(Section):
     imu_acceleration_m_s2: Positive = 0.35
     gyro_rad_s: Positive = 0.015
     mouse_m_s: Positive = 1e-2
-    #: How long what was found out about a motor holds, of ``actuation``.
+    #: Of ``actuation``: for how long an estimate of a motor holds.
     forgetting_s: Positive = 3.0
+
+    @property
+    def noise(self) -> Noise:
+        """The noise as the filter takes it."""
+        push, turn = self.acceleration_density, self.angular_acceleration_density
+        wander, twist = self.disturbance_density, self.angular_disturbance_density
+        return Noise(
+            pose=(self.position_m, self.position_m, self.yaw_rad),
+            acceleration=(push, push, turn),
+            disturbance=(wander, wander, twist),
+        )
 
 
 class Tuning(Section):

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.tracking import assumed_noise
 from airpuck.control.tuning import Estimation, default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.kalman import KalmanFilter
@@ -147,7 +146,7 @@ class HealthMonitor:
     ) -> None:
         self.model = model
         self._horizon, self._memory, self._jitter = horizon, memory, jitter
-        noise = assumed_noise(estimation or default_tuning().estimation)
+        noise = (estimation or default_tuning().estimation).noise
         self._filter = KalmanFilter(model, noise, compiled=compiled)
         reach = (table or Table()).reach(model.vehicle.radius_m)
         self._free = np.array(reach) - _AT_RAIL

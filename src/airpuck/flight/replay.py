@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.control_law import look_ahead
 from airpuck.control.discretization import motor_lag
-from airpuck.control.lqr import regulator
+from airpuck.control.lqr import LQR, regulator
 from airpuck.control.reference import Target
+from airpuck.control.stages import look_ahead
 from airpuck.control.tracking import Status, TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.estimate.estimator import Estimate
@@ -257,7 +257,7 @@ def _steer(
     refusals: list[Status | None],
 ) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
     """Compute all commands with the given gains."""
-    controller.gain = gains.matrix()
+    controller.law = LQR(gains.matrix())
     idle = np.full(controller.model.vehicle.n_propellers, controller.model.vehicle.command_min)
     commands, status = [], []
     for estimate, target, refusal in zip(estimates, targets, refusals, strict=True):
