@@ -144,6 +144,11 @@ class Histogram:
         place = int(np.cumsum(self._bins).searchsorted(rank))
         return self.longest if place >= _BINS else min((place + 1) * _BIN, self.longest)
 
+    def to_json(self) -> dict[str, float]:
+        """Return median, 99th percentile and greatest [ms]."""
+        p50, p99 = self.percentile(50), self.percentile(99)
+        return {"p50": 1e3 * p50, "p99": 1e3 * p99, "max": 1e3 * self.longest}
+
 
 class LoopTiming:
     """Timing of a loop that should act once a period."""
@@ -151,11 +156,11 @@ class LoopTiming:
     def __init__(self, period: float) -> None:
         self._period = period
         #: | time since the action before - period |.
-        self._jitter = Histogram()
+        self.jitter = Histogram()
         #: From when an action was due, its newest pose waiting, to when it was done.
-        self._latency = Histogram()
+        self.latency = Histogram()
         #: From when the newest pose was measured to when the command was sent.
-        self._pose_age = Histogram()
+        self.pose_age = Histogram()
         #: Actions later than 10 ms, and those left out since the one before was.
         self.missed = 0
         #: When the last action was due and when it was done [s].
@@ -165,34 +170,34 @@ class LoopTiming:
         """Count an action: when it was due, when it was done, and the newest pose's stamp [s]."""
         if self._last is not None:
             due_before, done_before = self._last
-            self._jitter.add(abs(done - done_before - self._period))
+            self.jitter.add(abs(done - done_before - self._period))
             self.missed += max(round((due - due_before) / self._period) - 1, 0)
         self._last = due, done
-        self._latency.add(max(done - due, 0.0))
+        self.latency.add(max(done - due, 0.0))
         self.missed += done - due > DEADLINE
         if pose is not None:
-            self._pose_age.add(max(done - pose, 0.0))
+            self.pose_age.add(max(done - pose, 0.0))
 
     def warning(self) -> str | None:
         """Return what is worse than it should be, in words; None if nothing is."""
-        jitter, latency = self._jitter.percentile(99), self._latency.percentile(99)
-        problems = []
-        if jitter > JITTER_P99:
-            problems.append(f"period jitter {1e3 * jitter:.1f} ms")
-        if latency > LATENCY_P99:
-            problems.append(f"latency {1e3 * latency:.1f} ms")
-        if self.missed:
-            problems.append(f"{self.missed} missed deadlines")
+        jitter, latency = self.jitter.percentile(99), self.latency.percentile(99)
+        problems = [
+            words
+            for late, words in (
+                (jitter > JITTER_P99, f"period jitter {1e3 * jitter:.1f} ms"),
+                (latency > LATENCY_P99, f"latency {1e3 * latency:.1f} ms"),
+                (self.missed > 0, f"{self.missed} missed deadlines"),
+            )
+            if late
+        ]
         return f"the loop is late: {', '.join(problems)} (99th percentiles)" if problems else None
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
-        figures: dict[str, Any] = {"periods": self._latency.count, "missed_deadlines": self.missed}
-        for name, histogram in (
-            ("period_jitter_ms", self._jitter),
-            ("pose_to_command_ms", self._latency),
-            ("pose_age_ms", self._pose_age),
-        ):
-            p50, p99 = histogram.percentile(50), histogram.percentile(99)
-            figures[name] = {"p50": 1e3 * p50, "p99": 1e3 * p99, "max": 1e3 * histogram.longest}
-        return figures
+        return {
+            "periods": self.latency.count,
+            "missed_deadlines": self.missed,
+            "period_jitter_ms": self.jitter.to_json(),
+            "pose_to_command_ms": self.latency.to_json(),
+            "pose_age_ms": self.pose_age.to_json(),
+        }

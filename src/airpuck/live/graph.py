@@ -80,10 +80,9 @@ class Publisher:
 class Subscription:
     """Receives messages of a topic; from `Graph.subscription`."""
 
-    def __init__(self, reader: Any, kind: Any, condition: Any = None) -> None:
-        self._reader, self._kind = reader, kind
-        #: Ends `Graph.wait` when a message comes; None if it need not.
-        self._condition = condition
+    def __init__(self, reader: Any, kind: Any, condition: Any) -> None:
+        #: The condition ends `Graph.wait` when a message comes.
+        self._reader, self._kind, self._condition = reader, kind, condition
 
     def take(self) -> list[Sample]:
         """Take what has come since the last call."""
@@ -186,7 +185,7 @@ class Graph:
         return Publisher(writer, self._kinds[msgtype])
 
     def subscription(
-        self, topic: str, msgtype: str, types: Types, quality: Quality, *, wakes: bool = False
+        self, topic: str, msgtype: str, types: Types, quality: Quality
     ) -> Subscription:
         """Subscribe to a topic.
 
@@ -198,8 +197,6 @@ class Graph:
             Definitions by type name.
         quality : Quality
             What is asked for; senders that offer less are not heard.
-        wakes : bool, default False
-            Whether `wait` returns when a message comes.
 
         Returns
         -------
@@ -217,11 +214,9 @@ class Graph:
         reader = DataReader(
             self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
         )
-        condition = None
-        if wakes:
-            anything = ViewState.Any | InstanceState.Any | SampleState.Any
-            condition = ReadCondition(reader, anything)
-            self._waitset.attach(condition)
+        anything = ViewState.Any | InstanceState.Any | SampleState.Any
+        condition = ReadCondition(reader, anything)
+        self._waitset.attach(condition)
         return Subscription(reader, self._kinds[msgtype], condition)
 
     def unsubscribe(self, subscription: Subscription) -> None:
@@ -232,11 +227,10 @@ class Graph:
         subscription : Subscription
             From `subscription`; the caller drops it.
         """
-        if subscription._condition is not None:
-            self._waitset.detach(subscription._condition)
+        self._waitset.detach(subscription._condition)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a message comes on a subscription that wakes, or a time has passed.
+        """Sleep while no message waits on any subscription, at most for some time.
 
         Parameters
         ----------

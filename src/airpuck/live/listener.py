@@ -81,47 +81,32 @@ class Listener:
         """Subscribe to new topics, and ask for less where a publisher offers less."""
         for endpoint in self._graph.publishers(own=self._own):
             name, msgtype = endpoint.topic, endpoint.msgtype
+            offered = Quality(endpoint.reliable, endpoint.transient_local, _DEPTH)
             topic = self._topics.get(name)
             if topic is not None and topic.first.msgtype == msgtype:
-                self._ask_less(topic, endpoint)
-                continue
-            if (name, msgtype) in self._refused:
-                continue
-            problem = f"it is {topic.first.msgtype} already" if topic else self._problem(msgtype)
-            if problem:
-                self._refused.add((name, msgtype))
-                whose = self._graph.describe(endpoint)
-                self.notes.append(f"{name} of {whose}, {msgtype}, is not heard: {problem}")
-                continue
-            quality = Quality(endpoint.reliable, endpoint.transient_local, _DEPTH)
-            self._topics[name] = _Topic(endpoint, quality, self._ask(endpoint, quality), [])
+                self._ask_less(topic, offered)
+            elif (name, msgtype) not in self._refused:
+                try:
+                    flatten(self.types, msgtype)
+                    self._topics[name] = _Topic(endpoint, offered, self._ask(endpoint, offered), [])
+                except ValueError as error:
+                    self._refused.add((name, msgtype))
+                    whose = self._graph.describe(endpoint)
+                    self.notes.append(f"{name} of {whose}, {msgtype}, is not heard: {error}")
 
     def _ask(self, endpoint: Endpoint, quality: Quality) -> Subscription:
         """Subscribe to an endpoint's topic."""
-        return self._graph.subscription(
-            endpoint.topic, endpoint.msgtype, self.types, quality, wakes=True
-        )
+        return self._graph.subscription(endpoint.topic, endpoint.msgtype, self.types, quality)
 
-    def _ask_less(self, topic: _Topic, endpoint: Endpoint) -> None:
-        """Subscribe anew if an endpoint offers less than is asked for: it would not be heard."""
+    def _ask_less(self, topic: _Topic, offered: Quality) -> None:
+        """Subscribe anew if a publisher offers less than is asked for: it would not be heard."""
         asked = topic.quality
-        quality = Quality(
-            asked.reliable and endpoint.reliable,
-            asked.transient_local and endpoint.transient_local,
-            _DEPTH,
-        )
+        reliable = asked.reliable and offered.reliable
+        quality = Quality(reliable, asked.transient_local and offered.transient_local, _DEPTH)
         if quality == asked:
             return
         before, topic.quality = topic.subscription, quality
         # The new one first, so that nothing falls between the two.
-        topic.subscription = self._ask(endpoint, quality)
+        topic.subscription = self._ask(topic.first, quality)
         topic.waiting += before.take()
         self._graph.unsubscribe(before)
-
-    def _problem(self, msgtype: str) -> str | None:
-        """Return why a type cannot be listened to; None if it can."""
-        try:
-            flatten(self.types, msgtype)
-        except ValueError as error:
-            return str(error)
-        return None

@@ -115,6 +115,7 @@ class Process:
                     field=topic,
                 )
             time.sleep(0.02)
+        self.graph.unsubscribe(heard)
 
     def start(self, text: str) -> None:
         """Let time begin; everything slow has been done."""
@@ -154,7 +155,7 @@ class Inbox:
         self._events = None if quiet else process.events
         self._topic, self._codec, quality = _wire(process, stream, motors)
         self._subscription = self._graph.subscription(
-            self._topic, self._codec.msgtype, self._codec.types, quality, wakes=True
+            self._topic, self._codec.msgtype, self._codec.types, quality
         )
         self._stamps, self._reported_offset = StampClock(), 0.0
         self._looked, self._late_until = self._clock.now, -math.inf

@@ -48,13 +48,11 @@ class Guard:
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Judge a pose, measured at a time [s]."""
-        before, self._last = self._last, (time, pose)
-        fault = self._fault_of(time, pose, before)
+        fault = self._fault_of(time, pose)
+        # A pose that is not finite cannot be compared with the next one.
+        self._last = (time, pose) if np.isfinite(pose).all() else None
         if fault is not None:
             self.fault(fault)
-            # A pose that is not finite cannot be compared with the next one.
-            if not np.isfinite(pose).all():
-                self._last = None
             return
         self._heard = time
         if self._good_since is None:
@@ -92,21 +90,16 @@ class Guard:
             return self._reason
         return None
 
-    def _fault_of(
-        self,
-        time: float,
-        pose: Float[np.ndarray, " 3"],
-        before: tuple[float, Float[np.ndarray, " 3"]] | None,
-    ) -> str | None:
-        """Return what is wrong with a pose, given the one before; None if nothing is."""
+    def _fault_of(self, time: float, pose: Float[np.ndarray, " 3"]) -> str | None:
+        """Return what is wrong with a pose that follows the last one; None if nothing is."""
         if not np.isfinite(pose).all():
             return "pose is not finite"
         x, y, yaw = pose.tolist()
-        if before is not None:
-            passed = max(time - before[0], 0.0)
-            bx, by, before_yaw = before[1].tolist()
-            moved = math.hypot(x - bx, y - by)
-            turned = abs((yaw - before_yaw + math.pi) % (2 * math.pi) - math.pi)
+        if self._last is not None:
+            passed = max(time - self._last[0], 0.0)
+            last_x, last_y, last_yaw = self._last[1].tolist()
+            moved = math.hypot(x - last_x, y - last_y)
+            turned = abs(math.remainder(yaw - last_yaw, 2 * math.pi))
             self._equal = self._equal + 1 if moved == 0 and turned == 0 else 1
             (far, wide), (speed, spin) = self.limits.jump, self.limits.fastest
             if moved > far + speed * passed or turned > wide + spin * passed:
@@ -156,14 +149,13 @@ class GuardedPilot:
             # Whatever goes wrong in a controller, the motors must idle and the loop go on.
             except Exception as error:
                 reason = f"the controller failed: {type(error).__name__}: {error}"
-                self.guard.fault(reason)
             else:
                 if np.isfinite(step.command).all():
                     self._log_change(None if step.flies else step.status)
                     np.clip(step.command, self._idle, 1.0, out=step.command)
                     return step
                 reason = "the controller's command is not finite"
-                self.guard.fault(reason)
+            self.guard.fault(reason)
         self._log_change(reason)
         return Step(self._idle.copy(), "unsafe", np.zeros(3), None)
 

@@ -84,21 +84,12 @@ class Wishes:
         self._reach = np.array(reach)
         #: The last wish: x, y, yaw, at rest; None before the first. It is replaced, never changed.
         self.newest: Float[np.ndarray, " 6"] | None = None
-        self._taken: Float[np.ndarray, " 6"] | None = None
 
     def put(self, x: float, y: float, yaw: float) -> None:
         """Take note of a wish, moved inside the rails."""
         if np.isfinite([x, y, yaw]).all():
             place = np.clip([x, y], -self._reach, self._reach)
             self.newest = np.array([*place, yaw, 0.0, 0.0, 0.0])
-
-    def take(self) -> Float[np.ndarray, " 6"] | None:
-        """Return the newest wish, once."""
-        newest = self.newest
-        if newest is self._taken:
-            return None
-        self._taken = newest
-        return newest
 
 
 class _Page:
@@ -116,14 +107,15 @@ class _Page:
 
     def run(self) -> dict[str, Any]:
         """Show what happens, until the end; return the figures for ``--json``."""
-        clock = self._process.clock
+        clock, sent = self._process.clock, None
         while self._process.goes_on:
             clock.sleep_until(clock.now + _PICTURE)
             for pose in self._observer.look():
                 self._scene.add_pose(pose)
-            wish = self._wishes.take()
-            if wish is not None:
+            wish = self._wishes.newest
+            if wish is not None and wish is not sent:
                 self._references.send(wish)
+                sent = wish
             self._references.remind()
             self._draw(clock.now)
         return self._observer.to_json()
