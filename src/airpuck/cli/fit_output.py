@@ -54,7 +54,7 @@ def print_fit(fit: Fit) -> None:
 
 
 def _rows(model: Model) -> list[list[str]]:
-    """Return texts of the main quantities, as far as they were learned."""
+    """Return the texts of the main quantities that were learned."""
     from airpuck.evaluation.main_quantities import main_quantities
     from airpuck.evaluation.presentation import value_of
 
@@ -82,8 +82,8 @@ def _resampled(model: Model, quantity: MainQuantity) -> str:
     found = model.uncertainty and model.uncertainty.bootstrap
     if not found or quantity.entry is None:
         return ""
-    own = np.flatnonzero(model.parameters.mask(frozenset({quantity.parameter})))
-    position = own[quantity.entry]
+    entries = np.flatnonzero(model.parameters.mask(frozenset({quantity.parameter})))
+    position = entries[quantity.entry]
     if not math.isfinite(found.lower[position]):
         return ""
     low, high = (quantity.factor * float(e[position]) for e in (found.lower, found.upper))

@@ -94,7 +94,7 @@ def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
 
         words = f"{quantity.name.replace('_', ' ')} {entry}".strip()
         label = f"{symbol} {entry}".strip()
-        if "," in symbol:  # each entry has a name of its own
+        if "," in symbol:  # each entry has its own name
             label, unit = quantity.of_entry(k)
         listed.append(MainQuantity(label, words, unit, quantity.name, k, form, value, factor))
     return listed

@@ -151,16 +151,15 @@ def _value(
 
 
 def delay_words(model: Model) -> str:
-    """Say how long commands take, and by how much that differs from packet to packet."""
+    """Write the transport delay and its jitter, with their errors."""
     error = float(model.standard_error(lambda m: m.transport_delay))
-    told = f"{1e3 * model.transport_delay:.2f} ms"
-    if np.isfinite(error):
-        told = f"{1e3 * model.transport_delay:.2f} ± {1e3 * error:.2f} ms"
+    known = f" ± {1e3 * error:.2f}" if np.isfinite(error) else ""
+    delay = f"{1e3 * model.transport_delay:.2f}{known} ms"
     jitter = model.delay_jitter
     if jitter is None:
-        return told
+        return delay
     return (
-        f"{told}, jitter {1e3 * jitter.standard_deviation_s:.1f} ± "
+        f"{delay}, jitter {1e3 * jitter.standard_deviation_s:.1f} ± "
         f"{1e3 * jitter.standard_error_s:.1f} ms over {jitter.packets} packets"
     )
 
@@ -182,16 +181,18 @@ def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
 
 def _derived(model: Model) -> list[Value]:
     """Return what follows from the parameters."""
-    values = []
-    for k, (way, _, _, unit) in enumerate(_WAYS):
-        learned = bool(model.free.any())
-
-        def push(m: Model, k: int = k) -> Any:
-            return largest_acceleration(m)[k]
-
-        values.append(_value(model, f"largest acceleration {way}", unit, push, learned))
-    lag = model.parameters.mask(frozenset({"motor_time_constant"}))
+    values = [
+        _value(
+            model,
+            f"largest acceleration {way}",
+            unit,
+            lambda m, k=k: largest_acceleration(m)[k],
+            bool(model.free.any()),
+        )
+        for k, (way, _, _, unit) in enumerate(_WAYS)
+    ]
     if float(model.parameters.motor_time_constant) > 0:
+        lag = model.parameters.mask(frozenset({"motor_time_constant"}))
         values.append(
             _value(
                 model,
@@ -227,14 +228,14 @@ def _structure(model: Model) -> list[str]:
 
 
 def _conditions(model: Model) -> list[tuple[str, str]]:
-    """Say how and from what a model was learned."""
-    told = [("source", model.source)] if model.source else []
-    told.append(("transport delay", delay_words(model)))
-    told += [(key.replace("_", " "), _text(value)) for key, value in model.fit.items()]
-    told += [(f"data {name}", digest) for name, digest in model.data.items()]
+    """List how and from what a model was learned."""
+    rows = [("source", model.source)] if model.source else []
+    rows.append(("transport delay", delay_words(model)))
+    rows += [(key.replace("_", " "), _text(value)) for key, value in model.fit.items()]
+    rows += [(f"data {name}", digest) for name, digest in model.data.items()]
     if model.uncertainty is not None:
-        told.append(("blocks of time behind the errors", str(model.uncertainty.clusters)))
-    return told
+        rows.append(("blocks of time behind the errors", str(model.uncertainty.clusters)))
+    return rows
 
 
 def _text(value: Any) -> str:
@@ -245,13 +246,8 @@ def _text(value: Any) -> str:
 
 
 def _notes(model: Model) -> list[str]:
-    """Say what to know before using a model."""
-    known = model.uncertainty
-    if known is None:
+    """List what to know before using a model."""
+    if model.uncertainty is None:
         return ["no standard errors: the model was not identified here, or by an older version"]
-    notes = list(known.notes)
-    if len(known.undetermined):
-        notes.append(f"{len(known.undetermined)} directions of the parameters are not determined")
-    if model.fit.get("converged") is False:
-        notes.append("the fit had not converged")
-    return notes
+    unfinished = model.fit.get("converged") is False
+    return [*model.uncertainty.notes, *(["the fit had not converged"] if unfinished else [])]

@@ -59,11 +59,11 @@ def bootstrap(
     """
     known = fit.uncertainty
     if known is None or fit.model.fit.get("method") != LevenbergMarquardt.__name__:
-        raise InputError("is of Levenberg-Marquardt only", field="bootstrap")
+        raise InputError("is for fits by Levenberg-Marquardt only", field="bootstrap")
     estimates = resampled_estimates(fit, replicates, seed=seed, progress=progress)
     lower, upper = np.percentile(estimates, [2.5, 97.5], axis=0)
     if fit.model.delay_jitter is not None:
-        # That the known packets are a sample is an error of its own, as in the standard errors.
+        # The known packets are only a sample: as for the standard errors, that adds an error.
         spread = fit.model.delay_jitter.standard_deviation_s
         reach = NormalDist().inv_cdf(0.975) * variance_of_mean(fit.packet_delays, spread) ** 0.5
         delay = fit.model.parameters.mask(frozenset({"transport_delay"}))

@@ -1,6 +1,6 @@
-"""Which parameters the data determine, in words.
+"""Which parameters the data determine, in numbers and words.
 
-The information matrix JᵀJ at a point says it, before a fit as after one: directions without
+The information matrix JᵀJ at a point tells, before a fit as after one: directions without
 information cannot be learned from these data, however long the optimiser runs.
 """
 
@@ -32,7 +32,7 @@ _POOR = 1e6
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What data can say about the parameters of a model."""
+    """Which parameters of a model data determine."""
 
     #: Number of free parameters.
     free: int
@@ -44,7 +44,7 @@ class Identifiability:
     weakest: tuple[str, ...]
     #: Pairs whose estimates correlate by more than 0.95 in size, by the information alone.
     correlated: tuple[tuple[str, str, float], ...]
-    #: What is not determined, and what is hard to tell apart.
+    #: What is not determined, or hard to tell apart, in sentences.
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -59,27 +59,29 @@ def identifiability_of(
     free: Bool[np.ndarray, " P"],
     propellers: tuple[str, ...],
 ) -> Identifiability:
-    """Say what an information matrix determines."""
-    labels = [label for label, is_free in zip(parameters.labels(propellers), free, strict=True)
-              if is_free]  # fmt: skip
+    """Tell which combinations of the free parameters an information matrix determines."""
+    labels = np.array(parameters.labels(propellers))[free].tolist()
     scale = scaling(hessian, free)
     information = (hessian * scale * scale[:, None])[np.ix_(free, free)]
     if not labels or not np.isfinite(information).all():
         return Identifiability(len(labels), 0, float("inf"), (), (), ("no information",))
     value, vector = np.linalg.eigh(information)
     known = value > UNDETERMINED * max(value[-1], 1e-300)
-    rank = int(known.sum())
+    rank, undetermined = int(known.sum()), vector[:, ~known]
     gauges = {}
     for motor, direction in gauge_directions(parameters, free).items():
         scaled = direction[free] / scale[free]
         gauges[propellers[motor]] = scaled / np.linalg.norm(scaled)
-    notes = _undetermined_notes(vector[:, ~known], labels, gauges)
+    notes = _undetermined_notes(undetermined, labels, gauges)
     condition = float(value[-1] / value[known][0]) if rank else float("inf")
     weakest = _main(vector[:, known][:, 0], labels) if rank else ()
     if condition > _POOR:
         notes.append(f"poorly determined: {', '.join(weakest)} trade off against each other")
-    correlation = _correlation(vector[:, known], value[known], vector[:, ~known])
-    pairs = _pairs(correlation, labels)
+    correlation = _correlation(vector[:, known], value[known], undetermined)
+    rows, columns = np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1))
+    pairs = [
+        (labels[i], labels[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)
+    ]
     notes += _lag_against_delay(correlation, labels)
     if pairs:
         first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
@@ -87,7 +89,7 @@ def identifiability_of(
             f"{len(pairs)} pairs of parameters correlate by more than {_ALIKE}, most {first} and "
             f"{second} ({size:.3f}): judge what they make up together, such as a thrust curve"
         )
-    return Identifiability(len(labels), rank, condition, weakest, pairs, tuple(notes))
+    return Identifiability(len(labels), rank, condition, weakest, tuple(pairs), tuple(notes))
 
 
 def _main(direction: Float[np.ndarray, " F"], labels: list[str]) -> tuple[str, ...]:
@@ -100,32 +102,20 @@ def _main(direction: Float[np.ndarray, " F"], labels: list[str]) -> tuple[str, .
 def _correlation(
     vector: Float[np.ndarray, "F R"],
     value: Float[np.ndarray, " R"],
-    blind: Float[np.ndarray, "F K"],
+    undetermined: Float[np.ndarray, "F K"],
 ) -> Float[np.ndarray, "F F"]:
-    """Return the correlation of the estimates; zero for what the data do not determine alone."""
+    """Return the correlation of the estimates; zero where data determine combinations only."""
     covariance = vector / value @ vector.T
-    own = np.abs(blind).max(axis=1, initial=0.0) < 1e-6
     spread = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(spread, spread).clip(1e-300)
-    correlation[~own] = correlation[:, ~own] = 0.0
-    return correlation
-
-
-def _pairs(
-    correlation: Float[np.ndarray, "F F"], labels: list[str]
-) -> tuple[tuple[str, str, float], ...]:
-    """List pairs of determined parameters whose estimates are hard to tell apart."""
-    first, second = np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1))
-    return tuple(
-        (labels[i], labels[j], float(correlation[i, j]))
-        for i, j in zip(first.tolist(), second.tolist(), strict=True)
-    )
+    alone = np.abs(undetermined).max(axis=1, initial=0.0) < 1e-6
+    return np.where(np.outer(alone, alone), correlation, 0.0)
 
 
 def _lag_against_delay(correlation: Float[np.ndarray, "F F"], labels: list[str]) -> list[str]:
-    """Say how motor lag and transport delay trade off, which shift every response alike."""
+    """Tell how motor lag and transport delay trade off: both shift every response."""
     names = ("motor_time_constant", "transport_delay")
-    if not all(name in labels for name in names):
+    if not set(names) <= set(labels):
         return []
     size = float(correlation[labels.index(names[0]), labels.index(names[1])])
     if abs(size) < _TRADED:
@@ -137,12 +127,12 @@ def _lag_against_delay(correlation: Float[np.ndarray, "F F"], labels: list[str])
 
 
 def _undetermined_notes(
-    blind: Float[np.ndarray, "F K"],
+    undetermined: Float[np.ndarray, "F K"],
     labels: list[str],
     gauges: Mapping[str, Float[np.ndarray, " F"]],
 ) -> list[str]:
-    """Name what the data do not determine: products first, then what else there is."""
-    notes, left, named = [], blind, []
+    """Name what the data do not determine: products, single parameters, other combinations."""
+    notes, left, named = [], undetermined, []
     for name, direction in gauges.items():
         part = left.T @ direction
         if part @ part < 0.99:
@@ -170,7 +160,7 @@ def _undetermined_notes(
 def _without(
     directions: Float[np.ndarray, "F K"], explained: Float[np.ndarray, "F E"]
 ) -> Float[np.ndarray, "F L"]:
-    """Return what is left of a space of directions without the ones that are explained."""
+    """Return an orthonormal basis of a space of directions, less those that are explained."""
     rest = directions - explained @ (explained.T @ directions)
     left, size, _ = np.linalg.svd(rest, full_matrices=False)
     return left[:, size > 1e-3]

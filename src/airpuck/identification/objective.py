@@ -131,7 +131,7 @@ class PredictionLoss:
         Returns
         -------
         Windows
-            Held anew where the delay is continuous.
+            With commands held for this delay, where it is continuous.
         """
         if not self.continuous_delay:
             return self.windows
@@ -209,9 +209,9 @@ class PredictionLoss:
         batches, owner = [], []
         for cluster in range(int(clusters.max()) + 1):
             members = np.flatnonzero((clusters == cluster) & (counted > 0))
-            own = _split(members, self.windows.starts, counted)
-            batches += own
-            owner += [cluster] * len(own)
+            parts = _split(members, self.windows.starts, counted)
+            batches += parts
+            owner += [cluster] * len(parts)
         return batches, owner
 
 
@@ -239,11 +239,9 @@ def _split(
     size = min(most, 1 << (len(starts) - 1).bit_length())
     batches = []
     for first in range(0, len(members), size):
-        own = members[first : first + size]
-        missing = size - len(own)
-        batches.append(
-            (np.pad(starts[own], (0, missing), mode="edge"), np.pad(counted[own], (0, missing)))
-        )
+        part = members[first : first + size]
+        missing = (0, size - len(part))
+        batches.append((np.pad(starts[part], missing, mode="edge"), np.pad(counted[part], missing)))
     return batches
 
 

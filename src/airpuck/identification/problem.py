@@ -46,8 +46,8 @@ class Loss:
         Samples from one window to the next. Windows that begin one sample apart share all others:
         7 keeps nearly all of the information at a seventh of the cost.
     robust : bool
-        Whether windows that the model predicts badly count less, so that faults which nobody has
-        marked hardly move the estimate. `LevenbergMarquardt` only.
+        Whether windows that the model predicts badly count less, so that unmarked faults hardly
+        move the estimate. `LevenbergMarquardt` only.
     """
 
     encoder: PaperEncoder = _ENCODER
@@ -110,7 +110,7 @@ class Preparation:
         Whether the transport delay is learned, as a continuous parameter for all recordings; or
         the delay of each recording is taken as it is, in whole samples. None: it is learned by
         `LevenbergMarquardt` on rungs with a motor lag, unless a recording was prepared by others:
-        each of those was shifted by a delay of its own.
+        each of those was shifted by another delay.
     retimings : int
         How often commands are moved to when their packets arrived, and velocities smoothed along
         the model, with what the fit before has learned (`airpuck.identification.retiming`). Where
@@ -168,8 +168,9 @@ class Problem:
     @property
     def preparing_method(self) -> LevenbergMarquardt:
         """The optimiser of the fits that prepare the data."""
-        own = self.method
-        return own if isinstance(own, LevenbergMarquardt) else LevenbergMarquardt()
+        if isinstance(self.method, LevenbergMarquardt):
+            return self.method
+        return LevenbergMarquardt()
 
     @property
     def _delays_known(self) -> bool:
@@ -188,12 +189,12 @@ class Problem:
         """Whether the transport delay is one of the parameters."""
         if self.preparation.delay is not None:
             return self.preparation.delay == "fit"
-        own = self.preparing_method is self.method
-        return self.rung.lag and own and self._delays_known
+        can = isinstance(self.method, LevenbergMarquardt)
+        return can and self.rung.lag and self._delays_known
 
     @property
     def retimings(self) -> int:
-        """How often the data are prepared anew."""
+        """How often packets are retimed."""
         return self.preparation.retimings if self.learns_delay and self.rung.lag else 0
 
     @cached_property

@@ -42,7 +42,7 @@ def retime_packets(
 
 
 def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Trajectory:
-    """Move packets to when they arrived, as far as is known.
+    """Move packets to their expected times of arrival.
 
     The mean of δ given its estimate δ̂ of variance v is σ²/(σ² + v) δ̂ for packets whose delays have
     the standard deviation σ. All other packets keep the mean delay, but overtake none.
@@ -149,6 +149,6 @@ def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
 
 
 def _centred(delays: Sequence[PacketDelays], variance: float) -> Float[np.ndarray, " B"]:
-    """Return deviations from the weighted mean of their recording: each has one of its own."""
+    """Return deviations from the weighted mean of each recording."""
     means = [np.average(d.deviation, weights=1 / (variance + d.standard_error**2)) for d in delays]
     return np.concatenate([d.deviation - m for d, m in zip(delays, means, strict=True)])

@@ -47,8 +47,8 @@ def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
         size = BATCH * round(size / BATCH)
     clusters, first = np.zeros(len(windows), dtype=int), 0
     for number in np.unique(trajectory):
-        own = np.flatnonzero(trajectory == number)
-        for block in np.array_split(own, -(-len(own) // size)):
+        members = np.flatnonzero(trajectory == number)
+        for block in np.array_split(members, -(-len(members) // size)):
             clusters[block] = first
             first += 1
     return clusters
@@ -72,7 +72,7 @@ def shared_at_borders(loss: PredictionLoss) -> float:
 
 
 def _steps(windows: Windows) -> tuple[Int[np.ndarray, " W"], float]:
-    """Return the trajectory of each window, and how many samples on the next begins, typically."""
+    """Return the trajectory of each window, and the usual stride in samples."""
     trajectory = np.searchsorted(windows.origins, windows.starts, side="right")
     steps = np.diff(windows.starts)[np.diff(trajectory) == 0]
     return trajectory, float(np.median(steps)) if len(steps) else 1.0
@@ -106,13 +106,13 @@ def subspace(
     value, vector = np.linalg.eigh(inside.T @ hessian @ inside)
     known = value > UNDETERMINED * max(value.max(initial=0.0), 1e-300)
     reach = np.linalg.norm(inside / np.where(scale > 0, scale, 1.0)[:, None], axis=1)
-    blind = np.linalg.qr(inside @ vector[:, ~known])[0].T
+    undetermined = np.linalg.qr(inside @ vector[:, ~known])[0].T
     # Rounding leaves a trace of every parameter in every direction.
-    size = np.abs(blind) / np.where(scale > 0, scale, 1.0)
-    blind = np.where(size > 1e-6 * size.max(axis=1, initial=0.0, keepdims=True), blind, 0.0)
+    size = np.abs(undetermined) / np.where(scale > 0, scale, 1.0)
+    large = size > 1e-6 * size.max(axis=1, initial=0.0, keepdims=True)
     return Subspace(
         basis=inside @ vector[:, known] / np.sqrt(value[known]),
-        undetermined=blind,
+        undetermined=np.where(large, undetermined, 0.0),
         held=free & (reach < 1e-6),
     )
 
@@ -139,7 +139,7 @@ def binding_constraints(
         for speed in _flat_speeds(coefficients[motor : motor + 1]):
             row = np.zeros(len(vector))
             row[motor * degree : (motor + 1) * degree] = power * speed ** (power - 1)
-            # A slope that no free coefficient changes is nobody's constraint.
+            # A slope that no free coefficient changes constrains nothing.
             if (np.abs(row) * free).any():
                 rows.append(row)
     return np.array(rows).reshape(-1, len(vector))
@@ -198,9 +198,8 @@ def sandwich(
     factor = (count - 1) / count / (1 - shared)
     covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
-    # What moves along a direction without information has no error of its own.
-    blind = (space.undetermined != 0).any(axis=0)
-    unknown = ~free | space.held | blind
+    # A part of a direction without information has no error by itself.
+    unknown = ~free | space.held | (space.undetermined != 0).any(axis=0)
     return Uncertainty(
         estimate=vector,
         covariance=covariance,
@@ -244,7 +243,7 @@ def _jackknife(
 
 
 def _notes(count: int, space: Subspace, constraints: Float[np.ndarray, "C P"]) -> tuple[str, ...]:
-    """Say what to know before using standard errors."""
+    """Write the caveats of standard errors."""
     notes = []
     rank = space.basis.shape[1]
     if count <= rank:

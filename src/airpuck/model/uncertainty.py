@@ -66,7 +66,7 @@ class Uncertainty:
     notes : tuple of str
         What to know before using it.
     bootstrap : Bootstrap or None
-        Intervals by resampling, where they were asked for.
+        Intervals by resampling, where there are any (`airpuck.bootstrap`).
     """
 
     estimate: Float[np.ndarray, " P"]
@@ -108,7 +108,7 @@ class Uncertainty:
         spread = np.sqrt(np.diag(self.covariance))
         shape = np.shape(quantity(self.estimate))
         gradient = np.zeros((len(spread), int(np.prod(shape, dtype=int))))
-        # What a gauge direction moves has no variance of its own, yet must be looked at.
+        # Entries of a gauge direction may have no variance, but must be varied, too.
         moved = np.abs(self.undetermined).max(axis=0, initial=0.0) * np.abs(self.estimate)
         for entry in np.flatnonzero((spread > 0) | (moved > 0)):
             step = np.zeros_like(spread)
@@ -142,10 +142,10 @@ class Uncertainty:
 
 
 def _touches(gradient: Float[np.ndarray, "P M"], undetermined: Float[np.ndarray, "K P"]) -> Any:
-    """Say which quantities change along directions that the data do not determine."""
+    """Mark the quantities that change along directions which the data do not determine."""
     if not len(undetermined):
         return np.zeros(gradient.shape[1], dtype=bool)
-    # Entries have units of their own: compare each sum with the sum of its terms' sizes, the
+    # Entries differ in their units: compare each sum with the sum of its terms' sizes, the
     # largest of all directions, since a direction can have nothing to do with a quantity.
     most = (np.abs(undetermined) @ np.abs(gradient)).max(axis=0)
     return (np.abs(undetermined @ gradient) > _ALONG * most).any(axis=0)
