@@ -1,4 +1,4 @@
-"""Clock alignment: poses and commands on one time axis."""
+"""Clock alignment: poses and commands on one time axis (subsec:data_preprocessing)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int64
 
-from airpuck.recording.stream import Stream
+from airpuck.recording.stream import SECOND_NS, Stream
 
 #: Difference between two senders' clocks that cannot be latency [s].
 _CLOCKS_DIFFER = 0.1
+#: Drift of a clock that is reported [s], and how many messages it takes to see one.
+_DRIFTS = 5e-3
+_ENOUGH_FOR_DRIFT = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +25,6 @@ class Aligned:
     command_time: Float[np.ndarray, " K"]
     #: The earlier of the two first stamps [s since 1970].
     epoch: float
-    #: What was found.
     warnings: tuple[str, ...]
     #: What the recorder's clock showed at `epoch`: the same, unless the two clocks differ by more
     #: than latencies explain [s since 1970].
@@ -35,7 +37,7 @@ def seconds(stamp_ns: Int64[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     At today's epoch a double resolves 2⁻²² s = 0.24 µs. Motion capture drivers compute stamps in
     doubles and truncate them to nanoseconds; converting back restores the driver's number.
     """
-    whole, rest = np.divmod(stamp_ns, 1_000_000_000)
+    whole, rest = np.divmod(stamp_ns, SECOND_NS)
     return whole + rest * 1e-9
 
 
@@ -47,14 +49,14 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     the shortest latency. Offsets more than 0.1 s apart are different clocks, and the commands are
     moved to the poses' clock.
     """
+    pose_time, command_time = seconds(pose.stamp_ns), seconds(command.stamp_ns)
     offsets = {
-        name: seconds(stream.received_ns) - seconds(stream.stamp_ns)
-        for name, stream in (("pose", pose), ("command", command))
+        "pose": seconds(pose.received_ns) - pose_time,
+        "command": seconds(command.received_ns) - command_time,
     }
-    # A low quantile rather than the minimum: one wrong stamp must not set the clock.
-    base = {name: float(np.quantile(offset, 0.01)) for name, offset in offsets.items()}
-    warnings = []
+    base = {name: _lowest(offset) for name, offset in offsets.items()}
     correction = base["command"] - base["pose"]
+    warnings = []
     if abs(correction) > _CLOCKS_DIFFER:
         warnings.append(
             f"the clocks of poses and commands differ by {correction:.3f} s; "
@@ -63,17 +65,20 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     else:
         correction = 0.0
     for name, offset in offsets.items():
-        if len(offset) < 400:
-            continue
-        ends = np.array_split(offset, 4)
-        drift = float(np.quantile(ends[-1], 0.01) - np.quantile(ends[0], 0.01))
-        if abs(drift) > 5e-3:
+        first, *_, last = np.array_split(offset, 4)
+        drift = _lowest(last) - _lowest(first) if len(offset) >= _ENOUGH_FOR_DRIFT else 0.0
+        if abs(drift) > _DRIFTS:
             warnings.append(
                 f"the clock of the {name} stream drifts against the recorder's by "
                 f"{1e3 * drift:.1f} ms over the recording"
             )
-    pose_time, command_time = seconds(pose.stamp_ns), seconds(command.stamp_ns) + correction
+    command_time = command_time + correction
     epoch = float(min(pose_time[0], command_time[0]))
     # The axis is the poses' clock, and commands that were moved came along from the recorder's.
     ahead = base["pose"] if correction or abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
     return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings), epoch + ahead)
+
+
+def _lowest(offset: Float[np.ndarray, " N"]) -> float:
+    """Return a low quantile rather than the minimum: one wrong stamp must not set the clock."""
+    return float(np.quantile(offset, 0.01))

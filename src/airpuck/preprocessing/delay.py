@@ -27,7 +27,7 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
     limit = round(LONGEST_S / trajectory.sample_period)
     shift, correlation = 0, 0.0
     visited: set[int] = set()
-    # Shifts cannot oscillate for ever: a shift that comes back ends the search.
+    # Shifts cannot oscillate forever: a shift that comes back ends the search.
     while shift not in visited:
         visited.add(shift)
         # Sample k of the motion is paired with the motor speed `shift` samples before.

@@ -1,4 +1,4 @@
-"""Data quality: what a recording's streams must satisfy, and faults that are found and reported."""
+"""Data quality: what streams must satisfy, and which of their samples cannot be used."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from airpuck.recording.stream import Stream
 GAP_PERIODS = 1.5
 #: A pose that repeats exactly for this many samples is frozen: a real measurement has noise.
 FROZEN_SAMPLES = 5
-#: A pose that leaps further from one sample to the next than the samples around it do: by so many
-#: times their usual difference, and at least by so much [m, m, rad]. A blow changes the speed, and
-#: goes on; its first sample leaps no further than the later ones.
+#: A pose jumps if its step differs from its neighbours' steps this many times as much as is usual,
+#: and at least this much [m, m, rad]. A blow is no jump: it changes all later steps alike.
 JUMP_RATIO = 10.0
 JUMP_LEAST = (1e-3, 1e-3, 0.02)
 _JUMP_NEIGHBOURS = 11
-#: Windows whose median is found at once.
+#: Windows sorted at once, which bounds memory.
 _SORTED_AT_ONCE = 1 << 14
 #: Samples on both sides of a jump that smoothing spoils.
 _SMOOTHED = 7
@@ -95,7 +94,7 @@ def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, sour
 def drop_disorder(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], kind: str
 ) -> Samples:
-    """Drop samples whose stamp repeats or precedes an earlier one."""
+    """Drop samples whose stamp repeats an earlier one or precedes it."""
     if len(time) == 0:
         return Samples(time, values)
     latest = np.maximum.accumulate(time)
@@ -124,7 +123,7 @@ def find_gaps(
 
 
 def stretches(time: Float[np.ndarray, " N"]) -> list[slice]:
-    """Cut a stream at its pauses."""
+    """Cut a stream at its gaps."""
     edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]).tolist(), len(time)]
     return [slice(first, last) for first, last in pairwise(edges)]
 
@@ -142,7 +141,7 @@ def find_frozen(
 
 
 def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) -> tuple[Span, ...]:
-    """Find poses that leap, once or there and back."""
+    """Find poses that jump, for good or there and back."""
     if len(time) < _JUMP_NEIGHBOURS:
         return ()
     pause = np.diff(time)
@@ -150,11 +149,11 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     leap = np.abs(rate - _running_median(rate, _JUMP_NEIGHBOURS))
     leap *= np.median(pause)
     limit = np.maximum(JUMP_RATIO * np.median(leap, axis=0) / 0.6745, JUMP_LEAST)
-    # What moves on over a pause in the stream is no leap.
+    # Motion during a gap is no jump.
     jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * np.median(pause))
     spoilt = np.zeros(len(time), dtype=bool)
-    for before in np.flatnonzero(jumps).tolist():
-        spoilt[max(before + 1 - _SMOOTHED, 0) : before + 1 + _SMOOTHED] = True
+    for after in (np.flatnonzero(jumps) + 1).tolist():
+        spoilt[max(after - _SMOOTHED, 0) : after + _SMOOTHED] = True
     return tuple(
         Span(float(time[first]), float(time[last - 1]), "jumping pose")
         for first, last in runs(spoilt)
@@ -162,7 +161,7 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
 
 
 def _running_median(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "N k"]:
-    """Return medians over an odd number of neighbours; the ends are repeated beyond themselves."""
+    """Return medians over an odd number of neighbours, with both ends repeated."""
     half = window // 2
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)

@@ -84,7 +84,7 @@ def _in_order(files: list[Path], metadata: Mapping[str, Any]) -> list[Path]:
 
 
 def _read_file(path: Path, wanted: Collection[str]) -> Log:
-    """Read one storage file; of a damaged .mcap, what is whole."""
+    """Read one storage file; of a damaged .mcap, the intact part."""
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
     try:

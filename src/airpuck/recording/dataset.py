@@ -153,9 +153,8 @@ def _reason(error: Exception) -> str:
         return f"the server answers {error.response.status_code}"
     if isinstance(error, requests.Timeout):
         return "the server does not answer"
-    if isinstance(error, requests.exceptions.ChunkedEncodingError):
-        return "the connection broke"
-    return "the server cannot be reached"
+    broken = isinstance(error, requests.exceptions.ChunkedEncodingError)
+    return "the connection broke" if broken else "the server cannot be reached"
 
 
 def verify(folder: str | os.PathLike[str], *, all: bool = False) -> dict[str, str]:

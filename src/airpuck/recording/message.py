@@ -43,6 +43,7 @@ def _pose(translation: str, rotation: str) -> tuple[str, ...]:
     return _fields(translation, of="x y") + _fields(rotation, of="x y z w")
 
 
+_POSE_WITHIN = _pose("pose.pose.position", "pose.pose.orientation")
 _STATE = _fields("", of="x y yaw v_x v_y w_z")
 _STAMPED_STATE = _fields("state_msg", of="x y yaw v_x v_y w_z")
 
@@ -52,10 +53,8 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         "pose": {
             "geometry_msgs/msg/PoseStamped": _pose("pose.position", "pose.orientation"),
-            "geometry_msgs/msg/PoseWithCovarianceStamped": _pose(
-                "pose.pose.position", "pose.pose.orientation"
-            ),
-            "nav_msgs/msg/Odometry": _pose("pose.pose.position", "pose.pose.orientation"),
+            "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE_WITHIN,
+            "nav_msgs/msg/Odometry": _POSE_WITHIN,
             "geometry_msgs/msg/TransformStamped": _pose(
                 "transform.translation", "transform.rotation"
             ),

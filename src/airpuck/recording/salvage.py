@@ -1,4 +1,4 @@
-"""Reading what is whole of a damaged MCAP file.
+"""Reading the intact part of a damaged MCAP file.
 
 rosbags needs the index at the end of the file, which a recorder that was killed never wrote. The
 records before the damage are as good as ever; they are read from the front.

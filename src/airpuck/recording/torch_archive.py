@@ -61,7 +61,7 @@ class _Tensor(NamedTuple):
 
 
 class _Texts(dict[str, Any]):
-    """A dictionary whose keys are texts: hashing nested tuples can take for ever."""
+    """A dictionary whose keys are texts: hashing nested tuples can take forever."""
 
     def __setitem__(self, key: Any, value: Any) -> None:
         if type(key) is not str:
@@ -204,18 +204,16 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
     except Exception as error:
         raise InputError("is not a readable torch file; is it damaged?", file=file) from error
     _check(file, tensors)
-    time, state, command = tensors["T"], tensors["X"], tensors["U"]
-    yaw = state[:, 2]
-    if np.abs(np.diff(yaw)).max() > np.pi:
-        state[:, 2] = np.unwrap(yaw)
+    time, state = tensors["T"], tensors["X"]
+    if np.abs(np.diff(state[:, 2])).max() > np.pi:
+        state[:, 2] = np.unwrap(state[:, 2])
     return Trajectory(
         time=time,
         state=state,
         acceleration=np.ascontiguousarray(tensors["dX"][:, 3:]),
         command_time=time,
-        command=command,
+        command=tensors["U"],
         propellers=HOLOHOVER_MOTORS,
-        delay=0.0,
         delay_known=False,
         source=str(file),
         hashes={file.name: fingerprint},
@@ -233,13 +231,13 @@ def _read(file: Path, name: str | None) -> dict[str, Float[np.ndarray, "..."]]:
         if any(member.compress_type != zipfile.ZIP_STORED for member in members.values()):
             raise Refused("its content is compressed")
         root = pickles[0].removesuffix("data.pkl")
-        order = "little"
+        order = b"little"
         if f"{root}byteorder" in members:
-            order = archive.read(f"{root}byteorder").decode("ascii", "replace").strip()
-        if order not in ("little", "big"):
+            order = archive.open(f"{root}byteorder").read(9).strip()
+        dtype = {b"little": "<f8", b"big": ">f8"}.get(order)
+        if dtype is None:
             raise Refused("its byte order is unknown")
-        described = _choose(read_inert(archive.read(pickles[0])), name)
-        dtype = "<f8" if order == "little" else ">f8"
+        described = _choose(read_inert(archive.open(pickles[0]).read(_LONGEST + 1)), name)
         return {
             key: _tensor(archive, f"{root}data/", dtype, key, tensor)
             for key, tensor in described.items()
