@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-SECOND_NS = 10**9
+from airpuck.recording.stream import SECOND_NS
+
 #: A stamp may lie this far ahead of its arrival: clocks of one laboratory agree to this [s].
 _AHEAD = 0.01
 #: A stamp older than this is late, or from another clock [s].
