@@ -95,7 +95,7 @@ def test_frames_of_a_gif_do_not_leave_traces(tmp_path):
     one, other = table_pixels(whole, 24), table_pixels(late, 0)
     assert one.shape == other.shape
     # Below the table the panels show different spans, and the view's trail begins later.
-    background = (one[:80] != other[:80]).any(axis=2)
+    background = np.abs(one[:80] - other[:80]).sum(axis=2) > 30  # their palettes differ a little
     assert background.mean() < 0.02
     first = table_pixels(whole, 0)
     cleared = np.abs(first - one).sum(axis=2) > 200

@@ -14,7 +14,7 @@ from PIL import Image
 
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.physics.thrust import thrust
-from airpuck.report.craft import craft_figure, frames_figure
+from airpuck.report.craft import craft_figure
 from airpuck.report.error_figures import (
     error_distribution_figure,
     error_timeline_figure,
@@ -27,7 +27,6 @@ from .conftest import fit_of, model_of
 
 FIGURES = {
     "craft": lambda s: craft_figure(s.models[0].vehicle),
-    "frames": lambda s: frames_figure(s.models[0].vehicle),
     "horizon": lambda s: horizon_figure(s.fitted, s.reference_evaluations),
     "horizon alone": lambda s: horizon_figure(s.fitted),
     "timeline": lambda s: error_timeline_figure(s.fitted[3], s.faults),
@@ -70,9 +69,8 @@ def test_figures_are_drawn_with_units_on_all_axes(study, name):
     assert 300 <= height <= 900
     assert len(drawn) < 250_000
     np.testing.assert_allclose((width, height), RESOLUTION * figure.get_size_inches(), atol=1)
-    if name != "frames":
-        assert any(axes.axison for axes in figure.axes)
-        assert not unlabelled(figure)
+    assert any(axes.axison for axes in figure.axes)
+    assert not unlabelled(figure)
 
 
 def test_drawing_is_repeatable_and_needs_no_pyplot(study):
@@ -113,7 +111,6 @@ def test_any_number_of_propellers_can_be_drawn(n):
     )
     for figure in (
         craft_figure(vehicle),
-        frames_figure(vehicle),
         thrust_figure([model_of(vehicle, "M3")]),
     ):
         assert len(png(figure)) > 1000

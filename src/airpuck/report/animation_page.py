@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.report.animation_frames import TRAIL, Scene, thinned
-from airpuck.report.animation_shapes import (
+from airpuck.report.animation_frames import (
     ASKED,
     FLOOR,
     GRID,
@@ -23,13 +21,16 @@ from airpuck.report.animation_shapes import (
     HOLES,
     RAIL,
     SHAFT,
+    TRAIL,
+    Scene,
     arrow_scale,
     heading_mark,
-    propeller_size,
     round_thrust,
     short_names,
+    thinned,
 )
-from airpuck.report.style import BLACK, GREY, propeller_colors
+from airpuck.report.page import packaged_text, render
+from airpuck.report.style import BLACK, GREY, propeller_colors, propeller_size
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
@@ -40,16 +41,12 @@ _STATES = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 
 def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
     """Write an HTML page with the flight within it."""
-    import jinja2
     import markupsafe
 
-    source = (resources.files("airpuck") / "packaged" / "animation.html.jinja").read_text("utf-8")
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
     x0, x1, y0, y1 = scene.view
     flight = json.dumps(flight_data(scene), separators=(",", ":"), allow_nan=False)
-    page = environment.from_string(source).render(
+    page = render(
+        "animation.html.jinja",
         craft=scene.vehicle.name,
         recording=scene.name,
         colors=_COLORS,
@@ -61,6 +58,7 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         key=round_thrust(scene.vehicle),
         has_reference=len(scene.reference) > 0,
         states=_STATES,
+        table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
         # Within a script only "<" could end it; in a string of JSON this is the same letter.
         flight=markupsafe.Markup(flight.replace("<", "\\u003c")),
     )

@@ -1,27 +1,22 @@
-"""Pictures of a craft: the layout of its propellers, and the frames that its motion is told in."""
+"""A picture of a craft: the layout of its propellers."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Arc, Circle, FancyArrowPatch, Rectangle
+from matplotlib.patches import Arc, Circle
 
-from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.angle import wrapped
 from airpuck.report.style import (
     BLACK,
     GREY,
-    VERMILLION,
+    closest_propellers,
     new_figure,
-    no_axes,
     propeller_colors,
+    propeller_size,
     styled,
 )
 
@@ -48,14 +43,14 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     _draw_propellers(axes, vehicle)
     _draw_geometry(axes, vehicle)
     # The frame must fit between the centre and the innermost propeller.
-    axis = min(
-        0.3 * disc, 0.65 * max(1e3 * _radii(vehicle).min() - _disc_size(vehicle), 0.2 * disc)
-    )
-    for (x, y), name in (((1, 0), "$x^b$"), ((0, 1), "$y^b$")):
-        _arrow(axes, (0, 0), (axis * x, axis * y), BLACK, 1.4)
-        _note(axes, (1.28 * axis * x, 1.25 * axis * y), name, fontsize=10)
+    radii = 1e3 * np.hypot(*vehicle.positions.T)
+    inside = radii.min() - 1e3 * propeller_size(vehicle)
+    axis = min(0.3 * disc, 0.65 * max(inside, 0.2 * disc))
+    for (x, y), name in (((axis, 0), "$x^b$"), ((0, axis), "$y^b$")):
+        _draw_arrow(axes, (0, 0), (x, y), BLACK, 1.4)
+        axes.text(1.28 * x, 1.25 * y, name, fontsize=10, ha="center", va="center")
     axes.plot(0, 0, "o", color=BLACK, ms=3)
-    reach = 1.5 * max(disc, 1e3 * float(_radii(vehicle).max()))
+    reach = 1.5 * max(disc, float(radii.max()))
     axes.set(
         xlim=(-reach, reach),
         ylim=(-reach, reach),
@@ -71,16 +66,15 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
     """Draw each propeller with its name, its thrust and the sense of its moment."""
     positions, colors = 1e3 * vehicle.positions, propeller_colors(vehicle)
     disc = 1e3 * vehicle.radius_m
-    size = _disc_size(vehicle)
-    length = min(
-        1.6 * size, 0.42 * _closest(positions)
-    )  # arrows of opposing propellers must not meet
+    size = 1e3 * propeller_size(vehicle)
+    # Arrows of opposing propellers must not meet.
+    length = min(1.6 * size, 420 * closest_propellers(vehicle))
     for name, (x, y), (dx, dy), color in zip(
         vehicle.propeller_names, positions, vehicle.directions, colors, strict=True
     ):
         axes.add_patch(Circle((x, y), size, facecolor=color, alpha=0.22, edgecolor="none"))
         axes.add_patch(Circle((x, y), size, fill=False, edgecolor=color, lw=1.0))
-        _arrow(axes, (x, y), (x + length * dx, y + length * dy), color, 2.0)
+        _draw_arrow(axes, (x, y), (x + length * dx, y + length * dy), color, 2.0)
         axes.plot(x, y, "o", color=color, ms=3.5)
         moment = x * dy - y * dx
         turn = "" if abs(moment) < 1e-3 * disc else (" ↺" if moment > 0 else " ↻")
@@ -99,7 +93,7 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
 
 def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
     """Annotate the radius of the propellers and the half-angle of the pairs, where regular."""
-    radii = _radii(vehicle)
+    radii = np.hypot(*vehicle.positions.T)
     notes = []
     if np.ptp(radii) < _SAME_RADIUS and radii[0] > 0:
         d = 1e3 * float(radii.mean())
@@ -131,7 +125,7 @@ def _draw_half_angle(axes: Axes, vehicle: Vehicle, delta: float) -> None:
     middles = np.angle(np.exp(1j * angles[pairs]).sum(axis=1))
     from_axes = np.minimum(np.abs(middles), np.abs(middles - np.pi / 2))
     middle = float(middles[from_axes.argmax()])
-    near = 1e3 * float(_radii(vehicle).min())
+    near = 1e3 * float(np.hypot(*vehicle.positions.T).min())
     for angle in (middle - delta, middle, middle + delta):
         x, y = near * np.cos(angle), near * np.sin(angle)
         axes.plot([0, x], [0, y], color=GREY, lw=0.8, ls=(0, (1, 2)))
@@ -150,154 +144,9 @@ def _half_angles(vehicle: Vehicle) -> Float[np.ndarray, " pairs"]:
     return np.abs(wrapped(np, apart)) / 2
 
 
-def _closest(positions: Float[np.ndarray, "n 2"]) -> float:
-    """Return the smallest distance between two propellers; infinite for one."""
-    apart = np.hypot(*(positions[:, None] - positions[None]).T)
-    return float((apart + np.diag(np.full(len(positions), np.inf))).min())
-
-
-def _radii(vehicle: Vehicle) -> Float[np.ndarray, " n"]:
-    """Return how far each propeller is from the centre [m]."""
-    return np.hypot(*vehicle.positions.T)
-
-
-def _disc_size(vehicle: Vehicle) -> float:
-    """Return the radius that propellers are drawn with: they must not overlap [mm]."""
-    return min(160 * vehicle.radius_m, 0.42 * _closest(1e3 * vehicle.positions))
-
-
-@styled
-def frames_figure(
-    vehicle: Vehicle,
-    *,
-    yaw: float = 0.6,
-    angle_offset: float = 0.22,
-    table: Table | None = None,
-) -> Figure:
-    """Draw the frames and the parameters that connect them; angles and offsets exaggerated.
-
-    Shows the table with the world frame, the craft at a position p with its yaw γ, and, enlarged,
-    how the propeller layout is turned by α against the body frame and where the centre of mass
-    lies, at r from the geometric centre.
-    """
-    figure = new_figure(8.6, 3.5)
-    left, right = figure.subplots(1, 2, width_ratios=(1.75, 1))
-    _draw_table(left, vehicle, yaw, table or Table())
-    _draw_offsets(right, vehicle, angle_offset)
-    return figure
-
-
-def _draw_table(axes: Axes, vehicle: Vehicle, yaw: float, table: Table) -> None:
-    """Draw the table, the world frame and the craft in it, enlarged."""
-    no_axes(axes)
-    length, width = table.length_m, table.width_m
-    axes.add_patch(
-        Rectangle((-length / 2, -width / 2), length, width, facecolor="#fafafa", edgecolor=GREY)
-    )
-    axes.text(
-        length / 2,
-        -0.53 * width,
-        "craft not to scale",
-        ha="right",
-        va="top",
-        color=GREY,
-        fontsize=8,
-    )
-    origin = np.array([-0.32 * length, -0.3 * width])
-    axis = 0.28 * width
-    for unit, name in (((1.0, 0.0), "$x^w$"), ((0.0, 1.0), "$y^w$")):
-        tip = axis * np.array(unit)
-        _arrow(axes, origin, origin + tip, BLACK, 1.6)
-        _note(axes, origin + 1.2 * tip, name, fontsize=11)
-    _note(axes, origin - 0.03 * width, "world", ha="right", va="top")
-    p = np.array([0.16 * length, 0.02 * width])
-    _arrow(axes, origin, p, GREY, 1.0)
-    middle = origin + 0.4 * (p - origin)
-    axes.text(middle[0], middle[1] + 0.03, "$(p_x, p_y)$", ha="right", va="bottom", color=GREY)
-    radius = 0.24 * width
-    scale = radius / vehicle.radius_m
-    axes.add_patch(Circle(tuple(p), radius, facecolor="#eef4f8", edgecolor=GREY))
-    turned = _rotation(yaw)
-    colors = propeller_colors(vehicle)
-    axes.scatter(*(p + scale * vehicle.positions @ turned.T).T, s=26, c=colors, zorder=4)
-    for unit, name in (((1.0, 0.0), "$x^b$"), ((0.0, 1.0), "$y^b$")):
-        tip = turned @ np.array(unit) * 0.42 * width
-        _arrow(axes, p, p + tip, VERMILLION, 1.6)
-        _note(axes, p + 1.14 * tip, name, color=VERMILLION, fontsize=11)
-    reach = 0.5 * width
-    axes.plot([p[0], p[0] + reach], [p[1], p[1]], color=GREY, lw=0.8, ls=(0, (4, 3)))
-    span = {"theta1": 0.0, "theta2": float(np.degrees(yaw))}
-    axes.add_patch(Arc(tuple(p), 0.68 * width, 0.68 * width, **span, color=BLACK))
-    half = 0.385 * width * np.array([np.cos(yaw / 2), np.sin(yaw / 2)])
-    _note(axes, p + half, "γ", fontsize=11)
-    axes.set(xlim=(-0.51 * length, 0.51 * length), ylim=(-0.62 * width, 0.53 * width))
-    axes.set_title("World and body frame")
-
-
-def _draw_offsets(axes: Axes, vehicle: Vehicle, angle_offset: float) -> None:
-    """Draw the layout turned by α, and the centre of mass beside the geometric centre."""
-    no_axes(axes)
-    r = vehicle.radius_m
-    axes.add_patch(Circle((0, 0), r, facecolor="#f5f5f5", edgecolor=GREY))
-    nominal, turned = vehicle.positions, vehicle.positions @ _rotation(angle_offset).T
-    colors = propeller_colors(vehicle)
-    axes.scatter(*nominal.T, s=38, facecolors="white", edgecolors=GREY, lw=1.0, zorder=3)
-    axes.scatter(*turned.T, s=38, c=colors, zorder=4)
-    for tip, name, color in (((1, 0), "$x^b$", BLACK), ((0, 1), "$y^b$", BLACK)):
-        _arrow(axes, (0, 0), (1.3 * r * tip[0], 1.3 * r * tip[1]), color, 1.4)
-        axes.text(1.42 * r * tip[0], 1.42 * r * tip[1], name, fontsize=11)
-    layout = _rotation(angle_offset) @ np.array([1.25 * r, 0.0])
-    axes.plot([0, layout[0]], [0, layout[1]], color=GREY, lw=0.9, ls=(0, (4, 3)))
-    axes.add_patch(
-        Arc((0, 0), 2.3 * r, 2.3 * r, theta1=0, theta2=float(np.degrees(angle_offset)), color=BLACK)
-    )
-    half = 1.24 * r * np.array([np.cos(angle_offset / 2), np.sin(angle_offset / 2)])
-    _note(axes, half, "α", fontsize=11)
-    mass = np.array([-0.22, -0.16]) * r
-    _arrow(axes, (0, 0), (float(mass[0]), float(mass[1])), VERMILLION, 1.6)
-    axes.text(
-        mass[0] - 0.08 * r, mass[1] - 0.08 * r, "$r^{CoM}$", color=VERMILLION, ha="right", va="top"
-    )
-    axes.plot(0, 0, "o", color=BLACK, ms=4)
-    axes.set(xlim=(-1.25 * r, 1.6 * r), ylim=(-1.45 * r, 1.6 * r))
-    axes.set_title("Offsets that are learned (exaggerated)")
-    handles = [
-        Line2D([], [], marker="o", ls="", color=BLACK, label="propellers, turned by α"),
-        Line2D([], [], marker="o", ls="", mfc="white", mec=GREY, label="as in the vehicle file"),
-    ]
-    axes.legend(handles=handles, loc="lower center", ncols=2, handletextpad=0.2)
-
-
-def _rotation(angle: float) -> Float[np.ndarray, "2 2"]:
-    """Return the matrix that turns vectors counter-clockwise."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin], [sin, cos]])
-
-
-def _note(axes: Axes, at: Sequence[float] | np.ndarray, text: str, **style: Any) -> None:
-    """Write a text at a point, centred unless the style says otherwise."""
-    placed: dict[str, Any] = {"ha": "center", "va": "center"} | style
-    axes.text(float(at[0]), float(at[1]), text, **placed)
-
-
-def _arrow(
-    axes: Axes,
-    start: Sequence[float] | np.ndarray,
-    end: Sequence[float] | np.ndarray,
-    color: str,
-    width: float,
+def _draw_arrow(
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], color: str, width: float
 ) -> None:
     """Draw an arrow from one point to another."""
-    axes.add_patch(
-        FancyArrowPatch(
-            (float(start[0]), float(start[1])),
-            (float(end[0]), float(end[1])),
-            arrowstyle="-|>",
-            mutation_scale=5 + 4 * width,
-            shrinkA=0,
-            shrinkB=0,
-            color=color,
-            lw=width,
-            zorder=5,
-        )
-    )
+    style = {"arrowstyle": "-|>", "mutation_scale": 5 + 4 * width, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", end, start, arrowprops={**style, "color": color, "lw": width}, zorder=5)

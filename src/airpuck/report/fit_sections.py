@@ -9,7 +9,7 @@ import numpy as np
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fit_result import Fit
-from airpuck.report.craft import craft_figure, frames_figure
+from airpuck.report.craft import craft_figure
 from airpuck.report.error_figures import (
     WORST,
     error_distribution_figure,
@@ -20,7 +20,7 @@ from airpuck.report.error_figures import (
 )
 from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
 from airpuck.report.fit_study import FitStudy, protocol_words
-from airpuck.report.page import Picture, Section, Table, Text
+from airpuck.report.page import Picture, Section, Table, Text, packaged_text
 from airpuck.report.parameter_table import (
     coefficient_rows,
     effect_rows,
@@ -56,13 +56,13 @@ def craft_section(vehicle: Vehicle) -> Section:
         "file: measured, not learned."
     )
     frames = (
-        "Left: position p and yaw γ of the body frame in the world frame (schematic). Right: α is "
-        "the rotation of the propeller layout against the measured yaw, r the offset of the centre "
-        "of mass from the geometric centre; both exaggerated."
+        "Schematic, with six propellers. Left: position p and yaw γ of the body frame in the world "
+        "frame. Right: α is the rotation of the propeller layout against the measured yaw, r the "
+        "offset of the centre of mass from the geometric centre; both exaggerated."
     )
     pictures = (
         Picture("craft", craft_figure(vehicle), layout),
-        Picture("frames", frames_figure(vehicle), frames),
+        Picture("frames", packaged_text("frames.svg"), frames),
     )
     return Section("craft", "The craft", pictures)
 

@@ -127,10 +127,16 @@ def propeller_groups(vehicle: Vehicle) -> list[tuple[int, ...]]:
     return sorted(groups)
 
 
-def no_axes(axes: Axes) -> None:
-    """Prepare an axes for a drawing to scale: equal units, no ticks, no frame."""
-    axes.set_aspect("equal")
-    axes.set_axis_off()
+def closest_propellers(vehicle: Vehicle) -> float:
+    """Return the smallest distance between propellers that do not share an axle [m]."""
+    x, y = vehicle.positions.T
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    return float(np.where(apart > 1e-3, apart, np.inf).min())
+
+
+def propeller_size(vehicle: Vehicle) -> float:
+    """Return the radius that propellers are drawn with: they must not overlap [m]."""
+    return min(0.16 * vehicle.radius_m, 0.42 * closest_propellers(vehicle))
 
 
 def panels(figure: Figure, count: int, columns: int, **sharing: bool) -> list[Axes]:
