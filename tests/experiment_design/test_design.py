@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
-from airpuck.cli.designing import _print_errors, summary
+from airpuck.cli.designing import error_table, summary
+from airpuck.cli.output import console
 from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
 from airpuck.experiment_design.design import Candidate, Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
@@ -199,7 +200,7 @@ def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(trials):
     flights = np.full((2, len(labels)), 0.1)
     checked = CheckedFlights(labels, found.proposal.relative_alone, flights, flights, np.ones(2))
     assert np.isnan(checked.ratio).tolist() == [label == "τ" for label in labels]
-    _print_errors(found, checked)
+    console().print(error_table(found, checked))
 
 
 def test_no_two_flights_share_their_seed(monkeypatch):

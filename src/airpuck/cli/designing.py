@@ -7,14 +7,15 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import airpuck
 from airpuck.cli.app import app
-from airpuck.cli.inputs import choose, load, read_controls
+from airpuck.cli.inputs import load, read_controls, read_twin
 from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile
-from airpuck.cli.output import check_destinations, console, is_stdout, warn, write_json
+from airpuck.cli.output import check_destinations, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,7 +41,8 @@ def design(
         float, typer.Option(metavar="S", help=r"Length of the flight to propose \[s].")
     ] = 60.0,
     criterion: Annotated[
-        str, typer.Option(help="worst: the largest relative error; mean: their geometric mean.")
+        Literal["worst", "mean"],
+        typer.Option(help="worst: the largest relative error; mean: their geometric mean."),
     ] = "worst",
     margin: Annotated[
         float, typer.Option(metavar="M", help=r"Least distance to the rails \[m].")
@@ -64,25 +66,20 @@ def design(
     quiet: Quiet = False,
 ) -> None:
     """Propose the excitation that shrinks the worst-determined parameters most."""
-    from airpuck.experiment_design.design import design
     from airpuck.experiment_design.trials import check_design
-    from airpuck.model.model_file import read_model
-    from airpuck.twin.settings import read_twin_settings
 
-    choose("--criterion", criterion, ("worst", "mean"))
     check_destinations(output=output, figure=figure, json=json_file)
-    craft = read_model(model)
+    craft = airpuck.read_model(model)
     if after:
         craft = _fitted(craft, after, topics, quiet)
-    settings = None if twin is None else read_twin_settings(twin)
     with _progress("trial flights", quiet) as progress:
-        found = design(
+        found = airpuck.design(
             craft,
             duration=duration,
-            criterion="worst" if criterion == "worst" else "mean",
+            criterion=criterion,
             margin=margin,
             seed=seed,
-            settings=settings,
+            settings=read_twin(twin),
             tuning=read_controls(tuning),
             progress=progress,
         )
@@ -97,25 +94,17 @@ def design(
         from airpuck.report.design_figure import write_design_figure
 
         write_design_figure(found, checked, figure)
-    write_json(json_file, figures)
-    if not is_stdout(json_file):
-        _print_candidates(found)
-        _print_errors(found, checked)
-        print(*summary(found), sep="\n")
-        for path in (output, figure):
-            if path is not None:
-                print(path)
+    tables = _candidate_table(found), error_table(found, checked)
+    report(figures, json_file, *tables, *summary(found), output, figure)
 
 
 def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bool) -> Model:
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.forecast import loss_of
-    from airpuck.identification.fit import identify
     from airpuck.model.rungs import named_rung
 
-    trajectories = [load(path, craft.vehicle, topics) for path in recordings]
-    warn([w for t in trajectories for w in t.warnings], quiet)
-    fit = identify(
+    trajectories = [load(path, craft.vehicle, topics, quiet=quiet) for path in recordings]
+    fit = airpuck.identify(
         trajectories,
         named_rung(craft.name, frame=craft.frame),
         vehicle=craft.vehicle,
@@ -167,20 +156,21 @@ def summary(found: Design) -> list[str]:
     return text
 
 
-def _print_candidates(found: Design) -> None:
-    """Print the best candidates, and the usual one."""
-    table = _table(
-        f"Excitations of {found.proposal.plan.duration_s:g} s, by the "
-        + ("largest error" if found.criterion == "worst" else "mean error"),
-        ("", "amplitude", "hold s", "margin m", "from a rail mm", "error", "remark"),
-    )
+def _candidate_table(found: Design) -> Table:
+    """Lay out the best candidates, and the usual one."""
     shown = list(found.candidates[:_SHOWN])
     if all(one.plan != found.usual.plan for one in shown):
         shown.append(found.usual)
-    names = {found.usual.plan: "usual", found.proposal.plan: "proposal"}
-    for one in shown:
-        table.add_row(names.get(one.plan, ""), *_row(one))
-    console().print(table)
+    proposal, usual = found.proposal.plan, found.usual.plan
+    plans = [one.plan for one in shown]
+    names = ["proposal" if p == proposal else "usual" if p == usual else "" for p in plans]
+    return table(
+        ("", "amplitude", "hold s", "margin m", "from a rail mm", "error", "remark"),
+        [(name, *_row(one)) for name, one in zip(names, shown, strict=True)],
+        title=f"Excitations of {proposal.duration_s:g} s, by the "
+        + ("largest error" if found.criterion == "worst" else "mean error"),
+        left=("", "amplitude", "remark"),
+    )
 
 
 def _row(one: Candidate) -> tuple[str, ...]:
@@ -197,33 +187,22 @@ def _row(one: Candidate) -> tuple[str, ...]:
     )
 
 
-def _print_errors(found: Design, checked: CheckedFlights | None) -> None:
-    """Print the standard errors of every quantity."""
+def error_table(found: Design, checked: CheckedFlights | None) -> Table:
+    """Lay out the standard errors of every quantity."""
     headings = ("", "100 % are", "now", "usual", "proposal")
     errors = [found.relative_before, found.usual.relative, found.proposal.relative]
     if checked is not None:
         headings += ("alone", "obtained", "ratio")
         errors += [checked.predicted, checked.typical]
-    table = _table("Standard errors, in shares of what each matters against", headings)
-    compared = found.quantities
+    compared, rows = found.quantities, []
     for k, (label, unit) in enumerate(zip(compared.labels, compared.units, strict=True)):
         row = [label, _size(compared.scales[k], unit), *(_percent(each[k]) for each in errors)]
         if checked is not None:
             ratio = float(checked.ratio[k])
             row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
-        table.add_row(*row)
-    console().print(table)
-
-
-def _table(title: str, headings: tuple[str, ...]) -> Table:
-    """Return an empty table."""
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for heading in headings:
-        left = heading in ("", "amplitude", "100 % are", "remark")
-        table.add_column(heading, justify="left" if left else "right")
-    return table
+        rows.append(row)
+    title = "Standard errors, in shares of what each matters against"
+    return table(headings, rows, title=title, left=("", "100 % are"))
 
 
 def _size(scale: float, unit: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,7 +12,6 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.inputs import (
-    choose,
     published_flights,
     read_belief,
     read_controls,
@@ -162,11 +161,11 @@ def track(
         typer.Option(metavar="S", help=r"Time at each set point \[s]; imitates no flight."),
     ] = None,
     controller: Annotated[
-        str,
+        Literal["paper", "full"],
         typer.Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
     ] = "paper",
     estimator: Annotated[
-        str | None,
+        Literal["kalman", "actuation"] | None,
         typer.Option(
             help="kalman, or actuation: finds out what each motor does; by default the tuning's."
         ),
@@ -178,12 +177,9 @@ def track(
     json_file: Json = None,
 ) -> None:
     """Fly the paper's set points on the twin, beside the real flights."""
-    from airpuck.control.tuning import ESTIMATORS, default_tuning
+    from airpuck.control.tuning import default_tuning
     from airpuck.twin.tracking_study import DWELL
 
-    choose("--controller", controller, ("paper", "full"))
-    if estimator is not None:
-        choose("--estimator", estimator, ESTIMATORS)
     names = models or ["paper:M0", "paper:M4"]
     if dwell is not None and flights:
         raise InputError("a flight has its own times; give one of the two", field="--dwell")

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from airpuck.control.tuning import Tuning
     from airpuck.craft.vehicle import Vehicle
     from airpuck.data.trajectory import Trajectory
-    from airpuck.evaluation.evaluate import Protocol
     from airpuck.model.model_file import Model
     from airpuck.recording.stream import Recording, Topics
     from airpuck.twin.settings import TwinSettings
@@ -48,20 +47,15 @@ def load(
     recording: Path,
     vehicle: Vehicle | None,
     topics: Path | None,
-    delay: float | None = None,
     *,
     span: tuple[float, float] | None = None,
+    delay: float | None = None,
     quiet: bool = True,
 ) -> Trajectory:
     """Load and preprocess a recording, or the part of it that --span names, and print warnings."""
     names = topic_names(topics)
     trajectory = airpuck.load_trajectory(recording, vehicle, topics=names, delay=delay)
     warn(trajectory.warnings, quiet)
-    return cut(trajectory, span)
-
-
-def cut(trajectory: Trajectory, span: tuple[float, float] | None) -> Trajectory:
-    """Keep the part that --span names."""
     return trajectory if span is None else trajectory.slice(*span)
 
 
@@ -96,21 +90,6 @@ def read_controls(path: Path | None) -> Tuning | None:
     with about(path):
         regulator(tuning.weights, tuning.period_s)
     return tuning
-
-
-def choose(option: str, value: str, choices: tuple[str, ...]) -> None:
-    """Refuse a value that is not among the choices."""
-    if value not in choices:
-        raise InputError(f"{value!r} is none of {', '.join(choices)}", field=option)
-
-
-def choose_protocol(protocol: str, encoder: str) -> Protocol:
-    """Return the protocol of this name; refuse unknown names."""
-    from airpuck.evaluation.evaluate import ENCODERS, PROTOCOLS
-
-    choose("--protocol", protocol, tuple(PROTOCOLS))
-    choose("--encoder", encoder, ENCODERS)
-    return PROTOCOLS[protocol]
 
 
 def published_flights(models: Sequence[str]) -> list[Path | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -55,13 +55,13 @@ TwinFile = Annotated[
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of everything random.", min=0)]
 ProtocolName = Annotated[
-    str,
+    Literal["paper", "paper-long", "causal"],
     typer.Option(
         "--protocol",
         help="paper; paper-long: encoders may look further back; causal: nothing measured later.",
     ),
 ]
 EncoderName = Annotated[
-    str,
+    Literal["paper", "actuation"],
     typer.Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),
 ]

@@ -148,11 +148,6 @@ def _line(iteration: Iteration) -> str:
     return f"iteration {iteration.number}: loss {iteration.loss:.4e}{tail}"
 
 
-def print_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> None:
-    """Print errors of several models as a table."""
-    console().print(error_table(names, evaluations))
-
-
 def error_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Table:
     """Lay out the errors of several models."""
     first = evaluations[0]

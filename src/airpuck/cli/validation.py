@@ -11,9 +11,8 @@ import typer
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
-from airpuck.cli.fit_output import value_texts
-from airpuck.cli.inputs import about, choose_protocol, load, read_craft
-from airpuck.cli.learning import PANEL
+from airpuck.cli.identification import PANEL, value_texts
+from airpuck.cli.inputs import about, load, read_craft
 from airpuck.cli.options import (
     EncoderName,
     Json,
@@ -37,6 +36,51 @@ if TYPE_CHECKING:
 
 #: What a model's name ends with, which no recording's does.
 _MODEL_FILES = (".toml", ".json")
+
+
+@app.command(rich_help_panel=PANEL)
+def evaluate(
+    model: ModelName,
+    recording: RecordingPath,
+    span: Span = None,
+    protocol: ProtocolName = "paper",
+    encoder: EncoderName = "paper",
+    topics: TopicsFile = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how well a model predicts a recording."""
+    from airpuck.evaluation.evaluate import PROTOCOLS
+
+    judged = airpuck.read_model(model)
+    trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
+    found = airpuck.evaluate(judged, trajectory, protocol=PROTOCOLS[protocol], encoder=encoder)
+    report({**found.to_json(), "name": model}, json_file, error_table([model], [found]))
+
+
+@app.command(rich_help_panel=PANEL)
+def check(
+    recording: RecordingPath,
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    json_file: Json = None,
+) -> None:
+    """Check that motor order and signs of a vehicle file agree with a recording."""
+    craft = read_craft(vehicle) or airpuck.default_vehicle()
+    result = airpuck.check_layout(load(recording, craft, topics), craft)
+    report(
+        result.to_json(),
+        json_file,
+        *(f"{p.name:16s} {p.agreement:6.3f}  {p.verdict}" for p in result.propellers),
+        f"the commands explain {100 * result.explained:.0f} % of the acceleration",
+        *result.remarks,
+    )
+    if not result.agrees:
+        wrong = [p.name for p in result.propellers if p.verdict != "agrees"]
+        reason = ", ".join(wrong) if result.conclusive else "nothing can be said"
+        raise InputError(
+            f"does not agree with the vehicle {craft.name!r}: {reason}", file=recording
+        )
 
 
 @app.command(rich_help_panel=PANEL)
@@ -120,9 +164,10 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare models on one recording; of two learned models, say what drifted."""
+    from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
 
-    chosen = choose_protocol(protocol, encoder)
+    chosen = PROTOCOLS[protocol]
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
     names = models if alone else models[:-1]
     if not names or (alone and len(names) != 2):

@@ -16,9 +16,9 @@ from airpuck.cli.app import app
 from airpuck.model.model_file import read_model
 from airpuck.report import demo
 
-from .command_line import airpuck, airpuck_process, refused
-from .conftest import TRAINING, VALIDATION
-from .synthetic import record
+from ..command_line import airpuck, airpuck_process, refused
+from ..conftest import TRAINING, VALIDATION
+from ..synthetic import record
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 from airpuck.recording.bag_writer import write_bag
 
-from .command_line import airpuck, airpuck_process, refused
-from .synthetic import record
+from ..command_line import airpuck, airpuck_process, refused
+from ..synthetic import record
 
 
 @pytest.fixture(scope="module")

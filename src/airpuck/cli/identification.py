@@ -1,0 +1,258 @@
+"""Commands from a recording to a model."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.cli.app import app
+from airpuck.cli.inputs import load, read_craft
+from airpuck.cli.options import (
+    Json,
+    Quiet,
+    RecordingPath,
+    Seed,
+    Span,
+    TopicsFile,
+    VehicleFile,
+)
+from airpuck.cli.output import (
+    check_destinations,
+    is_stdout,
+    report,
+    show_progress,
+    table,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from airpuck.evaluation.main_quantities import MainQuantity
+    from airpuck.evaluation.presentation import Value
+    from airpuck.identification.fit_result import Fit
+    from airpuck.model.model_file import Model
+
+PANEL = "From a recording to a validated model"
+
+
+@app.command(rich_help_panel=PANEL)
+def preprocess(
+    recording: RecordingPath,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="traj.npz")],
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    delay: Annotated[
+        float | None, typer.Option(metavar="S", help="Transport delay; by default it is found.")
+    ] = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a recording into a trajectory: states, commands, delay, what not to use."""
+    if output.suffix != ".npz":
+        raise InputError("must end in .npz", file=output, field="-o")
+    check_destinations(output=output, json=json_file)
+    silent = quiet or is_stdout(json_file)
+    trajectory = load(recording, read_craft(vehicle), topics, delay=delay, quiet=silent)
+    trajectory.save(output)
+    figures = {
+        "samples": len(trajectory),
+        "duration_s": trajectory.duration,
+        "delay_s": trajectory.delay if trajectory.delay_known else None,
+        "excluded": [vars(span) for span in trajectory.excluded],
+        "warnings": list(trajectory.warnings),
+    }
+    found = f"{1e3 * trajectory.delay:.1f} ms" if trajectory.delay_known else "compensated"
+    report(
+        figures,
+        json_file,
+        f"{len(trajectory)} samples, {trajectory.duration:.1f} s, transport delay {found}",
+        *(f"left out {s.start:.3f} to {s.stop:.3f} s: {s.cause}" for s in trajectory.excluded),
+        output,
+        quiet=quiet,
+    )
+
+
+@app.command(rich_help_panel=PANEL)
+def identify(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="One or more, of one craft.")
+    ],
+    model: Annotated[
+        str, typer.Option(help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair.")
+    ] = "M3",
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Model file to write.")
+    ] = Path("model.toml"),
+    span: Span = None,
+    vehicle: VehicleFile = None,
+    topics: TopicsFile = None,
+    method: Annotated[
+        Literal["lm", "adam"], typer.Option(help="lm (Levenberg-Marquardt) or adam.")
+    ] = "lm",
+    epochs: Annotated[int | None, typer.Option(help="Epochs of Adam.", min=1)] = None,
+    stride: Annotated[
+        int | None, typer.Option(help="Samples between windows; 7, for adam 1.", min=1)
+    ] = None,
+    degree: Annotated[
+        int | None, typer.Option(help="Degree of the thrust polynomials.", min=1, max=9)
+    ] = None,
+    yaw_weight: Annotated[
+        float, typer.Option(help="Weight of yaw errors in the loss [1/rad].", min=0)
+    ] = 0.1,
+    com_frame: Annotated[
+        Literal["body", "world"],
+        typer.Option(help="Centre of mass fixed to the body, or as in the paper to the world."),
+    ] = "body",
+    report_folder: Annotated[
+        Path | None, typer.Option("--report", metavar="DIR", help="Write a page with figures, too.")
+    ] = None,
+    delay: Annotated[
+        Literal["fit", "fixed"] | None,
+        typer.Option(
+            help="Transport delay: fit it, or take each recording's (fixed); by default fit, where "
+            "a motor lag is modelled, with lm, unless others have prepared the recording (data.pt)."
+        ),
+    ] = None,
+    robust: Annotated[
+        bool,
+        typer.Option("--robust", help="Let windows that are predicted badly count less."),
+    ] = False,
+    faults: Annotated[
+        Literal["exclude", "keep"] | None,
+        typer.Option(
+            help="exclude: where motors or radio failed, nothing is learned; or keep. By default "
+            "exclude, unless others have prepared the recording (data.pt)."
+        ),
+    ] = None,
+    bootstrap: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
+    ] = None,
+    seed: Seed = 0,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Identify a model from recordings and write it as TOML."""
+    from airpuck.identification.bootstrap import bootstrap as resample
+    from airpuck.identification.problem import Loss, Preparation
+    from airpuck.model.rungs import named_rung
+
+    rung = named_rung(model, degree=degree, frame=com_frame)
+    if epochs is not None and method != "adam":
+        raise InputError("is of adam only; add --method adam", field="--epochs")
+    if degree is not None and rung.powers is not None:
+        raise InputError(f"is fixed for the model {model}", field="--degree")
+    if method != "lm":
+        if delay == "fit":
+            raise InputError("fit is of lm only", field="--delay")
+        for option, given in (("--robust", robust), ("--bootstrap", bootstrap is not None)):
+            if given:
+                raise InputError("is of lm only", field=option)
+    if seed and bootstrap is None:
+        raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
+    check_destinations(output=output, json=json_file, report=report_folder)
+    craft = read_craft(vehicle)
+    trajectories = [load(path, craft, topics, span=span, quiet=quiet) for path in recordings]
+    stride = stride or (7 if method == "lm" else 1)
+    adam = airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
+    with show_progress(quiet) as progress:
+        fit = airpuck.identify(
+            trajectories,
+            rung,
+            vehicle=craft,
+            loss=Loss(weights=(1.0, 1.0, yaw_weight), stride=stride, robust=robust),
+            method=airpuck.LevenbergMarquardt() if method == "lm" else adam,
+            preparation=Preparation(faults=faults, delay=delay),
+            progress=progress,
+        )
+        if bootstrap is not None:
+            shown = _show_resampling(quiet, bootstrap)
+            fit = resample(fit, bootstrap, seed=seed, progress=shown)
+    fit.model.save(output)
+    if report_folder is not None:
+        from airpuck.report.fit_report import fit_report
+
+        fit_report(fit, [], trajectories[0], report_folder)
+    warn(fit.warnings, quiet)
+    report(fit.to_json(), json_file, *_fit_summary(fit), output, quiet=quiet)
+
+
+def _show_resampling(quiet: bool, total: int) -> Callable[[int], None]:
+    """Return what prints now and then how many fits to resampled data are done."""
+
+    def show(done: int) -> None:
+        if not quiet and (done == total or done % max(1, total // 10) == 0):
+            print(f"resampled {done} of {total}", file=sys.stderr, flush=True)
+
+    return show
+
+
+def _fit_summary(fit: Fit) -> Iterator[str | Table]:
+    """Yield how a fit ended, the main quantities with errors, and what is not determined."""
+    from airpuck.identification.fit_result import knowledge_words, outcome_words
+
+    yield from outcome_words(fit)
+    known = fit.uncertainty
+    if known is None:
+        return
+    headings = ["", "unit", "value", "95 % interval"]
+    if known.bootstrap is not None:
+        headings.append(f"95 %, {known.bootstrap.replicates} resampled")
+    yield table(
+        headings,
+        [row[: len(headings)] for row in _rows(fit.model)],
+        title=f"Learned values ± standard error, from {known.clusters} blocks of time",
+        left=("", "unit"),
+    )
+    yield from knowledge_words(fit)
+
+
+def _rows(model: Model) -> list[list[str]]:
+    """Return the texts of the main quantities that were learned."""
+    from airpuck.evaluation.main_quantities import main_quantities
+    from airpuck.evaluation.presentation import value_of
+
+    return [
+        [*value_texts(value_of(model, quantity)), _resampled(model, quantity)]
+        for quantity in main_quantities(model, speeds=(0.5, 1.0))
+        if quantity.used(model) and quantity.learned(model)
+    ]
+
+
+def value_texts(value: Value) -> list[str]:
+    """Return the texts of one quantity: value ± standard error, and the interval."""
+    if value.interval is None:
+        return [value.label, value.unit, f"{value.value:.4g}", "none" if value.learned else "fixed"]
+    digits = _digits(value.standard_error)
+    low, high = (f"{end:.{digits}f}" for end in value.interval)
+    shown = f"{value.value:.{digits}f} ± {value.standard_error:.{digits}f}"
+    return [value.label, value.unit, shown, f"{low} … {high}"]
+
+
+def _resampled(model: Model, quantity: MainQuantity) -> str:
+    """Return the text of a bootstrap's interval."""
+    import numpy as np
+
+    found = model.uncertainty and model.uncertainty.bootstrap
+    if not found or quantity.entry is None:
+        return ""
+    entries = np.flatnonzero(model.parameters.mask(frozenset({quantity.parameter})))
+    position = entries[quantity.entry]
+    if not math.isfinite(found.lower[position]):
+        return ""
+    low, high = (quantity.factor * float(e[position]) for e in (found.lower, found.upper))
+    digits = _digits((high - low) / 4)
+    return f"{low:.{digits}f} … {high:.{digits}f}"
+
+
+def _digits(error: float) -> int:
+    """Return the decimals that show two significant digits of an error."""
+    return max(0, 1 - math.floor(math.log10(error))) if error > 0 else 3
