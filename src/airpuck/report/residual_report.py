@@ -235,7 +235,7 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
         middle, half = simulated.predicted[:, channel, whole], simulated.total[:, channel, whole]
         pose.fill_between(time, middle - half, middle + half, color=SKY, alpha=_TOTAL, lw=0)
         pose.plot(time, middle, color=ORANGE, lw=1.1)
-        for k in shown:
+        for k in shown.tolist():
             short = ahead.predicted[:, channel, k]
             pose.plot(ahead.time[:, k], short, color=BLUE, lw=1.1, zorder=3)
             _draw_errors(left, ahead, k, channel)
