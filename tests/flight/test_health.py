@@ -9,8 +9,7 @@ import pytest
 
 from airpuck.control.reference import SetPoints
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.flight.deviations import Judged, deviations
-from airpuck.flight.health import Health, HealthMonitor
+from airpuck.flight.health import Health, HealthMonitor, Judged, deviations
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording

@@ -5,8 +5,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from airpuck.flight.deviations import Deviations
-from airpuck.flight.health import Health
+from airpuck.flight.health import Deviations, Health
 from airpuck.live.panel import Gauge, gauges_html, health_html, timing_gauges
 
 

@@ -9,7 +9,7 @@ by their evidence.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ from airpuck.estimate.motor_regression import (
     normal_equations,
     solved,
     twice_integrated,
+    with_effectiveness,
 )
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics
@@ -118,13 +119,7 @@ class ActuationEncoder:
     def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
         """Estimate state and dynamics to predict with; see `Encoder.begin`."""
         found = self.estimate(dynamics, past)
-        thrust = np.asarray(dynamics.thrust)[..., None] * found.effectiveness[:, None]
-        return found.state, replace(
-            dynamics,
-            thrust=thrust,
-            configuration=np.asarray(dynamics.configuration)[..., None],
-            center_of_mass=np.asarray(dynamics.center_of_mass)[..., None],
-        )
+        return found.state, with_effectiveness(dynamics, found.effectiveness)
 
     def estimate(self, dynamics: Dynamics, past: Past) -> Actuation:
         """Estimate what the past says.

@@ -20,6 +20,7 @@ from airpuck.compute.compiled import program
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
+from airpuck.estimate.held_commands import HeldCommands
 from airpuck.estimate.multiple_models import AS_MODELLED, Belief, MultipleModels, States
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
@@ -74,9 +75,8 @@ class KalmanFilter:
         self._time: float | None = None
         self._belief: Any = ()
         self._motor_speed = self._idle
-        #: Commands by when they begin to act, from the one at the oldest remembered time on.
-        self._commands: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
-        self._commands.append((-math.inf, self._idle))
+        #: From the command that acts at the oldest remembered time on.
+        self._commands = HeldCommands(self._idle)
         #: Time of the motor speeds where it is later than that of the belief.
         self._motors_at: float | None = None
         #: Measurements and the filter before each: stamp, state, method, arguments.
@@ -99,11 +99,7 @@ class KalmanFilter:
         command : array, shape (n,)
             Motor commands. They are copied.
         """
-        begins = time + self.model.transport_delay
-        # Commands that would begin later than this one, which was sent after them, had wrong times.
-        while self._commands and self._commands[-1][0] >= begins:
-            self._commands.pop()
-        self._commands.append((begins, np.array(command, dtype=float)))
+        self._commands.add(time + self.model.transport_delay, command)
 
     def run_motors(self, time: float) -> None:
         """Run the motors alone up to the last command that begins to act before a time.
@@ -116,9 +112,8 @@ class KalmanFilter:
         time : float
             Up to when [s].
         """
-        begun = [begins for begins, _ in self._commands if begins <= time]
-        if begun:
-            self._turn_motors(begun[-1])
+        for begins, _ in self._commands.until(time)[-1:]:
+            self._turn_motors(begins)
 
     def _turn_motors(self, time: float) -> None:
         """Run the motors alone until a time, if it is later than theirs."""
@@ -127,11 +122,11 @@ class KalmanFilter:
         if time <= last:
             return
         tau = self.model.dynamics.motor_time_constant
-        for duration, command in self._cut(last, time):
+        for duration, command in self._commands.cut(last, time):
             self._motor_speed = motor_step(np, self._motor_speed, command, duration, tau)
         self._motors_at = time
         self._history.clear()
-        self._drop_commands(time)
+        self._commands.drop(time)
 
     def pose(
         self,
@@ -196,7 +191,7 @@ class KalmanFilter:
         """
         given = time, np.array(acceleration_body, dtype=float), gyro, noise
         if self._advance(time, "imu", given):
-            motors = self._motor_speed, self._cut(time, time)[-1][1]
+            motors = self._motor_speed, self._commands.cut(time, time)[-1][1]
             self._belief = self._models.use_imu(self._belief, motors, *given[1:])
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
@@ -326,7 +321,7 @@ class KalmanFilter:
     def _settle(self, time: float, belief: Belief, speed: Float[np.ndarray, " n"]) -> None:
         """Take over a state, and let go of commands that no remembered one needs."""
         self._time, self._belief, self._motor_speed = time, belief, speed
-        self._drop_commands(self._history[0][1][0] if self._history else time)
+        self._commands.drop(self._history[0][1][0] if self._history else time)
 
     def _remember(self, sensor: str, given: tuple[Any, ...]) -> None:
         """Note a measurement and the state before it, and let go of old ones."""
@@ -359,30 +354,17 @@ class KalmanFilter:
             self._history.pop()
         return [(sensor, given) for _, _, sensor, given in later]
 
-    def _drop_commands(self, time: float) -> None:
-        """Let go of commands from before the one that acts at a time."""
-        while len(self._commands) > 1 and self._commands[1][0] <= time:
-            self._commands.popleft()
-
-    def _cut(self, start: float, time: float) -> list[tuple[float, Float[np.ndarray, " n"]]]:
-        """Cut the time from `start` to `time` where commands change: durations and commands."""
-        pieces, now, acting = [], start, self._commands[0][1]
-        for begins, command in self._commands:
-            if begins > time:
-                break
-            if begins > now:
-                pieces.append((begins - now, acting))
-                now = begins
-            acting = command
-        return [*pieces, (time - now, acting)]
-
     def _pieces(self, time: float, most: int) -> tuple[Any, Float[np.ndarray, " n"], _Pieces]:
         """Return belief, motor speeds and the last `most` pieces of the time until `time`.
 
         The belief is that after all earlier pieces.
         """
         assert self._time is not None
-        pieces, belief, speed = self._cut(self._time, time), self._belief, self._motor_speed
+        pieces, belief, speed = (
+            self._commands.cut(self._time, time),
+            self._belief,
+            self._motor_speed,
+        )
         early = max(len(pieces) - most, 0)
         for first in range(0, early, _PIECES_TO_PREDICT):
             some = pieces[first : min(first + _PIECES_TO_PREDICT, early)]

@@ -7,10 +7,22 @@ weighted least squares with priors, here for a batch of windows at once.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+
+
+def with_effectiveness(dynamics: Dynamics, effectiveness: Float[np.ndarray, "n B"]) -> Dynamics:
+    """Return a batch of craft whose motors give these shares of their thrust."""
+    return replace(
+        dynamics,
+        thrust=np.asarray(dynamics.thrust)[..., None] * effectiveness[:, None],
+        configuration=np.asarray(dynamics.configuration)[..., None],
+        center_of_mass=np.asarray(dynamics.center_of_mass)[..., None],
+    )
 
 
 def accelerations_by_motor(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,12 @@ from jaxtyping import Float
 
 from airpuck.control.tuning import Estimation, default_tuning
 from airpuck.craft.table import Table
+from airpuck.estimate.held_commands import HeldCommands
 from airpuck.estimate.kalman import KalmanFilter
-from airpuck.flight.deviations import Deviations, Judged, deviations
+from airpuck.estimate.motor_regression import normal_equations, solved, with_effectiveness
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import Dynamics, acceleration_map
+from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import thrust
 
@@ -44,6 +45,46 @@ _OLD = 3.0
 _LOSS_STEP, _DELAY_STEP = 0.05, 0.004
 #: Commands from before a prediction that may still matter to it [s].
 _BEFORE = 0.06
+
+#: What is known without a flight: how far motors and delay may lie from the model, standard
+#: deviations [1, s].
+PRIOR_LOSS, PRIOR_DELAY = 0.3, 0.02
+#: Rounds of expectation and maximisation, and the least variance.
+_ROUNDS, _LEAST = 5, 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A prediction and what became of it."""
+
+    #: When it ended [s].
+    time: float
+    #: What was measured less what was predicted: x, y, yaw and their rates.
+    error: Float[np.ndarray, " 6"]
+    #: What the prediction gains with the effectiveness of each motor, and with the delay [1/s].
+    slopes: Float[np.ndarray, "6 m"]
+    #: Σ b bᵀ over the packets that mattered, where b is what the prediction loses by the lateness
+    #: of one packet [1/s].
+    impulses: Float[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """How a craft differs from its model, and what that explains."""
+
+    #: How many there were.
+    predictions: int
+    #: Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
+    error: Float[np.ndarray, " 3"]
+    #: Share of the modelled thrust that each motor gives, and its standard deviation.
+    effectiveness: Float[np.ndarray, " n"]
+    deviation: Float[np.ndarray, " n"]
+    #: By how much the transport delay is longer than the model's, and its standard deviation [s].
+    delay: float
+    delay_deviation: float
+    #: By how much the sum of squared errors of the pose would be smaller, had the model known this
+    #: motor, and the delay; yaw counts with the radius of gyration. NaN without predictions.
+    share: Float[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +163,6 @@ class Health:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class _Begun:
-    """A prediction whose end has not been seen."""
-
-    time: float
-    state: Float[np.ndarray, " z"]
-
-
 class HealthMonitor:
     """Watches a craft in flight beside its model; computes nothing that flies."""
 
@@ -151,14 +184,12 @@ class HealthMonitor:
         reach = (table or Table()).reach(model.vehicle.radius_m)
         self._free = np.array(reach) - _AT_RAIL
         n = model.vehicle.n_propellers
-        stronger = 1 + _LOSS_STEP * np.eye(n, 1 + n, 1)
-        self._dynamics = _batch(model.dynamics, stronger)
-        self._nominal = _batch(model.dynamics, stronger[:, :1])
-        #: Commands by when they begin to act, back to the first prediction's beginning.
-        self._commands: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
+        #: Back to the first prediction's beginning.
+        self._commands = HeldCommands(np.full(n, model.vehicle.command_min))
         self._commanded = -math.inf
         self._since: float | None = None
-        self._begun: deque[_Begun] = deque()
+        #: Predictions whose end has not been seen: begin and state there, with motor speeds.
+        self._begun: deque[tuple[float, Float[np.ndarray, " z"]]] = deque()
         self._judged: deque[Judged] = deque()
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
@@ -167,10 +198,7 @@ class HealthMonitor:
             return
         self._filter.command(time, command)
         self._commanded = time
-        begins = time + self.model.transport_delay
-        while self._commands and self._commands[-1][0] >= begins:
-            self._commands.pop()
-        self._commands.append((begins, np.array(command, dtype=float)))
+        self._commands.add(time + self.model.transport_delay, command)
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Take note of a pose."""
@@ -185,20 +213,20 @@ class HealthMonitor:
             self._since = time
         if not self._filter.pose(time, pose, _JUMP):
             return
-        newest = self._begun[-1].time if self._begun else -math.inf
-        ends = bool(self._begun) and time - self._begun[0].time >= self._horizon
+        newest = self._begun[-1][0] if self._begun else -math.inf
+        ends = bool(self._begun) and time - self._begun[0][0] >= self._horizon
         begins = time - self._since >= _SETTLED and time - newest >= _APART * self._horizon
         if ends or begins:
             estimate = self._filter.predict(time)
             if ends:
-                self._judge(self._begun.popleft(), time, estimate.state)
+                self._judge(*self._begun.popleft(), time, estimate.state)
             if begins:
                 state = np.concatenate([estimate.state, estimate.motor_speed])
-                self._begun.append(_Begun(time, state))
+                self._begun.append((time, state))
         self._forget(time)
 
     def health(self) -> Health:
-        """Say how the craft is."""
+        """Return how well the model fits, from the predictions that are remembered."""
         found = deviations(
             tuple(self._judged),
             self.model.vehicle.n_propellers,
@@ -221,61 +249,119 @@ class HealthMonitor:
         self._begun.clear()
         self._forget(time)
 
-    def _judge(self, begun: _Begun, end: float, state: Float[np.ndarray, " 6"]) -> None:
+    def _judge(
+        self,
+        begin: float,
+        start: Float[np.ndarray, " z"],
+        end: float,
+        state: Float[np.ndarray, " 6"],
+    ) -> None:
         """Compare a prediction with the state at its end."""
-        predicted = self._predicted(self._dynamics, begun, end)
-        late = self._predicted(self._nominal, begun, end, _DELAY_STEP)
-        error = pose_difference(np, state, predicted[:, 0])
+        stronger = 1 + _LOSS_STEP * np.eye(len(start) - 6, len(start) - 5, 1)
+        predicted = self._predicted(stronger, start, begin, end)
+        late = self._predicted(stronger[:, :1], start, begin - _DELAY_STEP, end - _DELAY_STEP)
         by_motor = (predicted[:, 1:] - predicted[:, :1]) / _LOSS_STEP
         by_delay = (late - predicted[:, :1]) / _DELAY_STEP
+        error = pose_difference(np, state, predicted[:, 0])
         slopes = np.hstack([by_motor, by_delay])
-        self._judged.append(Judged(end, error, slopes, self._impulses(begun, end)))
+        self._judged.append(Judged(end, error, slopes, self._impulses(begin, start, end)))
 
     def _predicted(
-        self, dynamics: Dynamics, begun: _Begun, end: float, late: float = 0.0
+        self,
+        effectiveness: Float[np.ndarray, "n b"],
+        start: Float[np.ndarray, " z"],
+        begin: float,
+        end: float,
     ) -> Float[np.ndarray, "6 b"]:
-        """Predict the state with a batch of dynamics, commands acting later than they should."""
-        before = [c for t, c in self._commands if t + late <= begun.time]
-        within = [(t + late, c) for t, c in self._commands if begun.time < t + late < end]
-        acting = before[-1] if before else begun.state[6:]
-        durations = np.diff([begun.time, *(t for t, _ in within), end])
-        commands = np.array([acting, *(c for _, c in within)])[..., None]
-        batch = dynamics.thrust.shape[-1]
-        start = np.repeat(begun.state[:, None], batch, axis=1)
-        held = np.broadcast_to(commands, (*commands.shape[:2], batch))
-        return rollout(np, dynamics, start, held, durations)[-1, :6]
+        """Predict the state over a time with commands, for a batch of craft."""
+        durations, commands = zip(*self._commands.cut(begin, end), strict=True)
+        dynamics = with_effectiveness(self.model.dynamics, effectiveness)
+        batch = np.ones(effectiveness.shape[1])
+        held, start = np.array(commands)[..., None] * batch, start[:, None] * batch
+        return rollout(np, dynamics, start, held, np.array(durations))[-1, :6]
 
-    def _impulses(self, begun: _Begun, end: float) -> Float[np.ndarray, "6 6"]:
-        """Say what the lateness of single packets does: the thrust that each changes, missing."""
+    def _impulses(
+        self, begin: float, start: Float[np.ndarray, " z"], end: float
+    ) -> Float[np.ndarray, "6 6"]:
+        """Return what late packets do: each withholds the thrust that it changes."""
         dynamics, tau = self.model.dynamics, float(self.model.dynamics.motor_time_constant)
-        since = [(t, c) for t, c in self._commands if t < end]
-        if len(since) < 2:
-            return np.zeros((6, 6))
-        times = np.array([t for t, _ in since[1:]])
-        thrusts = thrust(dynamics.thrust, np.array([c for _, c in since]).T)
-        matrix, _ = acceleration_map(np, dynamics, begun.state[2], begun.state[5])
-        left = end - np.maximum(times, begun.time)
+        begun, commands = zip(*self._commands.until(end), strict=True)
+        times = np.array(begun[1:])
+        changes = np.diff(thrust(dynamics.thrust, np.array(commands).T), axis=1)
+        matrix, _ = acceleration_map(np, dynamics, start[2], start[5])
         # What motors with lag have not done before the beginning, and what they do before the end.
         lag = max(tau, 1e-6)
-        acts = np.exp(-np.maximum(begun.time - times, 0) / lag) - np.exp(-(end - times) / lag)
-        velocity = matrix @ np.diff(thrusts, axis=1) * acts
-        lost = np.vstack([velocity * left, velocity])
+        acts = np.exp(-np.maximum(begin - times, 0) / lag) - np.exp(-(end - times) / lag)
+        velocity = matrix @ changes * acts
+        lost = np.vstack([velocity * (end - np.maximum(times, begin)), velocity])
         return lost @ lost.T
 
     def _forget(self, time: float) -> None:
         """Let go of what is too old."""
         while self._judged and self._judged[0].time < time - _OLD * self._memory:
             self._judged.popleft()
-        needed = (self._begun[0].time if self._begun else time) - _BEFORE
-        while len(self._commands) > 1 and self._commands[1][0] <= needed:
-            self._commands.popleft()
+        self._commands.drop((self._begun[0][0] if self._begun else time) - _BEFORE)
 
 
-def _batch(dynamics: Dynamics, factors: Float[np.ndarray, "n b"]) -> Dynamics:
-    """Return a batch of craft whose thrusts are scaled, motor by motor."""
-    return replace(
-        dynamics,
-        thrust=np.asarray(dynamics.thrust)[..., None] * factors[:, None],
-        configuration=np.asarray(dynamics.configuration)[..., None],
-        center_of_mass=np.asarray(dynamics.center_of_mass)[..., None],
+def deviations(
+    judged: Sequence[Judged],
+    motors: int,
+    *,
+    memory: float,
+    overlap: float,
+    jitter: float,
+    radius: float,
+) -> Deviations:
+    """Estimate what differs by weighted least squares; the residuals give the noise.
+
+    Older predictions count less by their age over `memory` [s]. `overlap` predictions share the
+    same data, packets come late by `jitter` [s], the yaw counts with the `radius` of gyration [m].
+    """
+    prior = np.append(np.full(motors, PRIOR_LOSS), PRIOR_DELAY) ** -2.0
+    if not judged:
+        sd, none = prior**-0.5, np.full(motors + 1, np.nan)
+        ones = np.ones(motors)
+        return Deviations(0, none[:3], ones, sd[:-1], 0.0, float(sd[-1]), none)
+    errors = np.array([one.error for one in judged])
+    slopes = np.array([one.slopes for one in judged])
+    lateness = jitter**2 * np.array([one.impulses for one in judged])
+    weights = np.exp([(one.time - judged[-1].time) / memory for one in judged]) / overlap
+    p, covariance = np.zeros(motors + 1), np.diag(1 / prior)
+    spread = np.diag(np.median(errors**2, axis=0) + _LEAST)
+    for _ in range(_ROUNDS):
+        whitening = np.linalg.inv(np.linalg.cholesky(spread + lateness))
+        aim = (whitening @ errors[..., None])[..., 0]
+        information, score, _ = normal_equations(whitening @ slopes, aim)
+        p, inverse = solved(np.tensordot(weights, information, 1), weights @ score, np.diag(prior))
+        seen = overlap * np.tensordot(weights**2, information, 1)
+        covariance = inverse @ (np.diag(prior) + seen) @ inverse
+        spread = _spread(errors - slopes @ p, lateness, weights, spread)
+    sd = np.sqrt(np.diag(covariance))
+    metric = np.array([1.0, 1.0, radius])
+    pose, changes = errors[:, :3] * metric, slopes[:, :3] * metric[:, None] * p
+    left = np.sum((pose[..., None] - changes) ** 2, axis=(0, 1))
+    return Deviations(
+        len(judged),
+        np.sqrt(np.mean(errors[:, :3] ** 2, axis=0)),
+        1 + p[:-1],
+        sd[:-1],
+        float(p[-1]),
+        float(sd[-1]),
+        1 - left / np.sum(pose**2),
     )
+
+
+def _spread(
+    residual: Float[np.ndarray, "K 6"],
+    lateness: Float[np.ndarray, "K 6 6"],
+    weights: Float[np.ndarray, " K"],
+    spread: Float[np.ndarray, "6 6"],
+) -> Float[np.ndarray, "6 6"]:
+    """Return the covariance of what jitter does not explain, given the last guess of it."""
+    gain = spread @ np.linalg.inv(spread + lateness)
+    left = np.einsum("kij,kj->ki", gain, residual)
+    found = (weights[:, None] * left).T @ left
+    found += np.tensordot(weights, spread - gain @ spread, 1)
+    # Residuals are smaller than errors by what the parameters took.
+    found = found / weights.sum() * (1 + len(spread) / len(residual))
+    return found + np.diag(np.full(6, _LEAST))

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.estimate.motor_regression import normal_equations, solved, twice_integrated
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.thrust import thrust
 
 #: Poses that are looked at before a pulse begins and after it ends [s].
 _BEFORE, _AFTER = 0.15, 0.25
-#: Transport delays that are tried [s], and the step of integration.
+#: Transport delays that are tried [s], and the longest step of integration [s].
 _DELAYS = np.arange(0.0, 0.15, 1e-3)
 _STEP = 1e-3
 #: A line needs at least this many poses on each side of a pulse.
@@ -60,16 +61,15 @@ def pulse_responses(
     pulses = find_pulses(command_time, command, idle)
     usual = np.median([end - begin for _, begin, end in pulses]) if pulses else 0.0
     responses = []
-    for motor, begin, end in pulses:
-        if end - begin < _CUT_OFF * usual:
-            continue
-        level = float(command[np.searchsorted(command_time, begin), motor])
+    for pulse in pulses:
+        motor, begin, end = pulse
         near = (time > begin - _BEFORE) & (time < end + _AFTER)
         early, late = time[near] < begin, time[near] > end
-        if min(early.sum(), late.sum()) >= _FEWEST:
-            known = _DELAYS if delays is None else delays[len(responses) :][:1]
-            around = (time[near], pose[near], begin, end)
-            responses.append(_response(model, motor, level, *around, known))
+        if end - begin < _CUT_OFF * usual or min(early.sum(), late.sum()) < _FEWEST:
+            continue
+        level = float(command[np.searchsorted(command_time, begin), motor])
+        tried = _DELAYS if delays is None else delays[len(responses) :][:1]
+        responses.append(_response(model, pulse, level, time[near], pose[near], tried))
     return responses
 
 
@@ -90,72 +90,53 @@ def find_pulses(
 
 def _response(
     model: Model,
-    motor: int,
+    pulse: tuple[int, float, float],
     level: float,
     time: Float[np.ndarray, " M"],
     pose: Float[np.ndarray, "M 3"],
-    begin: float,
-    end: float,
-    delays: Float[np.ndarray, " d"],
+    delays: Float[np.ndarray, " D"],
 ) -> PulseResponse:
-    """Regress the poses around a pulse on what it can have done."""
-    grid = np.arange(time[0], time[-1] + _STEP, _STEP)
-    yaw = np.interp(grid, time, pose[:, 2])
+    """Regress the poses around a pulse on what it can have done, for all delays at once."""
+    motor, begin, end = pulse
     elapsed = time - begin
     always = np.stack([np.ones_like(elapsed), elapsed, elapsed**2 / 2], axis=1)
-    linear_noise, angular_noise = _noise(always[elapsed < 0], pose[elapsed < 0])
     basis = np.linalg.qr(always)[0]
+    before = always[elapsed < 0], pose[elapsed < 0]
+    variance = np.var(before[1] - before[0] @ np.linalg.lstsq(*before, rcond=None)[0], axis=0)
+    variance[:2] = variance[:2].mean()
+    noise = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
 
-    def beyond(values: Float[np.ndarray, "M k"]) -> Float[np.ndarray, "M k"]:
+    def beyond(values: Float[np.ndarray, "M *k"]) -> Float[np.ndarray, "M *k"]:
         """Take off what is always there: the regression is on the rest."""
-        return values - basis @ (basis.T @ values)
+        return values - np.tensordot(basis, np.tensordot(basis.T, values, 1), 1)
 
-    x, y, turn = beyond(pose).T
-    fits = []
-    for delay in delays:
-        force = _force(model, motor, level, grid - begin - delay, end - begin)
-        shapes = np.stack([np.cos(yaw) * force, np.sin(yaw) * force, force], axis=1)
-        integrals = _twice_integrated(shapes)
-        sampled = [np.interp(time, grid, integral) for integral in integrals.T]
-        along, across, turning = beyond(np.stack(sampled, axis=1)).T
-        # The columns of the two forces, (along, across) and (-across, along), are orthogonal.
-        size = along @ along + across @ across
-        push = np.array([along @ x + across @ y, along @ y - across @ x]) / size
-        moment = turning @ turn / (turning @ turning)
-        left = x @ x + y @ y - size * (push @ push)
-        left_turn = turn @ turn - moment**2 * (turning @ turning)
-        cost = left / linear_noise + left_turn / angular_noise
-        fits.append((cost, float(delay), np.append(push, moment)))
-    cost, delay, effect = min(fits, key=lambda fit: fit[0])
-    return PulseResponse(motor, effect, delay, float(np.sqrt(cost / (3 * len(time)))))
+    grid = np.union1d(np.arange(time[0], time[-1], _STEP), time)
+    yaw = np.interp(grid, time, pose[:, 2])[:, None]
+    force = _force(model, motor, level, grid[:, None] - begin - delays, end - begin)
+    shapes = np.stack([np.cos(yaw) * force, np.sin(yaw) * force, force], axis=1)
+    moved = twice_integrated(shapes, np.diff(grid)[:, None])[np.searchsorted(grid, time)]
+    along, across, turning = np.moveaxis(beyond(moved), 1, 0)
+    none = np.zeros_like(along)
+    # The rows of x, y and γ, by the forces along and across and the moment.
+    columns = [[along, -across, none], [across, along, none], [none, none, turning]]
+    rows = np.transpose(np.array(columns) / noise[:, None, None, None], (3, 0, 2, 1))
+    aim = np.broadcast_to((beyond(pose) / noise).T.ravel(), (len(delays), 3 * len(time)))
+    information, score, square = normal_equations(rows.reshape(*aim.shape, 3), aim)
+    effects, _ = solved(information, score, np.zeros((3, 3)))
+    cost = square - (effects * score).sum(axis=1)
+    best = int(cost.argmin())
+    misfit = float(np.sqrt(max(cost[best], 0.0) / aim.shape[1]))
+    return PulseResponse(motor, effects[best], float(delays[best]), misfit)
 
 
 def _force(
-    model: Model, motor: int, level: float, elapsed: Float[np.ndarray, " G"], length: float
-) -> Float[np.ndarray, " G"]:
+    model: Model, motor: int, level: float, elapsed: Float[np.ndarray, "G D"], length: float
+) -> Float[np.ndarray, "G D"]:
     """Return what the model expects of a motor beyond its idling thrust [N]."""
     lag, idle = float(model.dynamics.motor_time_constant), model.vehicle.command_min
-    up = motor_step(np, idle, level, np.maximum(elapsed, 0.0), lag)
-    peak = motor_step(np, idle, level, length, lag)
-    speed = np.where(
-        elapsed <= length, up, motor_step(np, peak, idle, np.maximum(elapsed - length, 0.0), lag)
-    )
+    peak = motor_step(np, idle, level, np.clip(elapsed, 0.0, length), lag)
+    speed = motor_step(np, peak, idle, np.maximum(elapsed - length, 0.0), lag)
     # Motors without lag follow at once, also in the first moment before the pulse.
-    speed = np.where(elapsed < 0, idle, speed)
+    speed = np.where(elapsed < 0, idle, np.where(elapsed <= length, peak, speed))
     curve = np.asarray(model.dynamics.thrust)[motor : motor + 1]
-    return thrust(curve, speed[None])[0] - thrust(curve, np.array([[idle]]))[0]
-
-
-def _twice_integrated(acceleration: Float[np.ndarray, "G k"]) -> Float[np.ndarray, "G k"]:
-    """Integrate twice from the first moment on, by the trapezoidal rule."""
-    for _ in range(2):
-        ends = acceleration + acceleration[0]
-        acceleration = _STEP * (np.cumsum(acceleration, axis=0) - ends / 2)
-    return acceleration
-
-
-def _noise(always: Float[np.ndarray, "m 3"], pose: Float[np.ndarray, "m 3"]) -> tuple[float, float]:
-    """Return the variances of positions and yaw about the motion before the pulse."""
-    left = pose - always @ np.linalg.lstsq(always, pose, rcond=None)[0]
-    variance = np.maximum(np.mean(left**2, axis=0), np.finfo(float).tiny)
-    return float(variance[:2].mean()), float(variance[2])
+    return thrust(curve, speed[None])[0] - thrust(curve, np.array([[[idle]]]))[0]
