@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
+
+
+def register_pytree(kind: Any, static: str = "") -> None:
+    """Let JAX see the arrays inside a dataclass; the field `static` holds none."""
+    from jax.tree_util import register_dataclass
+
+    names = [entry.name for entry in fields(kind)]
+    register_dataclass(kind, [name for name in names if name != static], [static] if static else [])
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Exact discretisation of the point mass and of the motors (sec:control)."""
+"""Exact discretisation of the point mass and of the motors (seq:control)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tracking controller: poses in, motor commands out (sec:control)."""
+"""The tracking controller: poses in, motor commands out (seq:control)."""
 
 from __future__ import annotations
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
@@ -24,13 +27,10 @@ def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.n
     command = inverse_thrust(np, dynamics.thrust, cancelling)
     if not dynamics.effects:
         return command
-    motion, step = np.array([yaw, 0.0, 0.0, 0.0]), 1e-30
-    # Complex steps, one motor in each column.
-    nudge = 1j * step * np.eye(len(command))
+    motion = np.array([yaw, 0.0, 0.0, 0.0])
     for _ in range(_PASSES):
         left = np.array(acceleration(np, dynamics, motion, command))
-        moved = acceleration(np, dynamics, motion[:, None], command[:, None] + nudge)
-        slope = np.imag(np.array(np.broadcast_arrays(*moved))) / step
+        slope = _slope(lambda u: acceleration(np, dynamics, motion[:, None], u), command)
         command = np.clip(command - np.linalg.pinv(slope) @ left, 0.0, 1.0)
     return command
 
@@ -40,8 +40,7 @@ def linearize(
 ) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, "s n"]]:
     """Linearise the equations of motion of a craft at rest, exactly.
 
-    A = ∂f/∂z and B = ∂f/∂u at z = (0, 0, γ, 0, 0, 0, u), by automatic differentiation of
-    `airpuck.physics.rigid_body`.
+    A = ∂f/∂z and B = ∂f/∂u at z = (0, 0, γ, 0, 0, 0, u), for eq. extended_model_dynamics.
 
     Parameters
     ----------
@@ -58,18 +57,24 @@ def linearize(
         Of the deviations from the operating point. The state is x, y, γ, vx, vy, ω and the n motor
         speeds; without motor lag (τ = 0) the motor speeds are no states: s = 6 + n or 6.
     """
-    import jax
-    import jax.numpy as jnp
-
     pose = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0])
     lagging = float(dynamics.motor_time_constant) > 0
+    state = np.append(pose, command) if lagging else pose
+    size = len(state)
 
-    def rates(state: jax.Array, held: jax.Array) -> jax.Array:
+    def rates(point: Any) -> Any:
         if lagging:
-            return derivative(jnp, dynamics, state, held)
-        return jnp.concatenate([state[3:], jnp.stack(acceleration(jnp, dynamics, state[2:], held))])
+            return derivative(np, dynamics, point[:size], point[size:])
+        return [*point[3:6], *acceleration(np, dynamics, point[2:6], point[6:])]
 
-    with jax.enable_x64(True):
-        state = np.concatenate([pose, command]) if lagging else pose
-        a, b = jax.jacfwd(rates, argnums=(0, 1))(jnp.array(state), jnp.array(command))
-        return np.array(a), np.array(b)
+    slope = _slope(rates, np.append(state, command))
+    return slope[:, :size], slope[:, size:]
+
+
+def _slope(
+    function: Callable[[Any], Any], point: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "m k"]:
+    """Differentiate by complex steps, exact to rounding (Squire, Trapp, SIAM Review 40, 1998)."""
+    step = 1e-30
+    moved = function(point[:, None] + 1j * step * np.eye(len(point)))
+    return np.imag(np.array(np.broadcast_arrays(*moved))) / step

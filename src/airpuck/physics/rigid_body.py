@@ -1,18 +1,18 @@
 """The planar rigid body: from propeller forces to the acceleration of the geometric centre.
 
-Section "Model" and eq. acc_dyn of the paper. All functions are plain array operations over a
-namespace `xp`; the batch is the last axis.
+The paper's seq:model. All functions are plain array operations over a namespace `xp`; the batch is
+the last axis.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 
-from airpuck.compute.arrays import linear_map
+from airpuck.compute.arrays import linear_map, register_pytree
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.thrust import thrust
@@ -26,9 +26,8 @@ CenterOfMassFrame = Literal["body", "world"]
 class Dynamics:
     """Coefficients of the equations of motion.
 
-    One craft's, or those of a batch of craft with the batch as last axis, as states have it. Every
-    rung of the model ladder is one of these; the rungs differ in what it is computed from
-    (`airpuck.model.parameters`).
+    Of one craft, or of a batch of craft as last axis. Rungs of the model ladder differ only in how
+    these follow from their parameters (`airpuck.model.parameters`).
 
     Attributes
     ----------
@@ -58,11 +57,9 @@ class Dynamics:
 @cache
 def register_pytrees() -> None:
     """Let JAX see the arrays inside `Dynamics` and all effects."""
-    from jax.tree_util import register_dataclass
-
-    for kind in (Dynamics, *Effect.__subclasses__()):
-        names = {field.name for field in fields(kind)}  # pyright: ignore[reportArgumentType]
-        register_dataclass(kind, sorted(names - {"frame"}), sorted(names & {"frame"}))
+    register_pytree(Dynamics, static="frame")
+    for kind in Effect.__subclasses__():
+        register_pytree(kind)
 
 
 def configuration_matrix(
@@ -74,10 +71,10 @@ def configuration_matrix(
     angle_offset: Any,
     center_of_mass: Any,
 ) -> Any:
-    """Compute Π(θ) from first principles (subsec:configuration_matrix).
+    """Compute Π(θ), shape (3, n), from first principles (subsec:configuration_matrix).
 
     Forces add up to the acceleration of the centre of mass, their moments about it to the angular
-    acceleration. The angle offset turns positions and directions alike.
+    acceleration. The angle offset α turns positions (n, 2) and directions (n, 2) alike.
     """
     cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
     dx = cos * directions[:, 0] - sin * directions[:, 1]
@@ -90,8 +87,8 @@ def configuration_matrix(
 def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> Any:
     """Compute the acceleration of the geometric centre and the angular acceleration (eq. acc_dyn).
 
-    a = R(γ) Π_xy F + r × ω' + ω × (r × ω), ω' = Π_z F, with r turned by R(γ) when it is fixed to
-    the body. Effects change the thrusts F, or add to what they give.
+    a = R(γ) Π_xy F + r × ω' + ω × (r × ω) (eq. acc_corr) and ω' = Π_z F, with r turned by R(γ)
+    where it is fixed to the body. Effects change the thrusts F, or add accelerations.
 
     Parameters
     ----------
@@ -134,7 +131,7 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
 def motor_accelerations(
     xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any
 ) -> tuple[Any, Any]:
-    """Split the accelerations into those that each motor gives, and all others."""
+    """Split the accelerations (eq. acc_dyn) into those that each motor gives, and all others."""
     # The accelerations are linear in Π: one column at a time, and none.
     n = motor_speed.shape[0]
     columns = np.concatenate([np.eye(n), np.zeros((1, n))])
@@ -148,10 +145,7 @@ def motor_accelerations(
 
 
 def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
-    """Evaluate the right-hand side z' = f(z, u) of the extended model.
-
-    See eq. extended_model_dynamics of the paper.
-    """
+    """Evaluate the right-hand side z' = f(z, u) of eq. extended_model_dynamics."""
     motor_speed = state[6:]
     rates = acceleration(xp, dynamics, state[2:6], motor_speed)
     lag = (command - motor_speed) / dynamics.motor_time_constant
@@ -159,9 +153,9 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
 
 
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
-    """Write the accelerations as M(γ) F + g(ω), the form that control allocation needs.
+    """Return M(γ) and g(ω) of the accelerations M F + g, as eq. force_qp needs them.
 
-    Without the optional effects: a controller meets them as a disturbance.
+    Without the optional effects, which a controller rejects as a disturbance.
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]

@@ -1,4 +1,4 @@
-"""Multi-step prediction of a batch of windows.
+"""Multi-step prediction of a batch of windows, by eq. extended_model_dynamics.
 
 The rigid body is integrated by the explicit Runge-Kutta method of fourth order, as in the paper;
 the motors, which nothing feeds back to, by their exact solution at the stage times.
@@ -16,7 +16,7 @@ from airpuck.physics.rigid_body import Dynamics, acceleration
 def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:
     """Advance the extended state under a constant command by one Runge-Kutta step."""
     h, tau = duration, dynamics.motor_time_constant
-    # A motor without lag has the new speed from the start of the step on.
+    # A motor without lag has its new speed from the start of the step.
     begin = xp.where(tau > 0, state[6:], command)
     middle = motor_step(xp, begin, command, h / 2, tau)
     end = motor_step(xp, begin, command, h, tau)

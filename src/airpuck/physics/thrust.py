@@ -1,6 +1,7 @@
-"""Thrust of a propeller as a polynomial of its normalised speed (eq. thrust_poly).
+"""Thrust of a propeller as a polynomial of its normalised speed, and its inverse.
 
-F(φ) = a φ + b φ² + c φ³ + …, with φ in [0, 1] and no constant: a motor that stands pushes nothing.
+F(φ) = a φ + b φ² + c φ³ + …, with φ in [0, 1] (eq. thrust_poly). There is no constant: a propeller
+at rest gives no thrust.
 """
 
 from __future__ import annotations
@@ -13,15 +14,15 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.compute.arrays import repeat_while
 
-#: A motor speed is found when the last pass has moved it by less than this. Rounding of a thrust
-#: moves a speed by more only where the slope is below 1e-4 N.
+#: A motor speed is found when the last pass moved it by less than this. Rounding of a thrust moves
+#: a speed by more only where the slope is below 1e-4 N.
 _RESOLVED = 1e-12
 #: Newton needs about five passes, bisection alone 40: the bound is never reached.
 _MOST_PASSES = 100
 
 
 def thrust(coefficients: Any, speed: Any) -> Any:
-    """Evaluate the thrust polynomials.
+    """Evaluate the thrust polynomials F(φ) (eq. thrust_poly).
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def thrust(coefficients: Any, speed: Any) -> Any:
 
 
 def thrust_slope(coefficients: Any, speed: Any) -> Any:
-    """Evaluate dF/dφ."""
+    """Evaluate dF/dφ, the left side of eq. thrust_cond [N]."""
     total = 0.0
     for power in reversed(range(coefficients.shape[1])):
         total = total * speed + (power + 1) * _column(coefficients, power, speed)
@@ -58,7 +59,7 @@ def _column(coefficients: Any, power: int, like: Any) -> Any:
 def lowest_slope(
     coefficients: Float[np.ndarray, "n degree"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Find where each thrust curve is flattest, or falls most, on [0, 1].
+    """Find the lowest slope of each thrust curve on [0, 1], and the speed where it occurs.
 
     The minimum of dF/dφ lies at an end of the interval or where d²F/dφ² vanishes inside. For a
     cubic this is the argument of Proposition 1 (prop:thrust).
@@ -77,14 +78,16 @@ def lowest_slope(
 
 
 def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray, " n"]:
-    """Say whether each thrust curve rises everywhere on [0, 1] (eq. thrust_cond)."""
+    """Return whether each thrust curve rises everywhere on [0, 1] (eq. thrust_cond)."""
     return lowest_slope(coefficients)[0] >= 0
 
 
 class InverseThrust:
-    """Finds the motor speeds that give thrusts, F⁻¹ of sec:control.
+    """Finds the motor speeds that give thrusts, F⁻¹ in seq:control.
 
-    Newton's method, kept inside a bracket that halves whenever Newton would leave it.
+    The controller's command follows from them: u = B⁻¹ (F⁻¹(F) - A φ), with the motors' A and B of
+    eq. dis_motor_dynamics. Newton's method, kept inside a bracket that halves whenever Newton would
+    leave it. Thrusts outside the curve's range give the nearest end of [0, 1].
 
     Parameters
     ----------
@@ -115,7 +118,7 @@ class InverseThrust:
 
 
 def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:
-    """Invert thrust curves that are known to rise; see `InverseThrust`."""
+    """Invert thrust curves that are known to rise, F⁻¹ in seq:control; see `InverseThrust`."""
     top = thrust(coefficients, xp.ones((coefficients.shape[0],) + (1,) * (force.ndim - 1)))
     target = xp.minimum(xp.maximum(force, 0.0), top)
 
