@@ -11,9 +11,9 @@ from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
+from airpuck.identification.method import window_weights
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.problem import Loss, Preparation
-from airpuck.identification.robust import window_weights
 from airpuck.model.model_file import published_model
 from airpuck.recording.torch_archive import read_authors_experiment
 

@@ -17,13 +17,12 @@ from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.identifiability import Identifiability, identifiability_of
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.method import Iteration, Method, Outcome, minimize_on
+from airpuck.identification.method import Iteration, Method, Outcome, minimize_on, reweighted
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.preparation_error import error_growth, score_derivatives
 from airpuck.identification.problem import Loss, Preparation, Problem
 from airpuck.identification.retiming import delay_jitter, retime_packets, variance_of_mean
-from airpuck.identification.robust import reweighted
 from airpuck.identification.uncertainty import grown, sandwich, shared_at_borders, varying, widened
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.model_file import Model
