@@ -1,4 +1,4 @@
-"""The one error that a user of airpuck is meant to read."""
+"""The one error that is meant for a user."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import os
 
 
 class InputError(ValueError):
-    """Something that the user gave cannot be used; the message says what to do.
+    """An input cannot be used; the message says what to do about it.
 
-    The command line prints the message as one line and exits with status 2. Anything else that is
-    raised is a failure of ours.
+    The command line prints the message as one line and exits with status 2. Any other exception is
+    a mistake of this package.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""TOML in, TOML out, and files that are either the old or the new one, never half of it."""
+"""Checked TOML files, and files that are replaced in one step: never half written."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace what the content names, table by table; arrays are replaced whole."""
+    """Replace in `base` what the content names, table by table; arrays are replaced whole."""
     merged = dict(base)
     for key, value in content.items():
         below = base.get(key)
@@ -72,10 +72,10 @@ def checked(
         # and not about Python's containers.
         return schema.model_validate_json(json.dumps(content, default=str), strict=True)
     except pydantic.ValidationError as error:
-        # A misspelt key is missing, too, where it should be: its spelling is the mistake.
+        # A misspelt key also leaves the right one missing: report the spelling.
         found = error.errors()
         first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
-        # Discriminator tags and function names are pydantic's business, not the user's.
+        # Names of validator functions are of no use to a user.
         field = ".".join(
             str(part) for part in first["loc"] if not str(part).startswith("function-")
         )
@@ -107,9 +107,9 @@ def write_toml(
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name beside `path`, and move it there when the block ends well.
+    """Give a temporary file beside `path`, which replaces it if the block succeeds.
 
-    An interrupted or failed block leaves an existing file as it was.
+    If the block fails or is interrupted, an existing file stays as it was.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _umask() -> int:
-    """Return the process's umask, which can only be read by setting it."""
+    """Return the process's umask; the only way to read it is to set it."""
     mask = os.umask(0o022)
     os.umask(mask)
     return mask

@@ -24,7 +24,7 @@ class Table(Section):
     friction: NonNegative = 0.1
 
     def reach(self, radius: float) -> tuple[float, float]:
-        """Say how far from the middle the centre of a disc can get.
+        """Return how far from the middle of the table the centre of a disc can get.
 
         Parameters
         ----------

@@ -38,10 +38,10 @@ class Propeller(Section):
 
 
 class Nominal(Section):
-    """Values to start an identification from; rough ones do."""
+    """Values to start an identification from; rough ones are enough."""
 
-    #: Coefficients of φ, φ², φ³, … in newtons (φ in [0, 1]): one curve for all propellers, or one
-    #: list for each.
+    #: Coefficients of φ, φ², φ³, … (φ in [0, 1]): one curve for all propellers, or one list for
+    #: each.
     thrust_N: tuple[float, ...] | tuple[tuple[float, ...], ...]
     #: Moment of inertia about the vertical axis through the centre of mass.
     inertia_kg_m2: Positive
@@ -198,7 +198,7 @@ def default_vehicle() -> Vehicle:
 
 
 def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:
-    """Say which column of a recorded command drives which propeller."""
+    """Return which column of a recorded command drives each propeller, or refuse it."""
     names = vehicle.propeller_names
     if len(columns) != len(names):
         raise InputError(

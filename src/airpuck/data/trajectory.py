@@ -1,4 +1,4 @@
-"""A trajectory: states at the sample times, the commands that caused them, and what not to use."""
+"""A trajectory: states at the sample times, commands at their own, and spans not to use."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ STATE_COLUMNS = ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s")
 class Span:
     """A closed interval of time that must not be used.
 
-    A gap's interval ends at the samples around it, so these are left out too and no window can
-    reach across.
+    The interval of a gap includes the samples on both sides, so that no window reaches across.
 
     Attributes
     ----------
@@ -38,7 +37,7 @@ class Span:
     cause : str
         Why, in a few words: ``gap``, ``frozen pose``, ….
     confidence : float, default 1
-        How sure that is, between 0 and 1; what was measured is certain.
+        Probability of the cause; 1 where it was measured.
     """
 
     start: float
@@ -49,7 +48,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """States on the grid of the motion capture, and the commands with their own times.
+    """States at the times of the motion capture, and commands at the times they were sent.
 
     Attributes
     ----------
@@ -66,8 +65,8 @@ class Trajectory:
     delay : float
         Transport delay: a command acts from ``command_time + delay`` on [s].
     delay_known : bool
-        False where the file's author had already shifted the commands, so that `delay` is zero and
-        the physical one cannot be read from the file.
+        False where the file's author had already shifted the commands by an unknown delay; `delay`
+        is then zero.
     propellers : tuple of str
         Names of the command's columns.
     excluded : tuple of Span
@@ -77,7 +76,7 @@ class Trajectory:
     hashes : mapping of str to str
         SHA-256 of every file it was made from, by name.
     warnings : tuple of str
-        What preprocessing found and could live with.
+        What preprocessing found that does not prevent the use of the data.
     """
 
     time: Float[np.ndarray, " N"]
@@ -125,8 +124,8 @@ class Trajectory:
         delay : float
             Transport delay d, from a command's stamp to the motors [s].
         assumed : float
-            What the file's author is taken to have shifted commands by, where that is not known:
-            the vehicle's nominal delay [s].
+            Delay by which the file's author is assumed to have shifted the commands, where it is
+            not known: the vehicle's nominal one [s].
 
         Returns
         -------
@@ -333,7 +332,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 
 def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Refuse content that preprocessing cannot have written."""
+    """Refuse content that `Trajectory.save` cannot have written."""
     t, n, k = trajectory, len(trajectory.time), len(trajectory.command_time)
     shapes = (
         ("t", t.time, (n,)),
@@ -361,7 +360,7 @@ def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
 
 
 def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
-    """Find the runs of True."""
+    """Return the index ranges [first, last) of consecutive True."""
     edges = np.diff(np.concatenate([[0], marked.astype(np.int8), [0]]))
     return list(
         zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
@@ -369,7 +368,7 @@ def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
 
 
 def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
-    """Refuse a trajectory of another craft."""
+    """Refuse a trajectory whose propellers are not the vehicle's."""
     mine, theirs = vehicle.propeller_names, trajectory.propellers
     if mine != theirs:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Windows: short stretches of trajectories to encode on and to predict over."""
+"""Windows: short stretches of trajectories, to encode a state from and to predict over."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from airpuck.data.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows over one or several trajectories, kept as indices into the joined samples.
+    """Windows over one or several trajectories, as indices into the joined samples.
 
     A window has E samples for the encoder and then T samples to predict. Its *present* is the last
     encoder sample: the prediction starts there, and step k ends at the k-th sample after it.
@@ -34,7 +34,7 @@ class Windows:
     prediction_length: int
     #: First sample of each trajectory.
     origins: tuple[int, ...] = (0,)
-    #: What was joined.
+    #: The trajectories that were joined.
     trajectories: tuple[Trajectory, ...] = ()
     #: Derivative of `input` with respect to the transport delay [1/s]; None where commands are held
     #: by whole samples.
@@ -49,7 +49,10 @@ class Windows:
         return self.starts + self.encoder_length - 1
 
     def delayed(self, delay: float, assumed: float) -> Windows:
-        """Hold the commands anew, for a transport delay to a fraction of a sample."""
+        """Return the same windows with commands held for another transport delay [s].
+
+        The delay need not be a whole number of samples; see `Trajectory.delayed_input`.
+        """
         held = [trajectory.delayed_input(delay, assumed) for trajectory in self.trajectories]
         return replace(
             self,
@@ -58,7 +61,7 @@ class Windows:
         )
 
     def past(self, starts: Int[np.ndarray, " B"] | None = None, length: int | None = None) -> Past:
-        """Gather what an encoder may look at."""
+        """Gather the samples that an encoder may use, B windows as last axis."""
         starts = self.starts if starts is None else starts
         length = length or self.encoder_length
         first = starts + self.encoder_length - length
@@ -67,7 +70,7 @@ class Windows:
     def future(
         self, starts: Int[np.ndarray, " B"] | None = None
     ) -> tuple[Float[np.ndarray, "T n B"], Float[np.ndarray, "T B"], Float[np.ndarray, "T 6 B"]]:
-        """Gather what happened after the present."""
+        """Gather commands, durations and measured states after the present."""
         starts = self.starts if starts is None else starts
         present = starts + self.encoder_length - 1
         index = present + np.arange(self.prediction_length + 1)[:, None]
@@ -80,18 +83,18 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """The samples up to and including the present, of a batch of windows."""
+    """The samples up to and including the present, of a batch of B windows as last axis."""
 
-    #: Measured states.
+    #: Measured states, shape (E, 6, B).
     state: Any
-    #: Held commands.
+    #: Held commands, shape (E, n, B).
     command: Any
-    #: Time from each sample to the next [s].
+    #: Time from each sample to the next, shape (E - 1, B) [s].
     duration: Any
 
 
 def gather_past(xp: Any, time: Any, state: Any, command: Any, starts: Any, length: int) -> Past:
-    """Gather the first samples of windows."""
+    """Gather `length` samples of each window from its start on; under NumPy or JAX."""
     index = starts + xp.arange(length)[:, None]
     return Past(
         state=xp.moveaxis(state[index], -1, 1),
@@ -145,15 +148,15 @@ def make_windows(
                 f"({', '.join(trajectory.propellers)}); identify each craft for itself",
                 file=trajectory.source,
             )
-        own = trajectory.window_starts(length, stride)
-        if len(own) == 0:
+        found = trajectory.window_starts(length, stride)
+        if len(found) == 0:
             raise InputError(
                 f"is too short: a window needs {length} samples in a row "
                 f"({encoder_length} to encode, {prediction_length} to predict), the longest "
                 f"usable stretch has {_longest_stretch(trajectory)}",
                 file=trajectory.source,
             )
-        starts.append(first + own)
+        starts.append(first + found)
         first += len(trajectory)
     return Windows(
         time=np.concatenate([trajectory.time for trajectory in trajectories]),

@@ -1,4 +1,4 @@
-"""Commands are held from one event to the next: at a time, and on average over a step."""
+"""Zero-order hold of commands: their value at a time, and their mean over a step."""
 
 from __future__ import annotations
 
@@ -36,19 +36,18 @@ def mean_hold(
     values: Float[np.ndarray, "K n"],
     time: Float[np.ndarray, " N"],
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
-    """Mean of the held values from each time to the next, and its slope.
+    """Mean of the held values from each time to the next, and its derivative by a delay [1/s].
 
     For events that come ``d`` later, ``u_k(d) = 1/h ∫ u(s - d) ds`` over ``[t_k, t_{k+1}]`` is
-    continuous in ``d`` and piecewise linear, whereas `hold` jumps whenever an event passes a
-    sample. What it does to a lagging motor differs from what the events do by the variance that it
-    adds to their time, x (1 - x) h² for an event at the fraction x of a step: next to a lag of
-    28 ms, a change of the lag by at most 0.08 ms.
+    continuous and piecewise linear in ``d``, whereas `hold` jumps whenever an event passes a
+    sample. The mean keeps the impulse of an event at the fraction x of a step, and spreads it in
+    time by a variance of x (1 - x) h²: as a change of a motor lag of 28 ms by at most 0.08 ms.
     """
     held = hold(event_time, values, time)
     length = np.diff(time)[:, None]
     mean, slope = held.copy(), np.zeros_like(held)
     slope[:-1] = (held[:-1] - held[1:]) / length
-    # Each change counts for the part of its interval that is left.
+    # Each change counts for the rest of its interval.
     interval = np.searchsorted(time, event_time, side="left") - 1
     within = (interval >= 0) & (interval < len(time) - 1)
     within[0] = False  # the first value holds before its event, too

@@ -1,8 +1,8 @@
 """The scale of thrusts where Π is learned directly, and Newton's law to fix it.
 
 s times a propeller's thrust and 1/s times its column of Π give the same motion: data determine
-their product only. By Newton's law the linear part of a column has the length 1/m, and at that
-scale the thrust is in newtons.
+only their product. By Newton's law the linear part of a column has the length 1/m; at that scale
+the thrust is in newtons.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from airpuck.model.parameters import Parameters, thrust_scale
 def gauge_directions(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> dict[int, Float[np.ndarray, " P"]]:
-    """Return the directions along which nothing that can be observed changes."""
+    """Return, by motor, the direction in θ along which no prediction changes."""
     matrix = parameters.configuration_matrix
     if matrix is None:
         return {}
@@ -27,18 +27,18 @@ def gauge_directions(
     of_thrust = parameters.mask(frozenset({"thrust"}))
     of_matrix = parameters.mask(frozenset({"configuration_matrix"}))
     found = {}
-    for motor, own in enumerate(np.eye(len(thrust))):
+    for motor, unit in enumerate(np.eye(len(thrust))):
         direction = np.zeros(len(free))
-        direction[of_thrust] = np.ravel(own[:, None] * thrust)
-        direction[of_matrix] = np.ravel(-matrix * own)
-        # Where one of the two is fixed, it fixes the other.
-        if not (direction[~free] != 0).any() and own @ np.hypot(matrix[0], matrix[1]) > 0:
+        direction[of_thrust] = np.ravel(unit[:, None] * thrust)
+        direction[of_matrix] = np.ravel(-matrix * unit)
+        # A thrust or a column that is not free fixes the scale.
+        if not (direction[~free] != 0).any() and unit @ np.hypot(matrix[0], matrix[1]) > 0:
             found[motor] = direction
     return found
 
 
 def fix_gauge(parameters: Parameters, vehicle: Vehicle, free: Bool[np.ndarray, " P"]) -> Parameters:
-    """Bring the thrusts whose scale is free to newtons; no prediction changes."""
+    """Bring thrusts whose scale is free to newtons; no prediction changes."""
     motors = list(gauge_directions(parameters, free))
     if not motors:
         return parameters
@@ -54,7 +54,7 @@ def fix_gauge(parameters: Parameters, vehicle: Vehicle, free: Bool[np.ndarray, "
 def gauge_constraints(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "K P"]:
-    """Return the rows that keep ‖Π_xy,i‖ where it is, to first order."""
+    """Return the rows of a linear constraint that keeps each ‖Π_xy,i‖, to first order."""
     motors = list(gauge_directions(parameters, free))
     rows = np.zeros((len(motors), len(free)))
     entries = np.flatnonzero(parameters.mask(frozenset({"configuration_matrix"})))

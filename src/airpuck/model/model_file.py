@@ -1,4 +1,4 @@
-"""A model: vehicle, parameters, what was learned from what; and the file a person can read."""
+"""A model: vehicle, parameters, what was learned and from what; and its file."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, checked, load_toml, write_toml
+from airpuck.boundary.files import Positive, Section, checked, load_toml, write_toml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.parameters import Parameters, nominal_parameters
+from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
     ParametersSection,
@@ -40,7 +41,7 @@ _FORMAT = "airpuck model 1"
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A craft with numbers for everything.
+    """A craft with known parameters: what identification gives and all other rooms use.
 
     Attributes
     ----------
@@ -94,7 +95,7 @@ class Model:
     def propeller_effects(self) -> Float[np.ndarray, "3 n"]:
         """Accelerations per thrust, the angular ones times the radius of gyration [1/kg].
 
-        Without effects other than thrust, such as drag.
+        The optional effects are left out.
         """
         rows = np.array([1.0, 1.0, self.radius_of_gyration])
         return rows[:, None] * np.asarray(self.dynamics.configuration)
@@ -392,7 +393,7 @@ def _with_nominal_delay(
 
 
 def nominal_model(vehicle: Vehicle) -> Model:
-    """Return what is known of a craft before any flight."""
+    """Return the model of a craft that has not flown: the nominal values of its vehicle."""
     parameters = nominal_parameters(vehicle)
     return Model(
         name="nominal",
@@ -403,32 +404,34 @@ def nominal_model(vehicle: Vehicle) -> Model:
     )
 
 
+class _AuthorsValues(pydantic.BaseModel):
+    """The authors' ``model_params``."""
+
+    thrust_N: Rows = pydantic.Field(alias="signal2thrust")
+    mass_kg: Positive = pydantic.Field(alias="mass")
+    inertia_kg_m2: float = pydantic.Field(alias="inertia")
+    motor_time_constant_s: float = pydantic.Field(alias="tau")
+    angle_offset_rad: float = pydantic.Field(alias="motor_angle_offset")
+    center_of_mass_m: tuple[float, float, float] = pydantic.Field(alias="center_of_mass")
+    configuration_matrix_SI: Rows = pydantic.Field(alias="configuration_matrix")
+
+
+class _AuthorsSwitches(pydantic.BaseModel):
+    """The authors' ``model``: what was learned."""
+
+    thrust: bool = pydantic.Field(alias="learn_signal2thrust")
+    inertia: bool = pydantic.Field(alias="learn_inertia")
+    motor_time_constant: bool = pydantic.Field(alias="learn_tau")
+    angle_offset: bool = pydantic.Field(alias="learn_motor_angle_offset")
+    center_of_mass: bool = pydantic.Field(alias="learn_center_of_mass")
+    configuration_matrix: bool = pydantic.Field(alias="learn_configuration_matrix")
+
+
 class _AuthorsModel(pydantic.BaseModel):
     """The part of the authors' params.json that describes a model."""
 
-    class Values(pydantic.BaseModel):
-        """Their ``model_params``."""
-
-        signal2thrust: tuple[tuple[float, ...], ...]
-        mass: float = pydantic.Field(gt=0)
-        inertia: float
-        tau: float
-        motor_angle_offset: float
-        center_of_mass: tuple[float, float, float]
-        configuration_matrix: tuple[tuple[float, ...], ...]
-
-    class Switches(pydantic.BaseModel):
-        """Their ``model``."""
-
-        learn_configuration_matrix: bool
-        learn_center_of_mass: bool
-        learn_inertia: bool
-        learn_tau: bool
-        learn_signal2thrust: bool
-        learn_motor_angle_offset: bool
-
-    model: Switches
-    model_params: Values
+    model: _AuthorsSwitches
+    model_params: _AuthorsValues
 
 
 def _read_params_json(path: Path) -> Model:
@@ -442,27 +445,13 @@ def _read_params_json(path: Path) -> Model:
     if not isinstance(raw, dict):
         raise InputError("must hold a JSON object", file=path)
     content = checked(raw, _AuthorsModel, file=path)
-    values, switches = content.model_params, content.model
-    vehicle = default_vehicle().model_copy(update={"mass_kg": values.mass})
-    section = {
-        "thrust_N": values.signal2thrust,
-        "inertia_kg_m2": values.inertia,
-        "motor_time_constant_s": values.tau,
-        "angle_offset_rad": values.motor_angle_offset,
-        "center_of_mass_m": values.center_of_mass[:2],
-    }
-    if switches.learn_configuration_matrix:
-        section["configuration_matrix_SI"] = values.configuration_matrix
+    section, switches = content.model_params.model_dump(), content.model
+    vehicle = default_vehicle().model_copy(update={"mass_kg": section.pop("mass_kg")})
+    section["center_of_mass_m"] = section["center_of_mass_m"][:2]
+    if not switches.configuration_matrix:
+        del section["configuration_matrix_SI"]
     parameters = _with_nominal_delay(section, vehicle, file=path)
-    free = {
-        "thrust": switches.learn_signal2thrust,
-        "inertia": switches.learn_inertia,
-        "motor_time_constant": switches.learn_tau,
-        "angle_offset": switches.learn_motor_angle_offset,
-        "center_of_mass": switches.learn_center_of_mass,
-        "configuration_matrix": switches.learn_configuration_matrix,
-    }
-    mask = parameters.mask(frozenset(name for name, learned in free.items() if learned))
+    mask = parameters.mask(frozenset(name for name, learned in switches if learned))
     rung = (n for n, p in RUNGS.items() if np.array_equal(p.mask(parameters), mask))
     return Model(
         name=next(rung, path.parent.name),
