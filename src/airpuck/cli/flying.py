@@ -124,14 +124,7 @@ def excite(
     planned = ExcitationPlan() if plan is None else read_excitation_plan(plan)
     planned = planned.model_copy(update={k: v for k, v in given.items() if v is not None})
     excited = fly_excitation(
-        truth,
-        planned.duration_s,
-        seed,
-        amplitude=planned.amplitude,
-        hold=planned.hold_s,
-        margin=planned.margin_m,
-        settings=read_twin(twin),
-        tuning=read_controls(tuning),
+        truth, planned, seed, settings=read_twin(twin), tuning=read_controls(tuning)
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     streams = excited.recording.streams

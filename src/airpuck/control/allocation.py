@@ -63,7 +63,7 @@ def problem(
 
 
 def all_finite(values: Float[np.ndarray, " k"]) -> bool:
-    """Say whether a few numbers are all finite, in less time than NumPy takes for any question."""
+    """Return whether a few numbers are all finite, in less time than any NumPy call takes."""
     return all(map(math.isfinite, values.tolist()))
 
 

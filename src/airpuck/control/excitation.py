@@ -68,7 +68,7 @@ class Excitation:
     pause until it can.
 
     The controller believes that motors have no lag. One that knew the lag would compensate the
-    signals, since it is told what was sent.
+    signals, since it hears what was sent.
 
     Parameters
     ----------

@@ -236,7 +236,7 @@ class TrackingController:
         self.filter.run_motors(time - _REMEMBERED)
 
     def step(self, time: float) -> Step:
-        """Compute the command to send now; `sent` tells the controller that it was.
+        """Compute the command to send now; report with `sent` what was.
 
         Parameters
         ----------

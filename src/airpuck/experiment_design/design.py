@@ -301,7 +301,7 @@ class _Search:
         flights = [one for trials in self._trials.values() for one in _informations(trials)]
         if not flights:
             raise InputError(
-                "every rehearsal met a rail; are the table's length and width right?",
+                "every trial flight met a rail; are the table's length and width right?",
                 field="table",
             )
         return Forecast(self.model, flights, self.residual_level())

@@ -73,16 +73,7 @@ def _fly(
     model: Model, settings: TwinSettings, tuning: Tuning, plan: ExcitationPlan, seed: int
 ) -> tuple[Trajectory, float]:
     """Fly a plan; return its data and the least distance to a rail [m], 0 where it met one."""
-    flown = fly_excitation(
-        model,
-        plan.duration_s,
-        seed,
-        amplitude=plan.amplitude,
-        hold=plan.hold_s,
-        margin=plan.margin_m,
-        settings=settings,
-        tuning=tuning,
-    )
+    flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning)
     reach = np.array(settings.table.reach(model.vehicle.radius_m))
     free = float((reach - np.abs(flown.recording["pose"].values[:, :2])).min())
     clearance = 0.0 if flown.contacts else max(free, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.excitation import Amplitude, Excitation
+from airpuck.control.excitation import Amplitude, Excitation, ExcitationPlan
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -80,46 +80,39 @@ def excite(
     InputError
         If a number is out of range.
     """
+    # Not checked here: `Excitation` refuses numbers out of range.
+    plan = ExcitationPlan.model_construct(
+        amplitude=amplitude, hold_s=hold, duration_s=duration, margin_m=margin
+    )
     return fly_excitation(
-        model,
-        duration,
-        seed,
-        amplitude=amplitude,
-        hold=hold,
-        margin=margin,
-        settings=settings,
-        tuning=tuning,
-        plant=plant,
+        model, plan, seed, settings=settings, tuning=tuning, plant=plant
     ).recording
 
 
 def fly_excitation(
     model: Model,
-    duration: float = 90.0,
+    plan: ExcitationPlan,
     seed: int = 0,
     *,
-    amplitude: Amplitude = 1.0,
-    hold: float = 0.2,
-    margin: float = 0.05,
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     plant: Plant | None = None,
 ) -> Excited:
-    """Fly the excitation experiment, and log how near to the rails it came; see `excite`."""
-    _check_duration(duration, tuning)
+    """Fly an excitation experiment, and log how near to the rails it came; see `excite`."""
+    _check_duration(plan.duration_s, tuning)
     settings = settings or default_twin_settings()
     twin = Twin(model, settings, seed=seed, plant=plant)
     pilot = Excitation(
         nominal_model(model.vehicle),
         tuning=tuning,
-        amplitude=amplitude,
-        hold=hold,
+        amplitude=plan.amplitude,
+        hold=plan.hold_s,
         seed=seed,
         table=settings.table,
-        margin=margin,
+        margin=plan.margin_m,
     )
     period = pilot.controller.tuning.period_s
-    fly(pilot, twin, duration, period)
+    fly(pilot, twin, plan.duration_s, period)
     source = f"excitation of {model.name} on the twin, seed {seed}"
     return Excited(
         replace(twin.recording(), source=source), pilot.pauses * period, tuple(twin.contacts)

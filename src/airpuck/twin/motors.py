@@ -1,4 +1,4 @@
-"""Motors that do not do what they are told: not armed, slow to start, stalled."""
+"""Motors that do not follow their command: not armed, slow to start, stalled, weak."""
 
 from __future__ import annotations
 

@@ -111,21 +111,16 @@ def build_sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]
     """Build the sensors, each with random numbers of its own."""
     board = settings.on_board
     sensors = [pose_sensor(settings.motion_capture, seed, logs)]
-    if board.rate_hz == 0:
-        return sensors
     inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
-    optical = (board.mouse_noise_m_s,) * 2
-    on_board: tuple[tuple[Kind, tuple[float, ...]], ...] = (("imu", inertial), ("mouse", optical))
-    for number, (kind, noise) in enumerate(on_board, start=2):
+    on_board: list[tuple[Kind, tuple[float, ...]]] = [
+        ("imu", inertial),
+        ("mouse", (board.mouse_noise_m_s,) * 2),
+    ]
+    for number, (kind, noise) in enumerate(on_board if board.rate_hz else [], start=2):
+        rng = np.random.default_rng([seed, number])
+        latency = (board.latency_s, 0.0)
         sensors.append(
-            Sensor(
-                kind,
-                rate=board.rate_hz,
-                noise=noise,
-                latency=(board.latency_s, 0.0),
-                rng=np.random.default_rng([seed, number]),
-                logs=logs,
-            )
+            Sensor(kind, rate=board.rate_hz, noise=noise, latency=latency, rng=rng, logs=logs)
         )
     return sensors
 

@@ -1,4 +1,4 @@
-"""What a twin is made of besides the model: sensors, radio, effects, faults; a TOML file."""
+"""Everything about a twin but its model: sensors, radio, effects, faults; a TOML file."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class Weakness(Stall):
 
 
 class Motors(Section):
-    """What motors do besides following their command."""
+    """How motors fail to follow their command."""
 
     #: They stand still until then.
     unarmed_s: NonNegative = 0.0
@@ -143,7 +143,7 @@ class Motors(Section):
 
 
 class TwinSettings(Section):
-    """Everything about a twin besides the model of the craft.
+    """Everything about a twin but the model of the craft.
 
     Attributes
     ----------
