@@ -26,7 +26,7 @@ def test_the_likelihood_is_that_of_normal_innovations():
     found = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 1.0), (0.0, 0.0, 0.0)))
     e, s = found.values[found.used], found.deviation[found.used]
     assert found.log_likelihood == pytest.approx(stats.norm.logpdf(e, 0, s).sum())
-    fit = measure_fit(TRUTH, flight, known=found)
+    fit = measure_fit(TRUTH, flight, filtered=found)
     d = fitted_parameters(TRUTH)
     assert fit.parameters == d == 23
     assert fit.aic == pytest.approx(2 * d - 2 * found.log_likelihood)

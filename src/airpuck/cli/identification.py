@@ -186,7 +186,7 @@ def identify(
 
 
 def _show_resampling(quiet: bool, total: int) -> Callable[[int], None]:
-    """Return what prints now and then how many fits to resampled data are done."""
+    """Return a function that prints how many of the resampled fits are done."""
 
     def show(done: int) -> None:
         if not quiet and (done == total or done % max(1, total // 10) == 0):
@@ -200,16 +200,16 @@ def _fit_summary(fit: Fit) -> Iterator[str | Table]:
     from airpuck.identification.fit_result import knowledge_words, outcome_words
 
     yield from outcome_words(fit)
-    known = fit.uncertainty
-    if known is None:
+    uncertainty = fit.uncertainty
+    if uncertainty is None:
         return
     headings = ["", "unit", "value", "95 % interval"]
-    if known.bootstrap is not None:
-        headings.append(f"95 %, {known.bootstrap.replicates} resampled")
+    if uncertainty.bootstrap is not None:
+        headings.append(f"95 %, {uncertainty.bootstrap.replicates} resampled")
     yield table(
         headings,
         [row[: len(headings)] for row in _rows(fit.model)],
-        title=f"Learned values ± standard error, from {known.clusters} blocks of time",
+        title=f"Learned values ± standard error, from {uncertainty.clusters} blocks of time",
         left=("", "unit"),
     )
     yield from knowledge_words(fit)

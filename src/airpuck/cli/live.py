@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+import airpuck
+from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
-from airpuck.cli.inputs import read_belief, read_controls, read_craft, read_flight
+from airpuck.cli.inputs import read_belief, read_controls, read_craft, read_flight, read_twin
 from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile, VehicleFile
 from airpuck.cli.output import check_destinations, is_stdout, report, write_json
 
@@ -65,13 +67,11 @@ def twin(
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
-    from airpuck.model.model_file import read_model
-    from airpuck.twin.settings import read_twin_settings
 
     check_destinations(json=json_file)
     live = live_settings(domain, interface, topics, duration, quiet)
-    twin_settings = None if settings is None else read_twin_settings(settings)
-    figures = serve_twin(read_model(model), live, twin_settings, seed=seed, pose=pose)
+    truth = airpuck.read_model(model)
+    figures = serve_twin(truth, live, read_twin(settings), seed=seed, pose=pose)
     report(
         figures,
         json_file,
@@ -141,10 +141,8 @@ def fly(
     quiet: Quiet = False,
 ) -> None:
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
-    from airpuck.boundary.errors import InputError
     from airpuck.compute.process import low_latency
     from airpuck.control.excitation import Excitation
-    from airpuck.control.tracking import TrackingController
     from airpuck.control.tuning import default_tuning
     from airpuck.flight.loop import Pilot
     from airpuck.live.fly import fly_live
@@ -172,7 +170,7 @@ def fly(
     def pilot() -> Pilot:
         if excite:
             return Excitation(craft, tuning=controls, seed=seed or 0)
-        return TrackingController(craft, reference, controls)
+        return airpuck.TrackingController(craft, reference, controls)
 
     limits = Limits(geofence=fence)
     figures = fly_live(pilot, craft.vehicle, limits, live, period=controls.period_s)
@@ -237,7 +235,6 @@ def preflight(
     quiet: Quiet = False,
 ) -> None:
     """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
-    from airpuck.boundary.errors import InputError
     from airpuck.flight.preflight import judge_recording
     from airpuck.flight.pulses import PulsePlan
     from airpuck.live.fly import preflight_live
@@ -324,12 +321,10 @@ def live_settings(
 
 def read_model_or_vehicle(model: str | None, vehicle: Path | None) -> Model:
     """Read a model, or make the nominal one of a vehicle, by default the paper's."""
-    from airpuck.boundary.errors import InputError
-    from airpuck.craft.vehicle import default_vehicle
     from airpuck.model.model_file import nominal_model
 
     if model is None:
-        return nominal_model(read_craft(vehicle) or default_vehicle())
+        return nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
     if vehicle is not None:
         raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
     return read_belief(model)
@@ -337,7 +332,6 @@ def read_model_or_vehicle(model: str | None, vehicle: Path | None) -> Model:
 
 def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None) -> SetPoints:
     """Return set points from a file, or one after the other; by default the table's middle."""
-    from airpuck.boundary.errors import InputError
     from airpuck.control.reference import SetPoints
     from airpuck.live.setpoints import read_setpoints
 
@@ -357,7 +351,6 @@ def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None)
 
 def _fence(given: tuple[float, float] | None, craft: Model) -> tuple[float, float]:
     """Return the geofence ±x, ±y [m]; by default the rails."""
-    from airpuck.boundary.errors import InputError
     from airpuck.craft.table import Table
 
     if given is None:

@@ -216,7 +216,7 @@ def resid(
     trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
     with about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
-        fit = measure_fit(judged, trajectory, known=tests.innovations)
+        fit = measure_fit(judged, trajectory, filtered=tests.innovations)
         bands = bands_of_all_horizons(judged, trajectory, tests.innovations)
     page = None
     if output is not None:

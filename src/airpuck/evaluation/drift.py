@@ -101,7 +101,7 @@ class Drift:
 
 
 def drift(earlier: Model, later: Model) -> Drift:
-    """Say what changed from one model of a craft to another.
+    """Compare two models of one craft.
 
     Parameters
     ----------
@@ -149,9 +149,10 @@ def drift(earlier: Model, later: Model) -> Drift:
 
 def _degrees(errors: np.ndarray, *models: Model) -> float:
     """Return the degrees of freedom of a difference (Welch 1947)."""
-    own = np.array([max((m.uncertainty.clusters if m.uncertainty else 2) - 1, 1) for m in models])
+    clusters = [m.uncertainty.clusters if m.uncertainty else 2 for m in models]
+    degrees = np.maximum(np.array(clusters) - 1, 1)
     variance = errors**2
-    return float(variance.sum() ** 2 / np.sum(variance**2 / own))
+    return float(variance.sum() ** 2 / np.sum(variance**2 / degrees))
 
 
 def _notes(earlier: Model, later: Model) -> list[str]:

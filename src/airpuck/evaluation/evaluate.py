@@ -41,8 +41,8 @@ class Protocol:
     prediction_length: int = 50
     #: When errors are reported [s]; the nearest step counts.
     horizon: float = 0.2
-    #: Samples up to the present that an encoder may look at where so many are usable; by default E,
-    #: the window's own.
+    #: Most samples up to the present that an encoder may look at, where they are usable; by default
+    #: E, those of the window.
     longest_past: int | None = None
     #: Whether an encoder must not use anything that was measured after the present.
     causal: bool = False
@@ -271,7 +271,7 @@ def prediction_errors(
     encoder : Encoder
         Where predictions start from.
     past : array of int, shape (W,), optional
-        Samples up to the present that the encoder may look at; by default the windows' own.
+        Samples up to the present that the encoder may look at; by default those of the window.
 
     Returns
     -------

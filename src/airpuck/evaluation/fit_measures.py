@@ -82,7 +82,7 @@ def measure_fit(
     model: Model,
     trajectory: Trajectory,
     *,
-    known: Innovations | None = None,
+    filtered: Innovations | None = None,
     horizon: float = 0.2,
     restart: float = RESTART,
 ) -> FitMeasures:
@@ -94,8 +94,8 @@ def measure_fit(
         The model.
     trajectory : Trajectory
         Measured poses and commands.
-    known : Innovations, optional
-        Of the same model on the same trajectory, if they are there already.
+    filtered : Innovations, optional
+        Those of the same model on the same trajectory, if they were computed before.
     horizon : float, default 0.2
         Time of the k-step prediction [s].
     restart : float, default 2
@@ -111,24 +111,24 @@ def measure_fit(
     InputError
         If the trajectory is of another craft, or too short.
     """
-    known = known or innovations(model, trajectory)
+    filtered = filtered or innovations(model, trajectory)
     measured, period, samples = trajectory.state[:, :3], trajectory.sample_period, len(trajectory)
     steps = max(1, round(horizon / period))
 
     def simulate(apart: int) -> Float[np.ndarray, " 3"]:
-        starts = known.starts(0, apart)
+        starts = filtered.starts(0, apart)
         if not len(starts):
-            starts = np.flatnonzero(known.used)[-1:]
-        simulated = free_run(model, trajectory, known, starts)
-        judged = known.used & (np.arange(samples) > starts[0])
+            starts = np.flatnonzero(filtered.used)[-1:]
+        simulated = free_run(model, trajectory, filtered, starts)
+        judged = filtered.used & (np.arange(samples) > starts[0])
         return fit_percent(simulated[judged], measured[judged])
 
     def predict_ahead() -> Float[np.ndarray, " 3"]:
-        first = [*known.starts(0, samples), np.flatnonzero(known.used)[-1]][0]
+        first = [*filtered.starts(0, samples), np.flatnonzero(filtered.used)[-1]][0]
         starts = np.arange(first, samples - steps, steps + 1)
-        starts = starts[known.used[starts] & known.used[starts + steps]]
+        starts = starts[filtered.used[starts] & filtered.used[starts + steps]]
         ends = starts + steps
-        return fit_percent(free_run(model, trajectory, known, starts)[ends], measured[ends])
+        return fit_percent(free_run(model, trajectory, filtered, starts)[ends], measured[ends])
 
     return FitMeasures(
         steps=steps,
@@ -136,9 +136,9 @@ def measure_fit(
         free_run=simulate(max(2, round(restart / period))),
         whole=simulate(samples),
         restart=restart,
-        log_likelihood=known.log_likelihood,
-        samples=int(known.used.sum()),
-        parameters=fitted_parameters(model) + sum(known.noise_parameters),
+        log_likelihood=filtered.log_likelihood,
+        samples=int(filtered.used.sum()),
+        parameters=fitted_parameters(model) + sum(filtered.noise_parameters),
     )
 
 

@@ -31,7 +31,7 @@ from airpuck.physics.rollout import rollout
 _FEWEST = 50
 #: What the search for the noise begins with.
 _FIRST_GUESS = Noise((5e-5, 5e-5, 6e-4), (0.1, 0.1, 2.0), (0.2, 0.2, 6.0))
-#: Poses that are heard before a prediction starts, so that the speed is known [s].
+#: How long poses are used before a prediction starts, so that the speed is determined [s].
 _SETTLE_S = 0.25
 
 
@@ -55,8 +55,7 @@ class Innovations:
     #: φ at each sample.
     motor_speed: Float[np.ndarray, "N n"]
     noise: Noise
-    #: How many numbers of the noise were found in these data, of each axis; those that came out as
-    #: zero do not count.
+    #: How many numbers of each axis's noise were found in these data; zeros do not count.
     noise_parameters: tuple[int, int, int]
 
     @property
@@ -72,7 +71,7 @@ class Innovations:
         return float(-0.5 * np.sum(logs + scaled**2))
 
     def starts(self, ahead: int, apart: int) -> Int[np.ndarray, " M"]:
-        """Choose samples to predict from, the filter having heard 0.25 s of poses before each.
+        """Choose samples to predict from, each after 0.25 s of used poses.
 
         All `ahead` samples after each are used, and starts are at least `apart` samples apart.
         """
@@ -136,14 +135,14 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
 
 
 def free_run(
-    model: Model, trajectory: Trajectory, known: Innovations, starts: Int[np.ndarray, " M"]
+    model: Model, trajectory: Trajectory, filtered: Innovations, starts: Int[np.ndarray, " M"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Simulate: predict without looking at any pose but those before the starts."""
+    """Simulate from the filter's estimates at the starts, without any pose after them."""
     restart = np.zeros(len(trajectory), dtype=bool)
     restart[starts] = True
-    begin = known.mean.copy()
+    begin = filtered.mean.copy()
     begin[:, :, 2] = 0.0
-    # A filter that is sure of its state and of its model does not listen to poses.
+    # A filter without any uncertainty ignores poses.
     sure = Noise((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     mean = _run_filter(model, trajectory, sure, restart, begin, np.zeros((3, 3, 3)))[3]
     simulated = mean[:, :, 0]

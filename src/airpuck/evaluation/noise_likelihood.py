@@ -26,7 +26,7 @@ _GRID, _FINEST = 9, 0.02
 #: A better likelihood is better by at least this much.
 _GAIN = 1e-3
 #: Standard deviation of the speed at the first pose of a stretch, in those of the pose per sample
-#: period: as good as not known.
+#: period: as good as unknown.
 _UNSURE = 1e3
 
 
@@ -136,7 +136,7 @@ def _compiled() -> Any:
 
 
 def initial_covariance(xp: Any, pose_variance: Any, disturbance: Any, period: Any) -> Any:
-    """Return what is known at the first pose of a stretch."""
+    """Return the covariance of each axis at the first pose of a stretch."""
     zero = xp.zeros_like(pose_variance)
     speed = pose_variance * (_UNSURE / period) ** 2
     rows = [[pose_variance, zero, zero], [zero, speed, zero], [zero, zero, disturbance]]

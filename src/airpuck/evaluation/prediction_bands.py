@@ -1,11 +1,11 @@
 """Where the craft should be, and how sure a model is of it: predictions with 95 % bands.
 
-Beside the state z of a prediction run, by the chain rule through every Runge-Kutta step, its
-sensitivity to the parameters, S' = F S + G, and the covariance of what the model does not explain,
-C' = A C Aᵀ + Q (Ljung 1999, ch. 4 and 7; the covariance is that of an extended Kalman filter that
-hears nothing). In A yaw moves the directions of the thrusts, so that what is not known of yaw
-spreads to x and y. A learned transport delay is a parameter, too: it moves the moments at which
-commands change, so that one piece of a step grows by as much as the next one shrinks.
+Every Runge-Kutta step of a prediction also advances, by the chain rule, the state's sensitivity to
+the parameters, S' = F S + G, and the covariance of what the model does not explain, C' = A C Aᵀ + Q
+(Ljung 1999, ch. 4 and 7; an extended Kalman filter without measurements). In A yaw moves the
+directions of the thrusts, so that uncertainty of yaw spreads to x and y. A learned transport delay
+is a parameter, too: it moves the moments at which commands change, so that one piece of a step
+grows by as much as the next one shrinks.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class PredictionBands:
     predicted, measured : array, shape (T, 3, W)
         x, y [m], γ [rad].
     by_parameters : array, shape (T, 3, W), or None
-        Half the band from what is not known of the parameters: quantile of Student's t times the
+        Half the band from the uncertainty of the parameters: quantile of Student's t times the
         standard error. None where the model has no uncertainty; nan where the prediction depends on
         what the data did not determine.
     total : array, shape (T, 3, W)
@@ -119,10 +119,10 @@ def prediction_bands(
 ) -> PredictionBands:
     """Predict windows of a trajectory with 95 % bands.
 
-    Predictions start from the estimates of the filter behind the one-step innovations, which hears
-    every pose up to the start and none after it, and go on with the commands. Errors are propagated
-    linearly: where the band of yaw is wider than about a radian, those of x and y tell an order of
-    magnitude only.
+    Predictions start from the estimates of the filter behind the one-step innovations, which uses
+    every pose up to the start. After it, only the commands are used. Errors are propagated
+    linearly: where the band of yaw is wider than about a radian, those of x and y are right in
+    their order of magnitude only.
 
     Parameters
     ----------
@@ -133,11 +133,11 @@ def prediction_bands(
     horizon : float, default 0.2
         How far to predict [s].
     starts : array of int, shape (W,), optional
-        Samples to start from; by default one after the other without overlap, wherever poses were
-        heard for a quarter of a second before, and all poses to be predicted are usable.
+        Samples to start from; by default one after the other without overlap, wherever poses are
+        usable for a quarter of a second before, and all poses to be predicted are usable.
     known : Innovations, optional
-        Of the same model, if they are there already; with the noise of another recording, for
-        example.
+        Those of the same model, if they were computed before; with the noise of another recording,
+        for example.
 
     Returns
     -------
@@ -185,21 +185,21 @@ def prediction_bands(
 
 
 def bands_of_all_horizons(
-    model: Model, trajectory: Trajectory, known: Innovations
+    model: Model, trajectory: Trajectory, filtered: Innovations
 ) -> tuple[PredictionBands, ...]:
     """Predict over each of `HORIZONS` for which the recording has a stretch that is long enough."""
     steps = [max(1, round(horizon / trajectory.sample_period)) for horizon in HORIZONS]
     return tuple(
-        prediction_bands(model, trajectory, horizon=horizon, known=known)
+        prediction_bands(model, trajectory, horizon=horizon, known=filtered)
         for horizon, ahead in zip(HORIZONS, steps, strict=True)
-        if len(known.starts(ahead, ahead))
+        if len(filtered.starts(ahead, ahead))
     )
 
 
 def predict_with_errors(
     model: Model,
     trajectory: Trajectory,
-    known: Innovations,
+    filtered: Innovations,
     starts: Int[np.ndarray, " W"],
     steps: int,
     entries: Bool[np.ndarray, " P"],
@@ -216,13 +216,13 @@ def predict_with_errors(
     # The first sample has pieces of no length, so it may stand for those before.
     lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)
     ahead = starts[:, None] + np.arange(1, steps + 1)
-    mean = known.mean[starts]
-    densities = np.square([known.noise.acceleration, known.noise.disturbance])
+    mean = filtered.mean[starts]
+    densities = np.square([filtered.noise.acceleration, filtered.noise.disturbance])
     found = for_batches(jax.vmap(_one_prediction(model, entries, densities)))(
         np.concatenate([mean[:, :, 0], mean[:, :, 1]], axis=1),
         mean[:, :, 2],
-        known.covariance[starts],
-        known.motor_speed[np.maximum(starts - _LEAD, 0)],
+        filtered.covariance[starts],
+        filtered.motor_speed[np.maximum(starts - _LEAD, 0)],
         (commands[lead], durations[lead], later[lead]),
         (commands[ahead], durations[ahead], later[ahead]),
     )
