@@ -128,12 +128,13 @@ def _correlate(
     row: Float[np.ndarray, " L"], command: Float[np.ndarray, " L"], lags: int
 ) -> tuple[Float[np.ndarray, " K"], float]:
     """Return the correlations at all lags, and half their 99 % band."""
+    from scipy.signal import correlate
+
     size = len(row)
 
     def products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Sum left(t) right(t - k), for k = -M … M."""
-        ahead = [left[: size - k] @ right[k:] for k in range(lags, 0, -1)]
-        return np.array(ahead + [left[k:] @ right[: size - k] for k in range(lags + 1)])
+        return correlate(left, right)[size - 1 - lags : size + lags]
 
     own, theirs = products(row, row), products(command, command)
     scale = np.sqrt(own[lags] * theirs[lags])
@@ -155,10 +156,9 @@ def _regress(
 
 
 def _pseudo_inverse(matrix: Float[np.ndarray, "F F"]) -> tuple[Float[np.ndarray, "F F"], int]:
-    """Invert a symmetric matrix on the directions that it knows, and count them."""
-    values, vectors = np.linalg.eigh(matrix)
-    known = values > _NONE * max(values[-1], 0.0)
-    return (vectors[:, known] / values[known]) @ vectors[:, known].T, int(known.sum())
+    """Invert a symmetric matrix in the directions that the data show, and count them."""
+    rank = np.linalg.matrix_rank(matrix, rtol=_NONE, hermitian=True)
+    return np.linalg.pinv(matrix, rtol=_NONE, hermitian=True), int(rank)
 
 
 def suspicions(tests: Sequence[CrossCorrelation]) -> list[str]:

@@ -13,10 +13,14 @@ from jaxtyping import Float, Int
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.zero_order_hold import mean_hold
-from airpuck.estimate.motor_regression import twice_integrated
+from airpuck.estimate.motor_regression import (
+    accelerations_by_motor,
+    normal_equations,
+    solved,
+    twice_integrated,
+)
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
-from airpuck.physics.rigid_body import acceleration, motor_accelerations
 
 #: Samples before the expected arrival and in all: the motors' answer, at 240 Hz within 0.1 s.
 _LEAD, _LENGTH = 8, 32
@@ -142,7 +146,7 @@ class _Surroundings:
         self._lag = float(model.dynamics.motor_time_constant)
         held, _ = mean_hold(arrival, trajectory.command, trajectory.time)
         speed = motor_speeds(trajectory.time, held, self._lag)
-        self._speed = np.moveaxis(speed[index], -1, 0)
+        self._speed = np.moveaxis(speed[index], -1, 1)
         period, step = np.median(np.diff(arrival)), trajectory.sample_period
         before, after = (
             int(min(np.ceil(reach / period), _MOST))
@@ -165,19 +169,19 @@ class _Surroundings:
         """
         since = self._since - late[self.packet]
         answer = self._answer(since)
-        speed = self._speed + np.einsum("nmb,emb->neb", self._change, answer - self._answered)
-        modelled = self._accelerations(speed)
+        speed = self._speed + np.einsum("nmb,emb->enb", self._change, answer - self._answered)
+        by_motor, rest = accelerations_by_motor(self._dynamics, self._state, speed)
+        modelled = by_motor.sum(axis=2) + rest
         predicted = twice_integrated(modelled, self._duration)
         # A packet that comes later takes away what the motors gain at this moment.
         gain = np.where(since > 0, answer - 1, 0) / self._lag
-        by_speed = np.empty((len(speed), *modelled.shape))
-        for motor in range(len(speed)):
+        by_speed = np.empty((speed.shape[1], *modelled.shape))
+        for motor in range(len(by_speed)):
             faster = speed.copy()
-            faster[motor] += _STEP
-            by_speed[motor] = (self._accelerations(faster) - modelled) / _STEP
+            faster[:, motor] += _STEP
+            parts, rest = accelerations_by_motor(self._dynamics, self._state, faster)
+            by_speed[motor] = (parts.sum(axis=2) + rest - modelled) / _STEP
         slope = np.einsum("necb,nmb->ecmb", by_speed, self._change) * gain[:, None]
-        motion = np.moveaxis(self._state[:, 2:], 1, 0)
-        by_motor = np.moveaxis(motor_accelerations(np, self._dynamics, motion, speed)[0], 2, 0)
         turning = np.zeros_like(by_motor[:, :, :1])
         turning[:, 2, 0] = by_motor[:, 2].sum(axis=1)
         return self._state[:, :3] - predicted, np.concatenate([slope, by_motor, turning], axis=2)
@@ -185,11 +189,6 @@ class _Surroundings:
     def _answer(self, since: Float[np.ndarray, "E m B"]) -> Float[np.ndarray, "E m B"]:
         """Speed of a motor after a unit step of its command."""
         return 1 - lag_decay(np, np.maximum(since, 0.0), self._lag)
-
-    def _accelerations(self, speed: Float[np.ndarray, "n E B"]) -> Float[np.ndarray, "E 3 B"]:
-        """Return the modelled accelerations along the measured motion."""
-        motion = np.moveaxis(self._state[:, 2:], 1, 0)
-        return np.stack(acceleration(np, self._dynamics, motion, speed), axis=1)
 
 
 class _Components:
@@ -242,13 +241,13 @@ class _Regression:
         self._weight, self._m = 1 / np.sqrt(variance), len(packet)
         unknowns, batch = slope.shape[2:]
         weighted = np.moveaxis(slope * self._weight[..., None, None], -1, 0)
-        self._rows = weighted.transpose(0, 3, 1, 2).reshape(batch, unknowns, -1)
+        self._rows = weighted.reshape(batch, -1, unknowns)
         precision = np.repeat([_USUAL**-2, _SHARE**-2], [self._m, unknowns - self._m])
-        information = self._rows @ self._rows.transpose(0, 2, 1) + np.diag(precision)
-        self._covariance = np.linalg.inv(information)
-        score = np.einsum("bjr,br->bj", self._rows, self._aim(residual[:, :, None])[..., 0])
+        aim = self._aim(residual[:, :, None])[..., 0]
+        information, score, _ = normal_equations(self._rows, aim)
         score[:, : self._m] -= _USUAL**-2 * late.T
-        step = np.einsum("bij,bj->ib", self._covariance, score)
+        solution, self._covariance = solved(information, score, np.diag(precision))
+        step = solution.T
         #: What is left of the residuals, (k, 3, B).
         self.rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
         misfit = np.mean(self.rest**2 / variance[..., None], axis=(0, 1))
@@ -268,7 +267,8 @@ class _Regression:
 
     def response(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "P D"]:
         """Return by how much the delays, without the prior, change with the residuals."""
-        change = self._covariance[:, : self._m] @ (self._rows @ self._aim(residual))
+        across = np.swapaxes(self._rows, 1, 2)
+        change = self._covariance[:, : self._m] @ (across @ self._aim(residual))
         row, column = self._best
         return change[column, row].T / np.maximum(self.gain, 1e-12)
 
