@@ -4,9 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 from airpuck.boundary.errors import InputError
@@ -253,28 +250,6 @@ def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
     for k in (0, 7, 19):
         whole = np.array(acceleration(np, dynamics, past.state[k, 2:6], speed[k]))
         np.testing.assert_allclose(by_motor[k].sum(axis=1) + rest[k], whole, atol=1e-12)
-
-
-@settings(max_examples=30)
-@given(st.integers(0, 10**6))
-def test_integrals_are_exact_for_accelerations_linear_between_samples(seed):
-    rng = np.random.default_rng(seed)
-    duration = rng.uniform(0.003, 0.006, 6)
-    values = rng.normal(size=7)
-    time = np.insert(np.cumsum(duration), 0, 0.0)
-    ours = twice_integrated(values[:, None], duration[:, None])[:, 0]
-    # Backwards from rest at the present, piece by piece.
-    state, theirs = np.zeros(2), [0.0]
-    for k in range(5, -1, -1):
-        state = solve_ivp(
-            lambda t, y: [y[1], np.interp(t, time, values)],
-            (time[k + 1], time[k]),
-            state,
-            rtol=1e-10,
-            atol=1e-14,
-        ).y[:, -1]
-        theirs.append(state[0])
-    np.testing.assert_allclose(ours, theirs[::-1], atol=1e-11)
 
 
 def test_the_paper_s_encoder_may_not_judge_causally(flight):

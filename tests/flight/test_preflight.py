@@ -4,12 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
-from airpuck.faults.effect_match import match_effects, turned
 from airpuck.flight.loop import fly
 from airpuck.flight.preflight import (
     Preflight,
@@ -320,35 +317,6 @@ def test_the_effect_is_the_models_column():
         np.testing.assert_allclose(response.effect[:2], column[:2], atol=0.15)
         assert response.effect[2] == pytest.approx(column[2], rel=0.02)
         assert response.delay == pytest.approx(0.02, abs=1.1e-3)
-
-
-# The explanation ----------------------------------------------------------------------------------
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    order=st.permutations(range(6)),
-    signs=st.lists(st.sampled_from([1, -1]), min_size=6, max_size=6),
-    seed=st.integers(0, 1000),
-)
-def test_any_order_and_sign_is_found_where_effects_differ(order, signs, seed):
-    """Six effects no two of which are parallel: an octahedron's axes, turned, would be."""
-    rng = np.random.default_rng(seed)
-    fixed = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, -1, 0], [-1, 0.2, 1]]).T
-    seen = np.array(signs) * fixed[:, list(order)] * rng.uniform(0.5, 2, 6)
-    found = match_effects(seen, fixed, np.arange(6))
-    assert {k: (m.acts_as, m.sign) for k, m in found.items()} == {
-        k: (order[k], signs[k]) for k in range(6)
-    }
-
-
-def test_an_effect_like_none_is_said_to_be():
-    expected = acceleration_map(np, MODEL.dynamics, 0.0, 0.0)[0] * np.array([[1], [1], [0.04]])
-    seen = expected.copy()
-    seen[:, 2] = turned(seen[:, 2:3], np.deg2rad(60))[:, 0]
-    found = match_effects(seen, expected, np.arange(6))
-    assert found[2].acts_as is None
-    assert [found[k].acts_as for k in (0, 1, 3, 4, 5)] == [0, 1, 3, 4, 5]
 
 
 # From a recording ---------------------------------------------------------------------------------

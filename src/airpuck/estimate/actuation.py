@@ -1,4 +1,4 @@
-"""An encoder that asks what the motors really do.
+"""An encoder that estimates what the motors really do.
 
 Over a window's past the accelerations are linear in the effectiveness of each motor, the share of
 its modelled thrust that it gives. Which effectiveness explains the measured poses is a linear
@@ -31,7 +31,7 @@ from airpuck.physics.thrust import thrust_slope
 
 @dataclass(frozen=True)
 class EffectivenessPrior:
-    """What is thought of the motors before looking: normal deviations from full effectiveness."""
+    """A prior of the motors: normal deviations from full effectiveness."""
 
     #: How probable this state of the craft is.
     weight: float
@@ -61,7 +61,7 @@ _FIRST_SPEED = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Actuation:
-    """What the past says about a batch of windows."""
+    """Estimates at the present of a batch of windows."""
 
     #: x, y, γ, vx, vy, ω and motor speeds at the present.
     state: Float[np.ndarray, "z B"]
@@ -122,7 +122,7 @@ class ActuationEncoder:
         return found.state, with_effectiveness(dynamics, found.effectiveness)
 
     def estimate(self, dynamics: Dynamics, past: Past) -> Actuation:
-        """Estimate what the past says.
+        """Estimate state and effectiveness from the past.
 
         Parameters
         ----------
@@ -231,7 +231,7 @@ def _motion(past: Past, causal: bool) -> Float[np.ndarray, "E 6 B"]:
 
 
 def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
-    """Return how far accelerations may be off since nobody knows the motors' first speeds."""
+    """Return the error of accelerations due to unknown first speeds [m/s², rad/s²]."""
     slope = thrust_slope(np.asarray(dynamics.thrust), np.full(len(dynamics.thrust), 0.5))
     spread = np.sqrt(((np.asarray(dynamics.configuration) * slope) ** 2).sum(axis=1))
     return float(_FIRST_SPEED * spread[:2].mean()), float(_FIRST_SPEED * spread[2])

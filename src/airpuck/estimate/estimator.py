@@ -1,4 +1,4 @@
-"""What an estimator says of the craft."""
+"""Results of an estimator."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class KalmanFilter:
         self._idle = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
         self._models = models = MultipleModels(model.dynamics, noise, states)
         first = *models.begin(np.zeros(3), None, 0.0), self._idle
-        #: What any prediction is made from, as examples for the compiler.
+        #: Arguments of a prediction, as examples for the compiler.
         self._examples = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_PREDICT)
         self._advance_by = program(models.advance, *self._examples, compiled=compiled)
         pieces = _arrays([(0.0, self._idle)], _PIECES_TO_MEASURE)
@@ -211,7 +211,7 @@ class KalmanFilter:
             self._belief = self._models.use_mouse(self._belief, *given[1:])
 
     def predict(self, time: float) -> Estimate:
-        """Predict with the commands that are known, without changing anything.
+        """Predict with the commands so far, without changing anything.
 
         Parameters
         ----------

@@ -83,7 +83,7 @@ class MultipleModels:
             covariances = _padded(states.covariance)
             means, weights = np.zeros(covariances.shape[:2]), states.weight
         else:
-            # What is known of the motors is kept, as far as it is not too old.
+            # Knowledge of the motors is kept, unless it is too old.
             means, covariances, weights = self.renewed(np, before, elapsed)
         means[:, :9], covariances[:, :9, :], covariances[:, :, :9] = 0.0, 0.0, 0.0
         means[:, POSITION] = pose
@@ -98,7 +98,7 @@ class MultipleModels:
         states = self.states
         same = xp.exp(-duration / states.lasting)
         mean, covariance = mixed(xp, belief)
-        # Where it was drawn anew, nothing that was known of the actuation holds.
+        # Where it was drawn anew, nothing is known of the actuation any more.
         known = np.concatenate([np.ones(9), np.zeros(means.shape[1] - 9)])
         fresh = covariance * known[:, None] * known + _padded(states.covariance)
         away = means - mean * known
@@ -203,7 +203,7 @@ class MultipleModels:
         mean = xp.sum(weights[:, None] * means, axis=0)
         e = mean[ACTUATION]
         effectiveness = 1 + e[:-1] if len(e) else xp.ones(given[0].shape)
-        # The estimated delay is not used: commands on their way have one of their own.
+        # The estimated delay is not used: each command on its way has its own.
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
         path, _, _, speed = drift(xp, effective, mean[:9], *given)
         variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2

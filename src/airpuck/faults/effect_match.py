@@ -1,4 +1,4 @@
-"""Which propeller's effect is measured? Effects (two forces, a moment) compared by direction.
+"""Match measured effects of propellers (two forces, a moment) with expected ones by direction.
 
 Effects are columns; forces turn with the frame, moments do not. Lengths do not count, so that
 thrust, mass and inertia need not be right.
@@ -76,11 +76,11 @@ def match_effects(
     from scipy.optimize import linear_sum_assignment
 
     table = cosines(measured, expected)
-    own = table[np.arange(len(motors)), motors]
-    agrees = own >= AGREES
+    itself = table[np.arange(len(motors)), motors]
+    agrees = itself >= AGREES
     found = {
         motor: Match(motor if stays else None, 1, float(cosine))
-        for motor, stays, cosine in zip(motors.tolist(), agrees, own, strict=True)
+        for motor, stays, cosine in zip(motors.tolist(), agrees, itself, strict=True)
     }
     worth = np.where(table >= AGREES, table, 0.0)
     worth = np.where(table <= -AGREES, -_OPPOSITE * table, worth)
@@ -90,7 +90,7 @@ def match_effects(
         row, column = rows[i], columns[j]
         if worth[row, column] > 0:
             sign = 1 if table[row, column] > 0 else -1
-            found[int(motors[row])] = Match(int(column), sign, float(own[row]))
+            found[int(motors[row])] = Match(int(column), sign, float(itself[row]))
     return found
 
 

@@ -1,4 +1,4 @@
-"""`find_faults`: when motors did not do what they were told, or something pushed the craft."""
+"""`find_faults`: when motors did not follow their commands, or something pushed the craft."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _TAIL = 8.0
 _TEMPERING = 0.5
 #: Residuals below this share of the usual acceleration say nothing, however good the model.
 _NEGLIGIBLE = 0.02
-#: What nothing explains may be any acceleration up to this many usual residuals.
+#: Unexplained motion may be any acceleration up to this many usual residuals.
 _WIDE = 100.0
 #: A cause shows where it moves the acceleration by this many usual residuals.
 _SHOWS = 1.0
-#: What nothing explains and is over within this time was a blow [s].
+#: Unexplained motion that ends within this time was a blow [s].
 _BLOW = 0.11
 #: Time constants of the motors until nothing is left of their first speeds.
 _SETTLING = 3.0
-#: The fewest steps that tell how large residuals usually are.
+#: The fewest steps from which the usual residual is estimated.
 _FEWEST = 20
 
 
 def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
-    """Find when motors did not do what they were told, or something pushed the craft.
+    """Find when motors did not follow their commands, or something pushed the craft.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
     tuple of Span
         In the order of their starts, with causes ``not armed``, ``radio out``, ``NAME stalled``
         (NAME a propeller's), ``contact`` (a blow) and ``unexplained motion``. Their confidence is
-        the mean posterior probability of the cause. A fault is told as far as it shows: a motor
-        that is told to idle may stand unnoticed.
+        the mean posterior probability of the cause. A span covers a fault only where it shows: a
+        motor that is commanded to idle may stand unnoticed.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
 
 
 def _in_words(cause: str, first: int, duration: float) -> str:
-    """Tell motors that were not armed from a radio that was out, and a blow from a push."""
+    """Distinguish motors not armed from a silent radio, and a blow from other motion."""
     if cause == RADIO_OUT and first == 0:
         return NOT_ARMED
     return CONTACT if cause == UNEXPLAINED and duration <= _BLOW else cause
@@ -140,7 +140,7 @@ def _effects(predicted: Predicted, width: Float[np.ndarray, "K 3"]) -> Float[np.
     sizes = [np.zeros((1, len(width)))]
     for modelled in predicted.faulty:
         sizes.append(np.sqrt((((modelled - predicted.normal) / width) ** 2).sum(axis=-1)))
-    # What nothing explains has no modelled acceleration: it shows wherever it is.
+    # Unexplained motion has no modelled acceleration: it shows everywhere.
     sizes.append(np.full((1, len(width)), np.finfo(float).max))
     return np.concatenate(sizes).T
 
@@ -150,14 +150,14 @@ def _runs_of_causes(
 ) -> list[tuple[str, int, int]]:
     """Return causes with their first step and the one after their last.
 
-    Each cause has the steps where it is more probable than not; steps that are faulty, but where
-    none is, go to the most probable one.
+    Each cause has the steps where it is more probable than not. Faulty steps without such a cause
+    go to the most probable one.
     """
     probable = {cause: p >= 0.5 for cause, p in probability.items()}
     likeliest = np.argmax(list(probability.values()), axis=0)
     undecided = faulty & ~np.logical_or.reduce(list(probable.values()))
     return [
         (cause, first, last)
-        for number, (cause, own) in enumerate(probable.items())
-        for first, last in runs(own | (undecided & (likeliest == number)))
+        for number, (cause, here) in enumerate(probable.items())
+        for first, last in runs(here | (undecided & (likeliest == number)))
     ]

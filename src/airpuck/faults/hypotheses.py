@@ -1,4 +1,4 @@
-"""What the motors may have done: hypotheses, and the acceleration that each of them predicts.
+"""Hypotheses of what the motors did, and the acceleration that each predicts.
 
 Time is cut into steps. A fault begins at a step's start, and its motor speeds follow from there on:
 speeds decay where nothing drives a motor, and tend to the last command received where the radio is
@@ -34,7 +34,7 @@ _SPACING = 2
 
 @dataclass(frozen=True)
 class Fault:
-    """A way in which motors do not do what they are told."""
+    """A way in which motors do not follow their commands."""
 
     #: Motors that stand; empty: all motors stay at the last command received.
     motors: tuple[int, ...]

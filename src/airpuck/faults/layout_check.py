@@ -26,7 +26,7 @@ _EXPLAINED = 0.3
 
 @dataclass(frozen=True)
 class PropellerCheck:
-    """What a recording says about one propeller."""
+    """How the measured effect of one propeller compares with the stated one."""
 
     #: The propeller.
     name: str
@@ -65,7 +65,7 @@ class LayoutCheck:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the layout as a whole suggests, in sentences."""
+        """Sentences on the layout as a whole."""
         if not self.conclusive:
             return (
                 "too little to judge: use a recording in which every motor was excited, and check "
@@ -156,7 +156,7 @@ def _body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
-    """Return what nominal motors would push if there were no transport delay."""
+    """Return the thrusts of nominal motors without a transport delay."""
     command = hold(trajectory.command_time, trajectory.command, trajectory.time)
     speed = motor_speeds(trajectory.time, command, vehicle.nominal.motor_time_constant_s)
     return thrust(vehicle.nominal_thrust, speed.T)

@@ -26,28 +26,27 @@ from airpuck.physics.thrust import thrust
 _APART = 0.5
 #: The filter's view is used when it has watched for this long [s].
 _SETTLED = 0.3
-#: Without a pose or a command for this long, what the motors do is not known [s].
+#: Without a pose or a command for this long, the motors' speeds are unknown [s].
 _SILENT = 0.1
 #: A craft this near to a rail may be leaning on it [m].
 _AT_RAIL = 0.01
 #: Largest difference of a pose from its prediction that is no jump [m, m, rad].
 _JUMP = (0.05, 0.05, 0.5)
-#: Deviations are told from four standard deviations on, and from these sizes on [1, s]: jitter of
+#: Deviations are reported above four standard deviations and these sizes [1, s]: jitter of
 #: the radio that is not white makes a few milliseconds of delay come and go.
 _CERTAIN, _LOSS, _LATE = 4.0, 0.05, 0.006
-#: Shares of the squared error that are told.
+#: Shares of the squared error above this are reported.
 _NOTABLE = 0.1
-#: As many predictions are needed to tell.
+#: Predictions needed before anything is reported.
 _ENOUGH = 20
-#: Predictions are forgotten after as many times the memory.
+#: Predictions are forgotten after this many times the memory.
 _OLD = 3.0
 #: Steps of the differences that say what effectiveness and delay do [1, s].
 _LOSS_STEP, _DELAY_STEP = 0.05, 0.004
 #: Commands from before a prediction that may still matter to it [s].
 _BEFORE = 0.06
 
-#: What is known without a flight: how far motors and delay may lie from the model, standard
-#: deviations [1, s].
+#: Prior standard deviations of motors and delay from the model [1, s].
 PRIOR_LOSS, PRIOR_DELAY = 0.3, 0.02
 #: Rounds of expectation and maximisation, and the least variance.
 _ROUNDS, _LEAST = 5, 1e-10
@@ -61,7 +60,7 @@ class Judged:
     time: float
     #: What was measured less what was predicted: x, y, yaw and their rates.
     error: Float[np.ndarray, " 6"]
-    #: What the prediction gains with the effectiveness of each motor, and with the delay [1/s].
+    #: Derivatives of the prediction by the effectiveness of each motor, and by the delay [1/s].
     slopes: Float[np.ndarray, "6 m"]
     #: Σ b bᵀ over the packets that mattered, where b is what the prediction loses by the lateness
     #: of one packet [1/s].
@@ -72,7 +71,7 @@ class Judged:
 class Deviations:
     """How a craft differs from its model, and what that explains."""
 
-    #: How many there were.
+    #: Number of predictions.
     predictions: int
     #: Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
     error: Float[np.ndarray, " 3"]
@@ -89,7 +88,7 @@ class Deviations:
 
 @dataclass(frozen=True, eq=False)
 class Health:
-    """What a model got wrong in the last seconds, and what that says of the craft."""
+    """Errors of a model in the last seconds, and what they imply for the craft."""
 
     #: Names of the propellers.
     motors: tuple[str, ...]
@@ -102,10 +101,10 @@ class Health:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What differs from the model beyond doubt, in words: four standard deviations."""
+        """Differences from the model in words, above four standard deviations."""
         if self.found.predictions < _ENOUGH:
             return ()
-        told = [
+        findings = [
             f"propeller {name} at {100 * e:.0f} % ± {100 * sd:.0f} %"
             for name, e, sd in zip(
                 self.motors, self.found.effectiveness, self.found.deviation, strict=True
@@ -115,10 +114,10 @@ class Health:
         late, sd = self.found.delay, self.found.delay_deviation
         if abs(late) > max(_CERTAIN * sd, _LATE):
             word = "longer" if late > 0 else "shorter"
-            told.append(
+            findings.append(
                 f"delay {1e3 * abs(late):.0f} ms ± {1e3 * sd:.0f} ms {word} than the model's"
             )
-        return tuple(told)
+        return tuple(findings)
 
     def __str__(self) -> str:
         if not self.flying:
@@ -126,13 +125,13 @@ class Health:
         if not self.found.predictions:
             return "no prediction judged yet"
         x, y, yaw = self.found.error.tolist()
-        told = (
+        text = (
             f"after {self.horizon:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad; "
             + (", ".join(self.findings) or "motors and delay as the model says")
         )
         causes = zip((*self.motors, "delay"), self.found.share, strict=True)
         largest = [f"{name} {100 * share:.0f} %" for name, share in causes if share > _NOTABLE]
-        return told + (f"; shares of the error: {', '.join(largest)}" if largest else "")
+        return text + (f"; shares of the error: {', '.join(largest)}" if largest else "")
 
     def to_json(self) -> Mapping[str, Any]:
         """Return the figures for ``--json``."""

@@ -14,7 +14,7 @@ Kind = Literal["pose", "imu", "mouse"]
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What a sensor said."""
+    """A measurement of a sensor."""
 
     #: Which sensor.
     kind: Kind

@@ -21,7 +21,7 @@ class Pilot(Protocol):
 
     @property
     def reference(self) -> Reference:
-        """What the craft is to track."""
+        """The reference that the craft tracks."""
         ...
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
@@ -47,7 +47,7 @@ class Pilot(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """What the controller did."""
+    """Commands of a flight and outcomes of the control steps."""
 
     #: When each command was sent [s].
     time: Float[np.ndarray, " K"]
@@ -92,7 +92,7 @@ def fly(
     period : float, default 0.01
         Time between commands [s].
     on_board : bool, default False
-        Whether the pilot is told what the sensors on the craft say.
+        Whether the pilot gets the measurements of the sensors on the craft.
 
     Returns
     -------

@@ -29,10 +29,10 @@ _STRENGTH = (0.7, 1.4)
 _DELAY_DIFFERS, _DELAY_WRONG = 8e-3, 3e-2
 #: Poses: least rate [1/s], greatest standard deviation at rest [m, rad] and drift at first [m/s].
 _RATE, _NOISE, _DRIFT = 50.0, (1e-3, 2e-2), 0.05
-#: Units by which lengths and angles may be off, and how many of them make an SI unit.
+#: Units that poses may be in by mistake, and how many of each make an SI unit.
 _LENGTHS = {"millimetres": 1e3, "centimetres": 1e2}
 _DEGREES = 180 / np.pi
-#: As many times as far from the middle as the rails no craft is that stands on the table.
+#: Times the rails' distance from the middle beyond which no craft stands on the table.
 _FAR = 2.0
 #: Rotation of the rigid body worth a remark, and that no controller should fly with [rad].
 _MISALIGNED, _TURNED = 0.12, 0.3
@@ -177,10 +177,10 @@ def judge_pulses(
         again = pulse_responses(model, time, pose * change, command_time, command, delays)
         effects = np.full((3, n), np.nan)
         for motor in {response.motor for response in again}:
-            own = [response for response in again if response.motor == motor]
+            pulses = [response for response in again if response.motor == motor]
             # Not those that something else disturbed, a rail or a hand.
-            least = min(response.misfit for response in own)
-            good = [r.effect for r in own if r.misfit <= _DISTURBED * least]
+            least = min(response.misfit for response in pulses)
+            good = [r.effect for r in pulses if r.misfit <= _DISTURBED * least]
             effects[:, motor] = np.mean(good, axis=0)
         return scale * effects
 
@@ -253,7 +253,7 @@ def _pose_check(
 def _beyond_any_table(
     pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2"]
 ) -> Check | None:
-    """Say in which units a craft would be on the table that is far from it in metres."""
+    """Check whether the craft is far from any table, and in which units it would be on it."""
     x, y = pose[:2]
     if (np.abs(pose[:2]) <= _FAR * reach).all():
         return None
@@ -271,7 +271,7 @@ def _beyond_any_table(
 def _pose_units(
     responses: list[PulseResponse], expected: Float[np.ndarray, "3 n"]
 ) -> tuple[Float[np.ndarray, " 3"], str]:
-    """Say in which units poses seem to be, by how much too large the effects are."""
+    """Guess units from effects that are too large; return factors to SI, and a finding."""
     if not responses:
         return np.ones(3), ""
     push, turn = (
@@ -297,9 +297,9 @@ def _frame_check(
     measured: Callable[[Float[np.ndarray, " 3"]], Float[np.ndarray, "3 m"]],
     expected: Float[np.ndarray, "3 m"],
 ) -> tuple[Check, bool]:
-    """Look for a frame of the poses that explains what all motors do, the likely ones first.
+    """Look for a frame of the poses that explains the effects of all motors, likely ones first.
 
-    One that explains only some of them is none: a motor that is wrong must not hide behind it.
+    A frame that explains only some does not count: it must not hide a wrong motor.
     """
     for change, words in _FRAMES:
         effects = measured(np.array(change))
@@ -325,7 +325,7 @@ def _frame_check(
 def _motor_verdict(
     names: tuple[str, ...], k: int, likeness: Match | None, strength: float
 ) -> tuple[Verdict, str]:
-    """Say what a motor does."""
+    """Judge what a motor does."""
     if likeness is None:
         if np.isnan(strength):
             return "look", "was not tried"

@@ -1,4 +1,4 @@
-"""What a pulse of one motor did to the craft: a regression on the poses around it."""
+"""The effect of a pulse of one motor on the craft: a regression of the poses around it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CUT_OFF = 0.7
 
 @dataclass(frozen=True, eq=False)
 class PulseResponse:
-    """What one pulse did."""
+    """The effect of one pulse."""
 
     #: Index of the propeller.
     motor: int
@@ -45,7 +45,7 @@ def pulse_responses(
     command: Float[np.ndarray, "K n"],
     delays: Float[np.ndarray, " pulses"] | None = None,
 ) -> list[PulseResponse]:
-    """Measure what each pulse of a recorded test did.
+    """Measure the effect of each pulse of a recorded test.
 
     Around a pulse, which begins at a rest, position and yaw are
 
@@ -132,7 +132,7 @@ def _response(
 def _force(
     model: Model, motor: int, level: float, elapsed: Float[np.ndarray, "G D"], length: float
 ) -> Float[np.ndarray, "G D"]:
-    """Return what the model expects of a motor beyond its idling thrust [N]."""
+    """Return the modelled thrust of a motor beyond its idling thrust [N]."""
     lag, idle = float(model.dynamics.motor_time_constant), model.vehicle.command_min
     peak = motor_step(np, idle, level, np.clip(elapsed, 0.0, length), lag)
     speed = motor_step(np, peak, idle, np.maximum(elapsed - length, 0.0), lag)

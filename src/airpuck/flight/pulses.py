@@ -46,9 +46,9 @@ class PulsePlan:
 class PulseTest:
     """Gives each motor short pulses while all others idle; a `Pilot`.
 
-    It believes nothing: no layout, no thrust, no frame, so that it can find all of them wrong. What
-    keeps the craft on the table is that the pulses are short, that the propellers of a pair follow
-    each other and undo what each does, and that the test ends near a rail and without poses.
+    It assumes no layout, thrust or frame, since any of them may be wrong. The craft stays on the
+    table because the pulses are short, the propellers of a pair take turns and undo each other's
+    motion, and the test ends near a rail or without poses.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class PulseTest:
         self.poses, self.sent_commands = recent or self.poses[-1:], []
 
     def _reason_to_stop(self, age: float, pose: Float[np.ndarray, " 3"]) -> str:
-        """Say why the motors must not be driven; empty if they may."""
+        """Return why the motors must not be driven; empty if they may."""
         if age > _STALE:
             return f"poses stopped coming {1e3 * age:.0f} ms ago"
         if (np.abs(pose[:2]) > self.reach - _MARGIN).any():

@@ -149,7 +149,7 @@ def replay(
     """Feed the poses of a recorded flight to the controller and compare commands.
 
     At the time of every recorded command the controller has seen the poses that had arrived by
-    then; it is told the command that was really sent, so that differences do not add up.
+    then, and uses the command that was really sent, so that differences do not add up.
 
     Parameters
     ----------
@@ -192,14 +192,14 @@ def replay(
         compensate_delay=compensate_delay,
         reject_disturbance=reject_disturbance,
     )
-    estimates, refusals = _fly_through(
+    estimates = _fly_through(
         controller, aligned.pose_time, aligned.pose_time + latency, pose.values, time, sent
     )
     ahead = model.transport_delay + tuning.period_s
     targets = [controller.reference.at(t, ahead) for t in time]
     share = np.arange(len(time)) / len(time)
     inside = (share >= span[0]) & (share < span[1])
-    known = np.array([estimate is not None for estimate in estimates])
+    known = np.array([isinstance(estimate, Estimate) for estimate in estimates])
     compared = inside & known
     if not compared.any():
         raise InputError(
@@ -209,16 +209,19 @@ def replay(
         )
     gains = Gains.of(regulator(tuning.weights, tuning.period_s))
     if fit_gains:
-        gains = _fit_gains(controller, estimates, targets, sent, compared)
-    computed, status = _steer(controller, gains, estimates, targets, refusals)
-    nowhere = np.full(3, np.nan)
+        # A motor at its limit says nothing about gains.
+        used = np.flatnonzero(compared & (sent.max(axis=1) < 0.98))
+        some: list[Estimate | Status] = [estimates[k] for k in used]
+        gains = _fit_gains(controller, some, [targets[k] for k in used], sent[used])
+    computed, status = _steer(controller, gains, estimates, targets)
+    poses = [e.state[:3] if isinstance(e, Estimate) else np.full(3, np.nan) for e in estimates]
     return Replay(
         time=time - time[0],
         sent=sent,
         computed=computed,
         status=status,
         reference=np.array([target.state[:3] for target in targets]),
-        pose=np.array([nowhere if e is None else e.state[:3] for e in estimates]),
+        pose=np.array(poses),
         gains=gains,
         fitted=fit_gains,
         motors=model.vehicle.propeller_names,
@@ -234,36 +237,37 @@ def _fly_through(
     poses: Float[np.ndarray, "N 3"],
     times: Float[np.ndarray, " K"],
     sent: Float[np.ndarray, "K n"],
-) -> tuple[list[Estimate | None], list[Status | None]]:
-    """Run the estimator through the flight; the gains play no part in this."""
-    estimates: list[Estimate | None] = []
-    refusals: list[Status | None] = []
+) -> list[Estimate | Status]:
+    """Run the estimator through the flight; return estimates, or why there are none.
+
+    The gains play no part in this.
+    """
+    estimates: list[Estimate | Status] = []
     following = 0
     for time, command in zip(times, sent, strict=True):
         while following < len(arrivals) and arrivals[following] <= time:
             controller.pose(float(stamps[following]), poses[following])
             following += 1
-        refusals.append(controller.refusal(float(time)))
-        estimates.append(None if refusals[-1] else controller.predict(float(time)))
+        refusal = controller.refusal(float(time))
+        estimates.append(refusal or controller.predict(float(time)))
         controller.sent(float(time), command)
-    return estimates, refusals
+    return estimates
 
 
 def _steer(
     controller: TrackingController,
     gains: Gains,
-    estimates: list[Estimate | None],
+    estimates: list[Estimate | Status],
     targets: list[Target],
-    refusals: list[Status | None],
 ) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
     """Compute all commands with the given gains."""
     controller.law = LQR(gains.matrix())
     idle = np.full(controller.model.vehicle.n_propellers, controller.model.vehicle.command_min)
     commands, status = [], []
-    for estimate, target, refusal in zip(estimates, targets, refusals, strict=True):
-        if estimate is None:
+    for estimate, target in zip(estimates, targets, strict=True):
+        if not isinstance(estimate, Estimate):
             commands.append(idle)
-            status.append(refusal)
+            status.append(estimate)
             continue
         step = controller.steer(estimate, target)
         commands.append(step.command)
@@ -273,28 +277,21 @@ def _steer(
 
 def _fit_gains(
     controller: TrackingController,
-    estimates: list[Estimate | None],
+    estimates: list[Estimate | Status],
     targets: list[Target],
     sent: Float[np.ndarray, "K n"],
-    used: Bool[np.ndarray, " K"],
 ) -> Gains:
     """Fit the gains: robust linear regression for a start, then on the commands themselves."""
     from scipy.optimize import least_squares
 
-    used = used & (sent.max(axis=1) < 0.98)  # a motor at its limit says nothing about gains
-    if used.sum() < 50:
+    if len(sent) < 50:
         raise InputError("too few commands below saturation to fit gains to", field="fit-gains")
-    linear, angular = _regression(controller, estimates, targets, sent, used)
+    linear, angular = _regression(controller, estimates, targets, sent)
     start = np.array([*_robust(*linear), *_robust(*angular)])
-    chosen = np.flatnonzero(used)
-    some_estimates = [estimates[k] for k in chosen]
-    some_targets = [targets[k] for k in chosen]
-    nothing: list[Status | None] = [None] * len(chosen)
 
     def residuals(factors: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " M"]:
         gains = Gains(*(start * factors).tolist())
-        commands, _ = _steer(controller, gains, some_estimates, some_targets, nothing)
-        return (commands - sent[chosen]).ravel()
+        return (_steer(controller, gains, estimates, targets)[0] - sent).ravel()
 
     # Commands have kinks where bounds begin to bind: steps of one percent look past them.
     found = least_squares(
@@ -305,10 +302,9 @@ def _fit_gains(
 
 def _regression(
     controller: TrackingController,
-    estimates: list[Estimate | None],
+    estimates: list[Estimate | Status],
     targets: list[Target],
     sent: Float[np.ndarray, "K n"],
-    used: Bool[np.ndarray, " K"],
 ) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     """Collect errors and the accelerations that the recorded commands led to.
 
@@ -318,14 +314,13 @@ def _regression(
     dynamics, period = controller.model.dynamics, controller.tuning.period_s
     lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
     rows = []
-    for k in np.flatnonzero(used):
-        estimate, target = estimates[k], targets[k]
-        assert estimate is not None
+    for estimate, target, command in zip(estimates, targets, sent, strict=True):
+        assert isinstance(estimate, Estimate)
         speed = estimate.motor_speed
         following, matrix, offset = look_ahead(
             np, dynamics, period, estimate.state, speed, np.zeros(3), np.ones(len(speed))
         )
-        given = matrix @ thrust(dynamics.thrust, lag * speed + drive * sent[k]) + offset
+        given = matrix @ thrust(dynamics.thrust, lag * speed + drive * command) + offset
         error = pose_difference(np, following, target.state)
         rows.append(np.concatenate([error, given]))
     x, y, yaw, vx, vy, spin, ax, ay, turn = np.array(rows).T

@@ -27,7 +27,7 @@ _LEAD_S = 0.5
 
 @dataclass(frozen=True)
 class SetPointResult:
-    """What became of one set point."""
+    """How the craft reached one set point."""
 
     #: When it was in force [s].
     start: float
@@ -164,7 +164,7 @@ class Track:
             pose=_triple(pose),
             settling_time=settled,
             overshoot=_triple(beyond),
-            # Without poses there nobody knows where the craft was.
+            # Without poses there it is unknown.
             steady_state_error=_triple(error[steady].mean(axis=0)) if steady.any() else None,
             effort=float((above**2).sum(axis=1).mean()) if given.any() else 0.0,
         )
