@@ -11,15 +11,15 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.faults.find import find_faults
 from airpuck.model.model_file import Model
 
-#: Where faults would take more of the windows, it is the model that does not fit the recording.
+#: Largest share of the windows that faults may take; if more, the model is wrong instead.
 MOST = 0.5
-#: Time constants of the motors until their speeds are what an encoder thinks they are.
+#: Time constants of the motors after which an encoder knows their speeds again.
 _SETTLING = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class Exclusion:
-    """What a fit is not learned from."""
+    """The faults that a fit leaves out."""
 
     #: The recordings without their faults.
     trajectories: tuple[Trajectory, ...]
@@ -27,7 +27,7 @@ class Exclusion:
     faults: tuple[tuple[Span, ...], ...]
     #: Share of the windows that they took.
     share: float
-    #: Recordings whose faults were too many to be true, and were not left out.
+    #: Names recordings that lost too many windows to be plausible: these keep all.
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
