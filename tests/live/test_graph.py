@@ -21,7 +21,7 @@ def until(condition, timeout=10.0):
 
 def test_bytes_arrive_as_they_were_sent_and_wake_who_waits(pair):
     first, second = pair
-    heard = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR)
+    heard = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR, wakes=True)
     says = first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
     message = POSE.encode(1_700_000_000_123_456_789, (0.5, -0.25, 3.0))
     before, taken = time.time_ns(), []

@@ -81,7 +81,7 @@ class Subscription:
     """Receives messages of a topic; from `Graph.subscription`."""
 
     def __init__(self, reader: Any, kind: Any, condition: Any) -> None:
-        #: The condition ends `Graph.wait` when a message comes.
+        #: The condition ends `Graph.wait` when a message comes; None for one that does not.
         self._reader, self._kind, self._condition = reader, kind, condition
 
     def take(self) -> list[Sample]:
@@ -185,7 +185,7 @@ class Graph:
         return Publisher(writer, self._kinds[msgtype])
 
     def subscription(
-        self, topic: str, msgtype: str, types: Types, quality: Quality
+        self, topic: str, msgtype: str, types: Types, quality: Quality, *, wakes: bool = False
     ) -> Subscription:
         """Subscribe to a topic.
 
@@ -197,6 +197,8 @@ class Graph:
             Definitions by type name.
         quality : Quality
             What is asked for; senders that offer less are not heard.
+        wakes : bool, default False
+            Whether `wait` returns when a message comes; costs a moment for each message.
 
         Returns
         -------
@@ -214,9 +216,11 @@ class Graph:
         reader = DataReader(
             self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
         )
-        anything = ViewState.Any | InstanceState.Any | SampleState.Any
-        condition = ReadCondition(reader, anything)
-        self._waitset.attach(condition)
+        condition = None
+        if wakes:
+            anything = ViewState.Any | InstanceState.Any | SampleState.Any
+            condition = ReadCondition(reader, anything)
+            self._waitset.attach(condition)
         return Subscription(reader, self._kinds[msgtype], condition)
 
     def unsubscribe(self, subscription: Subscription) -> None:
@@ -227,10 +231,11 @@ class Graph:
         subscription : Subscription
             From `subscription`; the caller drops it.
         """
-        self._waitset.detach(subscription._condition)
+        if subscription._condition is not None:
+            self._waitset.detach(subscription._condition)
 
     def wait(self, seconds: float) -> None:
-        """Sleep while no message waits on any subscription, at most for some time.
+        """Sleep until a message comes on a subscription that wakes, or a time has passed.
 
         Parameters
         ----------

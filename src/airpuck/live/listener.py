@@ -96,7 +96,9 @@ class Listener:
 
     def _ask(self, endpoint: Endpoint, quality: Quality) -> Subscription:
         """Subscribe to an endpoint's topic."""
-        return self._graph.subscription(endpoint.topic, endpoint.msgtype, self.types, quality)
+        return self._graph.subscription(
+            endpoint.topic, endpoint.msgtype, self.types, quality, wakes=True
+        )
 
     def _ask_less(self, topic: _Topic, offered: Quality) -> None:
         """Subscribe anew if a publisher offers less than is asked for: it would not be heard."""

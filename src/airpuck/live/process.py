@@ -115,7 +115,6 @@ class Process:
                     field=topic,
                 )
             time.sleep(0.02)
-        self.graph.unsubscribe(heard)
 
     def start(self, text: str) -> None:
         """Let time begin; everything slow has been done."""
@@ -149,13 +148,19 @@ class Inbox:
     """One stream as it arrives; what is wrong with its messages is logged, unless it is quiet."""
 
     def __init__(
-        self, process: Process, stream: str, motors: tuple[str, ...] = (), *, quiet: bool = False
+        self,
+        process: Process,
+        stream: str,
+        motors: tuple[str, ...] = (),
+        *,
+        wakes: bool = False,
+        quiet: bool = False,
     ) -> None:
         self._graph, self._clock = process.graph, process.clock
         self._events = None if quiet else process.events
         self._topic, self._codec, quality = _wire(process, stream, motors)
         self._subscription = self._graph.subscription(
-            self._topic, self._codec.msgtype, self._codec.types, quality
+            self._topic, self._codec.msgtype, self._codec.types, quality, wakes=wakes
         )
         self._stamps, self._reported_offset = StampClock(), 0.0
         self._looked, self._late_until = self._clock.now, -math.inf

@@ -68,7 +68,7 @@ class _Table:
         self._twin, self._process = twin, process
         self._sensors = {kind: Outbox(process, kind) for kind in ("pose", "imu", "mouse")}
         motors = twin.model.vehicle.propeller_names
-        self._commands = Inbox(process, "command", motors)
+        self._commands = Inbox(process, "command", motors, wakes=True)
         self._poses = self._stops = 0
         self._running = False
         process.events.heartbeat("info", "starting", {})
