@@ -14,7 +14,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
-from airpuck.report.fit_study import FitStudy
+from airpuck.report.fit_sections import FitStudy
 from airpuck.report.reproduce import Reproduction, reproduce
 
 from ..synthetic import fly

@@ -10,8 +10,7 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.report.error_figures import touched_by
-from airpuck.report.paper_sections import PRINTED
-from airpuck.report.reproduce import FAULTS, TRAINING, VALIDATION, reproduce
+from airpuck.report.reproduce import FAULTS, PRINTED, TRAINING, VALIDATION, reproduce
 
 from ..conftest import TRAINING as TRAINING_NAME
 from ..conftest import VALIDATION as VALIDATION_NAME

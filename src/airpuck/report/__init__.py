@@ -1,1 +1,5 @@
-"""Tables and figures; the only room that imports matplotlib."""
+"""Tables and figures; the only room that imports matplotlib.
+
+Entry points: `animation.animate`, `demo.demo`, `fit_report.fit_report`, `page.write_page`,
+`reproduce.reproduce`.
+"""

@@ -104,7 +104,12 @@ def read_scene(
     Poses that are not finite are left out, and so are poses that repeat exactly for longer than the
     longest pause: what is missing is then a gap.
     """
-    _check_span(span)
+    if not 0 <= span[0] < span[1] <= 1:
+        raise InputError(
+            f"{span[0]:g} {span[1]:g} is no part of a recording; give two fractions of its "
+            "length, 0 <= A < B <= 1",
+            field="span",
+        )
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
     aligned = _aligned(pose, command)
@@ -138,16 +143,6 @@ def read_scene(
         table=rails,
         view=view,
     )
-
-
-def _check_span(span: tuple[float, float]) -> None:
-    """Refuse what is no part of a recording."""
-    if not 0 <= span[0] < span[1] <= 1:
-        raise InputError(
-            f"{span[0]:g} {span[1]:g} is no part of a recording; give two fractions of its "
-            "length, 0 <= A < B <= 1",
-            field="span",
-        )
 
 
 def _aligned(pose: Stream, other: Stream) -> Aligned:

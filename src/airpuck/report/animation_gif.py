@@ -21,6 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from PIL import GifImagePlugin, Image
 
 from airpuck.craft.vehicle import Vehicle
+from airpuck.report import style
 from airpuck.report.animation_frames import (
     ASKED,
     FLOOR,
@@ -41,7 +42,6 @@ from airpuck.report.animation_frames import (
     thrust_arrows,
     trail,
 )
-from airpuck.report.style import BLACK, GREY, RESOLUTION, propeller_colors, propeller_size, styled
 
 #: Width of the picture, largest size of the table, and what is around it [in].
 _WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
@@ -71,7 +71,7 @@ def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Ima
     together = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
     counted = together.getcolors(together.width * together.height) or []
     common = [color for _, color in sorted(counted, reverse=True)[:64]]
-    others = np.reshape(together.quantize(_COLORS).getpalette(), (-1, 3))
+    others = np.reshape(together.quantize(_COLORS).getpalette() or [], (-1, 3))
     kept = np.rint(255 * np.array([to_rgb(color) for color in wanted]))
     for color in [*common, *others]:
         # Pillow looks colours up coarsely: none may stand near a commoner one, such as white.
@@ -112,7 +112,7 @@ class _Stage:
 
     def __init__(self, scene: Scene, frames: Frames, speed: float) -> None:
         self.scene, self.frames = scene, frames
-        self.colors = [*dict.fromkeys(propeller_colors(scene.vehicle)), BLACK, GREY, ASKED, "white"]
+        self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, ASKED]
         self.figure = _scenery(scene, speed)
         self.arrows = thrust_arrows(scene.vehicle, frames.pose, frames.command)
         canvas = self.figure.canvas
@@ -128,13 +128,13 @@ class _Stage:
         for artist in _moving_on_table(self.scene, self.frames, self.arrows[k], k):
             _draw(table, artist)
         for i, axes in enumerate([*panels, motors]):
-            high = {"transform": axes.get_xaxis_transform()}
-            still = max(self.scene.stop - now, 0.0)
-            _draw(axes, Rectangle((now, 0), still, 1, color="white", alpha=0.72, lw=0, **high))
-            _draw(axes, Line2D([now, now], [0, 1], color=BLACK, lw=0.9, **high))
+            high: dict[str, Any] = {"transform": axes.get_xaxis_transform()}
+            rest = max(self.scene.stop - now, 0.0)
+            _draw(axes, Rectangle((now, 0), rest, 1, color="white", alpha=0.72, lw=0, **high))
+            _draw(axes, Line2D([now, now], [0, 1], color=style.BLACK, lw=0.9, **high))
             if axes is not motors:
                 seen = self.frames.pose[k, i] if self.frames.known[k] else np.nan
-                for value, color in ((self.frames.reference[k, i], ASKED), (seen, BLACK)):
+                for value, color in ((self.frames.reference[k, i], ASKED), (seen, style.BLACK)):
                     dot = Line2D([now], [value], marker="o", ms=5, mec="white", mew=0.7)
                     dot.set(color=color, clip_on=False)
                     _draw(axes, dot)
@@ -168,14 +168,14 @@ def _moving_on_table(
     if np.isfinite(frames.reference[k]).all():
         yield from _craft(vehicle, frames.reference[k], ASKED, ls=(0, (3, 1.6)))
     if seen:
-        yield from _craft(vehicle, pose, BLACK)
+        yield from _craft(vehicle, pose, style.BLACK)
     else:
-        yield from _craft(vehicle, pose, GREY, ls=(0, (2, 2)))
+        yield from _craft(vehicle, pose, style.GREY, ls=(0, (2, 2)))
         above = pose[1] + 1.15 * vehicle.radius_m
-        yield Text(pose[0], above, "no pose", color=GREY, fontsize=8, ha="center")
+        yield Text(pose[0], above, "no pose", color=style.GREY, fontsize=8, ha="center")
     if seen:  # where the craft is not seen, nobody knows where its propellers push
         shapes = list(arrow_shapes(arrows, vehicle.radius_m))
-        tints = propeller_colors(vehicle)
+        tints = style.propeller_colors(vehicle)
         yield PolyCollection(shapes, facecolors=tints, edgecolors="white", linewidths=0.5)
 
 
@@ -189,22 +189,22 @@ def _craft(
     middle = (float(pose[0]), float(pose[1]))
     face = "none" if asked else "white"
     yield Circle(middle, vehicle.radius_m, fc=face, ec=color, lw=1.5, **outline)
-    mark = ASKED if asked else BLACK
+    mark = ASKED if asked else style.BLACK
     yield Polygon(heading_mark(vehicle) @ turn + pose[:2], facecolor=mark, edgecolor="none")
     if not asked:
         places = vehicle.positions @ turn + pose[:2]
-        for place, tint in zip(places, propeller_colors(vehicle), strict=True):
+        for place, tint in zip(places, style.propeller_colors(vehicle), strict=True):
             inside = (*to_rgb(tint), 0.25)
-            yield Circle(tuple(place), propeller_size(vehicle), fc=inside, ec=tint, lw=0.8)
+            yield Circle(tuple(place), style.propeller_size(vehicle), fc=inside, ec=tint, lw=0.8)
 
 
 def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
     """Mix black with the floor's colour; opaque, so that overlapping ends do not show."""
     share = np.clip(share, 0, 1)[:, None]
-    return (1 - share) * np.array(to_rgb(BLACK)) + share * np.array(to_rgb(FLOOR))
+    return (1 - share) * np.array(to_rgb(style.BLACK)) + share * np.array(to_rgb(FLOOR))
 
 
-@styled
+@style.styled
 def _scenery(scene: Scene, speed: float) -> Figure:
     """Draw what stands still: table, panels for x, y, yaw and the motors, legend."""
     x0, x1, y0, y1 = scene.view
@@ -212,8 +212,8 @@ def _scenery(scene: Scene, speed: float) -> Figure:
     scale = min(_WIDEST / width, _TALLEST / height)  # inches for a metre
     total = _HEADER + scale * height + _TICKS + _LEGEND + _BELOW
     # An even number of pixels, for those who turn the GIF into a video.
-    total = round(total * RESOLUTION / 2) * 2 / RESOLUTION
-    figure = Figure(figsize=(_WIDTH, total), dpi=RESOLUTION)
+    total = round(total * style.RESOLUTION / 2) * 2 / style.RESOLUTION
+    figure = Figure(figsize=(_WIDTH, total), dpi=style.RESOLUTION)
     FigureCanvasAgg(figure)
 
     def place(left: float, bottom: float, width: float, height: float) -> Axes:
@@ -226,15 +226,15 @@ def _scenery(scene: Scene, speed: float) -> Figure:
     room = (_WIDEST - 3 * _GAP) / 4
     panels = [place(_LEFT + i * (room + _GAP), _BOTTOM, room, _PANELS) for i in range(4)]
     _draw_panels(panels, scene)
-    legend = place(left, bottom - _TICKS - _LEGEND, scale * width, _LEGEND)
-    legend.set(xlim=(0, scale * width), ylim=(-_LEGEND / 2, _LEGEND / 2))
+    legend = place(left, bottom - _TICKS - _LEGEND, _WIDTH - left, _LEGEND)
+    legend.set(xlim=(0, _WIDTH - left), ylim=(-_LEGEND / 2, _LEGEND / 2))
     _draw_legend(legend, scene, scale)
     y = 1 - 0.23 / total
     title: dict[str, Any] = {"va": "center", "fontweight": "bold", "fontsize": 13}
     name = figure.text(_LEFT / _WIDTH, y, scene.vehicle.name, **title)
-    after = name.get_window_extent().x1 / (_WIDTH * RESOLUTION) + 0.012
+    after = name.get_window_extent().x1 / (_WIDTH * style.RESOLUTION) + 0.012
     pace = "" if speed == 1 else f"  ·  at {speed:g} × its speed"
-    figure.text(after, y - 0.0015, scene.name + pace, fontsize=10, color=GREY, va="center")
+    figure.text(after, y - 0.0015, scene.name + pace, fontsize=10, color=style.GREY, va="center")
     return figure
 
 
@@ -300,14 +300,14 @@ def _draw_panels(panels: list[Axes], scene: Scene) -> None:
         axes.tick_params(length=2, pad=2)
         axes.locator_params(axis="both", nbins=5, steps=[1, 2, 5, 10])
         if i < 3:
-            axes.plot(time, pose[:, i], color=BLACK, lw=1.4)
+            axes.plot(time, pose[:, i], color=style.BLACK, lw=1.4)
             axes.plot(scene.time, asked[:, i], color=ASKED, lw=1.3, ls=(0, (4, 1.5)), zorder=1.5)
     _draw_motors(panels[-1], scene)
 
 
 def _draw_motors(axes: Axes, scene: Scene) -> None:
     """Draw the commands as rows, the first on top."""
-    n, colors = scene.vehicle.n_propellers, propeller_colors(scene.vehicle)
+    n, colors = scene.vehicle.n_propellers, style.propeller_colors(scene.vehicle)
     edges = np.append(scene.command_time, scene.stop)
     for i, color in enumerate(colors):
         row = n - 1 - i
@@ -343,5 +343,5 @@ def _draw_legend(axes: Axes, scene: Scene, scale: float) -> None:
     start = 3.4 if len(scene.reference) else 2.2
     arrow = np.array([[[start, 0.0], [start + length, 0.0]]])
     (shape,) = arrow_shapes(arrow, scale * scene.vehicle.radius_m)
-    axes.add_patch(Polygon(shape, color=GREY, lw=0))
+    axes.add_patch(Polygon(shape, color=style.GREY, lw=0))
     axes.text(start + length + 0.07, 0, f"commanded thrust of {key:g} N", **words)

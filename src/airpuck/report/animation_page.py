@@ -30,13 +30,12 @@ from airpuck.report.animation_frames import (
     thinned,
 )
 from airpuck.report.page import packaged_text, render
-from airpuck.report.style import BLACK, GREY, propeller_colors, propeller_size
+from airpuck.report.style import BLACK, GREY, POSE, propeller_colors, propeller_size
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
 #: Speeds to choose from.
 _PACES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-_STATES = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 
 
 def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
@@ -57,7 +56,7 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         trail=TRAIL,
         key=round_thrust(scene.vehicle),
         has_reference=len(scene.reference) > 0,
-        states=_STATES,
+        states=POSE,
         table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
         # Within a script only "<" could end it; in a string of JSON this is the same letter.
         flight=markupsafe.Markup(flight.replace("<", "\\u003c")),

@@ -10,15 +10,7 @@ from matplotlib.patches import Arc, Circle
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.angle import wrapped
-from airpuck.report.style import (
-    BLACK,
-    GREY,
-    closest_propellers,
-    new_figure,
-    propeller_colors,
-    propeller_size,
-    styled,
-)
+from airpuck.report import style
 
 #: Propellers whose radii or half-angles agree this well get one common annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
@@ -26,7 +18,7 @@ _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
 _WIDEST_HALF_ANGLE = 1.0
 
 
-@styled
+@style.styled
 def craft_figure(vehicle: Vehicle) -> Figure:
     """Draw the propeller layout to scale.
 
@@ -34,22 +26,22 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     which way that turns it, pairs in one colour, and the body frame. Where the layout is regular,
     the common radius and half-angle are given.
     """
-    figure = new_figure(5.4, 5.2)
+    figure = style.new_figure(5.4, 5.2)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.grid(False)
     disc = 1e3 * vehicle.radius_m
-    axes.add_patch(Circle((0, 0), disc, facecolor="#f5f5f5", edgecolor=GREY, lw=1.0))
+    axes.add_patch(Circle((0, 0), disc, facecolor="#f5f5f5", edgecolor=style.GREY, lw=1.0))
     _draw_propellers(axes, vehicle)
     _draw_geometry(axes, vehicle)
     # The frame must fit between the centre and the innermost propeller.
     radii = 1e3 * np.hypot(*vehicle.positions.T)
-    inside = radii.min() - 1e3 * propeller_size(vehicle)
+    inside = radii.min() - 1e3 * style.propeller_size(vehicle)
     axis = min(0.3 * disc, 0.65 * max(inside, 0.2 * disc))
     for (x, y), name in (((axis, 0), "$x^b$"), ((0, axis), "$y^b$")):
-        _draw_arrow(axes, (0, 0), (x, y), BLACK, 1.4)
+        _draw_arrow(axes, (0, 0), (x, y), style.BLACK, 1.4)
         axes.text(1.28 * x, 1.25 * y, name, fontsize=10, ha="center", va="center")
-    axes.plot(0, 0, "o", color=BLACK, ms=3)
+    axes.plot(0, 0, "o", color=style.BLACK, ms=3)
     reach = 1.5 * max(disc, float(radii.max()))
     axes.set(
         xlim=(-reach, reach),
@@ -64,11 +56,11 @@ def craft_figure(vehicle: Vehicle) -> Figure:
 
 def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
     """Draw each propeller with its name, its thrust and the sense of its moment."""
-    positions, colors = 1e3 * vehicle.positions, propeller_colors(vehicle)
+    positions, colors = 1e3 * vehicle.positions, style.propeller_colors(vehicle)
     disc = 1e3 * vehicle.radius_m
-    size = 1e3 * propeller_size(vehicle)
+    size = 1e3 * style.propeller_size(vehicle)
     # Arrows of opposing propellers must not meet.
-    length = min(1.6 * size, 420 * closest_propellers(vehicle))
+    length = min(1.6 * size, 420 * style.closest_propellers(vehicle))
     for name, (x, y), (dx, dy), color in zip(
         vehicle.propeller_names, positions, vehicle.directions, colors, strict=True
     ):
@@ -97,7 +89,7 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
     notes = []
     if np.ptp(radii) < _SAME_RADIUS and radii[0] > 0:
         d = 1e3 * float(radii.mean())
-        axes.add_patch(Circle((0, 0), d, fill=False, edgecolor=GREY, lw=0.7, ls=(0, (4, 3))))
+        axes.add_patch(Circle((0, 0), d, fill=False, edgecolor=style.GREY, lw=0.7, ls=(0, (4, 3))))
         notes.append(f"$d$ = {d:.2f} mm")
     half = _half_angles(vehicle)
     if len(half) and np.ptp(half) < _SAME_ANGLE and half[0] < _WIDEST_HALF_ANGLE:
@@ -114,7 +106,7 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
         va="bottom",
         ha="right",
         fontsize=8,
-        color=GREY,
+        color=style.GREY,
     )
 
 
@@ -128,10 +120,10 @@ def _draw_half_angle(axes: Axes, vehicle: Vehicle, delta: float) -> None:
     near = 1e3 * float(np.hypot(*vehicle.positions.T).min())
     for angle in (middle - delta, middle, middle + delta):
         x, y = near * np.cos(angle), near * np.sin(angle)
-        axes.plot([0, x], [0, y], color=GREY, lw=0.8, ls=(0, (1, 2)))
+        axes.plot([0, x], [0, y], color=style.GREY, lw=0.8, ls=(0, (1, 2)))
     for low in (middle - delta, middle):
         span = {"theta1": float(np.degrees(low)), "theta2": float(np.degrees(low + delta))}
-        axes.add_patch(Arc((0, 0), 1.1 * near, 1.1 * near, **span, color=GREY))
+        axes.add_patch(Arc((0, 0), 1.1 * near, 1.1 * near, **span, color=style.GREY))
         x, y = 0.66 * near * np.cos(low + delta / 2), 0.66 * near * np.sin(low + delta / 2)
         axes.text(x, y, "δ", ha="center", va="center")
 
@@ -148,5 +140,5 @@ def _draw_arrow(
     axes: Axes, start: tuple[float, float], end: tuple[float, float], color: str, width: float
 ) -> None:
     """Draw an arrow from one point to another."""
-    style = {"arrowstyle": "-|>", "mutation_scale": 5 + 4 * width, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, start, arrowprops={**style, "color": color, "lw": width}, zorder=5)
+    head = {"arrowstyle": "-|>", "mutation_scale": 5 + 4 * width, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", end, start, arrowprops={**head, "color": color, "lw": width}, zorder=5)

@@ -29,6 +29,25 @@ def demo(
 
     The truth of the twin is the published M3; sensors and radio are as in the real recordings,
     which are saved and read back as ROS 2 bags.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder for the page, figures, models and bags; `bags` is made anew if a demo wrote it.
+    duration : float, default 90
+        Length of each excitation experiment [s].
+    progress : callable, optional
+        Called with a line of text after each step.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        If the folder holds bags of somebody else, or cannot be written to.
     """
     from airpuck import read_recording, write_bag
     from airpuck.evaluation.evaluate import compare

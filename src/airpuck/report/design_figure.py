@@ -11,17 +11,7 @@ from matplotlib.figure import Figure
 from airpuck.boundary.files import replacing
 from airpuck.experiment_design.design import Design
 from airpuck.experiment_design.trials import CheckedFlights
-from airpuck.report.style import (
-    BLUE,
-    GREY,
-    LIGHT,
-    PAGE_WIDTH,
-    VERMILLION,
-    new_figure,
-    png,
-    styled,
-    top_legend,
-)
+from airpuck.report import style
 
 
 def write_design_figure(
@@ -29,13 +19,13 @@ def write_design_figure(
 ) -> None:
     """Write `design_figure` as PNG."""
     with replacing(path) as temporary:
-        temporary.write_bytes(png(design_figure(found, checked)))
+        temporary.write_bytes(style.png(design_figure(found, checked)))
 
 
-@styled
+@style.styled
 def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figure:
     """Draw the relative standard errors of every quantity: now, usual, proposed, checked."""
-    figure = new_figure(PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
+    figure = style.new_figure(style.PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
     rows = -np.arange(len(found.quantities.labels), dtype=float)
     # Flights that were flown alone are compared with predictions of what they give alone.
@@ -43,19 +33,19 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
         100 * (one.relative if checked is None else one.relative_alone)
         for one in (found.usual, found.proposal)
     )
-    axes.hlines(rows, usual, proposal, color=LIGHT, lw=2.5)
+    axes.hlines(rows, usual, proposal, color=style.LIGHT, lw=2.5)
     dots: dict[str, Any] = {"ls": "", "ms": 5.5}
     handles = []
     if checked is None and np.isfinite(found.relative_before).any():
         now = 100 * found.relative_before
-        handles += axes.plot(now, rows, marker="s", color=GREY, label="now", **dots)
+        handles += axes.plot(now, rows, marker="s", color=style.GREY, label="now", **dots)
     dots["marker"] = "o"
     label = "usual excitation, predicted"
-    handles += axes.plot(usual, rows, color=GREY, mfc="white", label=label, **dots)
-    handles += axes.plot(proposal, rows, color=BLUE, label="proposal, predicted", **dots)
+    handles += axes.plot(usual, rows, color=style.GREY, mfc="white", label=label, **dots)
+    handles += axes.plot(proposal, rows, color=style.BLUE, label="proposal, predicted", **dots)
     if checked is not None:
         flown = 100 * checked.errors.T
-        marks = axes.plot(flown, rows, ls="", marker="|", color=VERMILLION, ms=9, mew=1.3)
+        marks = axes.plot(flown, rows, ls="", marker="|", color=style.VERMILLION, ms=9, mew=1.3)
         marks[0].set_label(f"proposal, obtained in {len(checked.errors)} flights")
         handles.append(marks[0])
     axes.set_xscale("log")
@@ -69,5 +59,5 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
     axes.set_xlabel(
         f"standard error after {found.proposal.plan.duration_s:g} s [% of what it matters against]"
     )
-    top_legend(figure, handles)
+    style.top_legend(figure, handles)
     return figure

@@ -14,22 +14,7 @@ from matplotlib.patches import Patch
 
 from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import Evaluation
-from airpuck.report.style import (
-    BLACK,
-    BLUE,
-    DASHED,
-    ERRORS,
-    GREY,
-    LIGHT,
-    PAGE_WIDTH,
-    VERMILLION,
-    draw_window_errors,
-    key,
-    new_figure,
-    rung_color,
-    styled,
-    top_legend,
-)
+from airpuck.report import style
 
 #: Share of the windows that is called the worst.
 WORST = 0.08
@@ -59,7 +44,7 @@ def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray
     return touched
 
 
-@styled
+@style.styled
 def horizon_figure(
     fitted: Sequence[Evaluation],
     reference: Sequence[Evaluation] = (),
@@ -71,79 +56,81 @@ def horizon_figure(
     Fitted models are broad lines, the reference thin dashed ones in the same colours. A vertical
     line marks when tables report the error.
     """
-    figure = new_figure(PAGE_WIDTH, 3.5)
+    figure = style.new_figure(style.PAGE_WIDTH, 3.5)
     broad = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
-    dashed: dict[str, Any] = {"lw": 1.1, "ls": DASHED, "zorder": 3}
+    dashed: dict[str, Any] = {"lw": 1.1, "ls": style.DASHED, "zorder": 3}
     for channel, (axes, (name, unit, factor)) in enumerate(
-        zip(figure.subplots(1, 3), ERRORS, strict=True)
+        zip(figure.subplots(1, 3), style.ERRORS, strict=True)
     ):
-        for evaluations, style in ((fitted, broad), (reference, dashed)):
+        for evaluations, line in ((fitted, broad), (reference, dashed)):
             for one in evaluations:
                 time = one.sample_period * np.arange(1, len(one.errors) + 1)
                 rmse = factor * one.rmse_over_horizon[:, channel]
-                axes.plot(time, rmse, color=rung_color(one.model), **style)
+                axes.plot(time, rmse, color=style.rung_color(one.model), **line)
         reported = fitted[0].horizon_step * fitted[0].sample_period
-        axes.axvline(reported, color=GREY, lw=0.8, ls=":")
+        axes.axvline(reported, color=style.GREY, lw=0.8, ls=":")
         place = {"transform": axes.get_xaxis_transform(), "ha": "right", "va": "top"}
-        axes.text(reported, 0.99, f"{reported:.2g} s ", color=GREY, fontsize=8, **place)
+        axes.text(reported, 0.99, f"{reported:.2g} s ", color=style.GREY, fontsize=8, **place)
         axes.set(xlabel="time predicted [s]", ylabel=f"RMSE of {name} [{unit}]")
         axes.set(xlim=(0, None), ylim=(0, None))
     names = dict.fromkeys(evaluation.model for evaluation in (*fitted, *reference))
-    handles = [key(name, rung_color(name), lw=3) for name in names]
+    handles = [style.key(name, style.rung_color(name), lw=3) for name in names]
     if reference:
-        handles.append(key("broad: fitted here", lw=3, alpha=0.45))
-        handles.append(key(f"dashed: {reference_label}", lw=1.1, ls=DASHED))
-    top_legend(figure, handles)
+        handles.append(style.key("broad: fitted here", lw=3, alpha=0.45))
+        handles.append(style.key(f"dashed: {reference_label}", lw=1.1, ls=style.DASHED))
+    style.top_legend(figure, handles)
     return figure
 
 
-@styled
+@style.styled
 def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
     """Draw the cumulative distribution of the absolute errors of each model.
 
     Dots mark the RMSE on each curve, which a few large errors put far to the right of the median.
     """
-    figure = new_figure(PAGE_WIDTH, 3.3)
+    figure = style.new_figure(style.PAGE_WIDTH, 3.3)
     for channel, (axes, (name, unit, factor)) in enumerate(
-        zip(figure.subplots(1, 3, sharey=True), ERRORS, strict=True)
+        zip(figure.subplots(1, 3, sharey=True), style.ERRORS, strict=True)
     ):
         lowest = []
         for evaluation in evaluations:
             size = np.sort(factor * np.abs(evaluation.at_horizon[channel]))
             share = 100 * np.arange(1, len(size) + 1) / len(size)
-            color = rung_color(evaluation.model)
+            color = style.rung_color(evaluation.model)
             axes.plot(size, share, color=color, lw=1.4)
             rmse = factor * evaluation.rmse[channel]
             axes.plot(rmse, np.interp(rmse, size, share), "o", color=color, mec="white", ms=6)
             lowest.append(float(np.percentile(size, 3)))
-        axes.axhline(50, color=BLACK, lw=0.7, ls=":")
+        axes.axhline(50, color=style.BLACK, lw=0.7, ls=":")
         axes.set(xscale="log", xlabel=f"error of {name} [{unit}]", ylim=(0, 101))
         axes.set_xlim(left=max(min(lowest), 1e-12))
         axes.xaxis.set_major_formatter("{x:g}")
         if channel == 0:
             axes.set_ylabel("windows with a smaller error [%]")
-    handles = [key(one.model, rung_color(one.model)) for one in evaluations]
-    top_legend(figure, [*handles, key("RMSE", ls="", marker="o", mec="white")])
+    handles = [style.key(one.model, style.rung_color(one.model)) for one in evaluations]
+    style.top_legend(figure, [*handles, style.key("RMSE", ls="", marker="o", mec="white")])
     return figure
 
 
-@styled
+@style.styled
 def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -> Figure:
     """Draw the error of every window along the flight.
 
     The worst windows are red, and the title gives the share of the summed squared error that they
     hold; known faults of the recording are shaded.
     """
-    figure = new_figure(PAGE_WIDTH, 5.4)
+    figure = style.new_figure(style.PAGE_WIDTH, 5.4)
     panels = figure.subplots(3, 1, sharex=True)
-    for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, ERRORS, strict=True)):
+    for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         errors = evaluation.at_horizon[channel]
         for fault in faults:
-            axes.axvspan(fault.start, fault.stop, color=LIGHT, lw=0)
-        draw_window_errors(axes, evaluation.start, factor * np.abs(errors), worst_windows(errors))
+            axes.axvspan(fault.start, fault.stop, color=style.LIGHT, lw=0)
+        style.draw_window_errors(
+            axes, evaluation.start, factor * np.abs(errors), worst_windows(errors)
+        )
         median, rmse = factor * evaluation.median_abs[channel], factor * evaluation.rmse[channel]
-        axes.axhline(median, color=BLACK, lw=0.9)
-        axes.axhline(rmse, color=BLACK, lw=0.9, ls=DASHED)
+        axes.axhline(median, color=style.BLACK, lw=0.9)
+        axes.axhline(rmse, color=style.BLACK, lw=0.9, ls=style.DASHED)
         axes.set_ylabel(f"error of {name} [{unit}]")
         axes.margins(x=0.01)
         axes.set_title(
@@ -155,15 +142,15 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
         )
     panels[-1].set_xlabel("start of the prediction [s]")
     handles: list[Artist] = [
-        key("windows", BLUE, marker="."),
-        key(f"worst {100 * WORST:.0f} %", VERMILLION, marker="."),
-        key("median", lw=0.9),
-        key("RMSE", lw=0.9, ls=DASHED),
+        style.key("windows", style.BLUE, marker="."),
+        style.key(f"worst {100 * WORST:.0f} %", style.VERMILLION, marker="."),
+        style.key("median", lw=0.9),
+        style.key("RMSE", lw=0.9, ls=style.DASHED),
     ]
     if faults:
-        handles.append(Patch(color=LIGHT, label="known faults"))
+        handles.append(Patch(color=style.LIGHT, label="known faults"))
         _name_faults(panels[0], faults)
-    top_legend(figure, handles)
+    style.top_legend(figure, handles)
     return figure
 
 
@@ -182,7 +169,7 @@ def _name_faults(axes: Axes, faults: Sequence[Span]) -> None:
             ha="left",
             va="top",
             fontsize=7,
-            color=GREY,
+            color=style.GREY,
         )
         # About how far a text of this size reaches, as a part of the time axis.
         free_from = fault.stop + 0.0085 * len(fault.cause) * np.ptp(axes.get_xlim())

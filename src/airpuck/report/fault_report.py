@@ -14,25 +14,16 @@ from airpuck.evaluation.evaluate import Evaluation, evaluate
 from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
 from airpuck.faults.find import CONTACT, NOT_ARMED
 from airpuck.model.model_file import Model
+from airpuck.report import style
 from airpuck.report.error_figures import touched_by
 from airpuck.report.page import Picture, Section, Table, write_page
-from airpuck.report.style import (
-    BLUE,
-    GREY,
-    LIGHT,
-    ORANGE,
-    PAGE_WIDTH,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    draw_window_errors,
-    key,
-    new_figure,
-    styled,
-    top_legend,
-)
 
-_COLORS = {NOT_ARMED: PURPLE, RADIO_OUT: VERMILLION, CONTACT: ORANGE, UNEXPLAINED: SKY}
+_COLORS = {
+    NOT_ARMED: style.PURPLE,
+    RADIO_OUT: style.VERMILLION,
+    CONTACT: style.ORANGE,
+    UNEXPLAINED: style.SKY,
+}
 #: What is sure fills all of its colour; what is doubtful fills less, down to this.
 _FAINTEST = 0.25
 
@@ -68,10 +59,7 @@ def confidence(span: Span) -> str:
 
 
 def fault_report(
-    trajectory: Trajectory,
-    faults: Sequence[Span],
-    model: Model,
-    out: str | os.PathLike[str],
+    trajectory: Trajectory, faults: Sequence[Span], model: Model, out: str | os.PathLike[str]
 ) -> Path:
     """Write a page on the faults of a recording."""
     usable = trajectory.leave_out(faults).usable.mean()
@@ -85,17 +73,17 @@ def fault_report(
 
 def fault_color(cause: str) -> str:
     """Return the colour of a cause."""
-    return _COLORS.get(cause, BLUE if cause.endswith("stalled") else GREY)
+    return _COLORS.get(cause, style.BLUE if cause.endswith("stalled") else style.GREY)
 
 
-@styled
+@style.styled
 def fault_timeline_figure(
     spans: Sequence[Span], evaluation: Evaluation, extent: tuple[float, float]
 ) -> Figure:
     """Draw faults along a recording, one row for each cause, above the error of each window."""
     causes = list(dict.fromkeys(span.cause for span in sorted(spans, key=lambda s: s.start)))
     rows = max(len(causes), 1)
-    figure = new_figure(PAGE_WIDTH, 3.6 + 0.24 * rows)
+    figure = style.new_figure(style.PAGE_WIDTH, 3.6 + 0.24 * rows)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[0.24 * rows + 0.1, 1.3, 1.3])
     top = panels[0]
     for span in spans:
@@ -111,9 +99,11 @@ def fault_timeline_figure(
         )
         if span.confidence < 1:
             place = {"xytext": (3, 0), "textcoords": "offset points", "va": "center"}
-            top.annotate(confidence(span), (span.stop, row), fontsize=6.5, color=GREY, **place)
+            top.annotate(
+                confidence(span), (span.stop, row), fontsize=6.5, color=style.GREY, **place
+            )
         for panel in panels[1:]:
-            panel.axvspan(span.start, span.stop, color=LIGHT, lw=0)
+            panel.axvspan(span.start, span.stop, color=style.LIGHT, lw=0)
     top.set_yticks(range(len(causes)), causes)
     top.set_ylim(rows - 0.4, -0.6)
     top.grid(visible=False, axis="y")
@@ -122,11 +112,11 @@ def fault_timeline_figure(
     errors = evaluation.at_horizon
     sizes = (1e3 * np.hypot(errors[0], errors[1]), np.abs(errors[2]))
     for panel, size, name in zip(panels[1:], sizes, ("position [mm]", "yaw [rad]"), strict=True):
-        draw_window_errors(panel, evaluation.start, size, touched)
+        style.draw_window_errors(panel, evaluation.start, size, touched)
         panel.set_ylabel(f"error of\n{name}")
     panels[-1].set_xlim(*extent)
     panels[-1].margins(x=0.01)
     panels[-1].set_xlabel("time [s]; of a window: the present, where its prediction starts")
-    meets = key("whose prediction meets a fault", VERMILLION, marker=".")
-    top_legend(figure, [key("windows", BLUE, marker="."), meets])
+    meets = style.key("whose prediction meets a fault", style.VERMILLION, marker=".")
+    style.top_legend(figure, [style.key("windows", style.BLUE, marker="."), meets])
     return figure

@@ -19,23 +19,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
-from airpuck.report.style import (
-    BLACK,
-    BLUE,
-    DASHED,
-    GREY,
-    LIGHT,
-    PAGE_WIDTH,
-    SKY,
-    VERMILLION,
-    key,
-    new_figure,
-    panels,
-    propeller_groups,
-    rung_color,
-    styled,
-    top_legend,
-)
+from airpuck.report import style
 
 #: Width of a bin of commands, and the share of samples at the top of the right-hand scale [%].
 _BIN, _TOP = 0.05, 30.0
@@ -43,7 +27,7 @@ _BIN, _TOP = 0.05, 30.0
 _DELAY_BINS = 24
 
 
-@styled
+@style.styled
 def loss_history_figure(
     fits: Sequence[Fit],
     reference: Mapping[str, float] | None = None,
@@ -54,7 +38,7 @@ def loss_history_figure(
 
     Dashed: the reference parameters on the same windows. Thin: windows that an optimiser held out.
     """
-    figure = new_figure(6.4, 3.6)
+    figure = style.new_figure(6.4, 3.6)
     axes = figure.add_subplot()
     reference = reference or {}
     every = [iteration.loss for fit in fits for iteration in fit.history] + list(reference.values())
@@ -63,7 +47,7 @@ def loss_history_figure(
     exponent = int(np.floor(np.log10(max(min(every), 1e-300)))) if narrow else 0
     scale = 10.0**-exponent
     for fit in fits:
-        color = rung_color(fit.model.name)
+        color = style.rung_color(fit.model.name)
         numbers = [iteration.number for iteration in fit.history]
         losses = [scale * iteration.loss for iteration in fit.history]
         axes.plot(numbers, losses, marker="o" if len(numbers) < 60 else None, ms=4, color=color)
@@ -71,7 +55,7 @@ def loss_history_figure(
         if len(held_out) == len(numbers):
             axes.plot(numbers, scale * np.array(held_out), lw=0.8, color=color)
         if fit.model.name in reference:
-            axes.axhline(scale * reference[fit.model.name], color=color, lw=0.9, ls=DASHED)
+            axes.axhline(scale * reference[fit.model.name], color=color, lw=0.9, ls=style.DASHED)
     unit = f"$10^{{{exponent}}}$" if narrow else "–"
     axes.set(yscale="log", xlabel="iteration [–]", ylabel=f"loss [{unit}]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -79,14 +63,17 @@ def loss_history_figure(
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-    handles = [key(fit.model.name, rung_color(fit.model.name), marker="o", ms=4) for fit in fits]
+    handles = [
+        style.key(fit.model.name, style.rung_color(fit.model.name), marker="o", ms=4)
+        for fit in fits
+    ]
     if reference:
-        handles.append(key(reference_label, lw=0.9, ls=DASHED))
+        handles.append(style.key(reference_label, lw=0.9, ls=style.DASHED))
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
     return figure
 
 
-@styled
+@style.styled
 def thrust_figure(
     models: Sequence[Model],
     trajectory: Trajectory | None = None,
@@ -103,14 +90,14 @@ def thrust_figure(
     vehicle = models[0].vehicle
     order, columns = _arrangement(vehicle)
     rows = -(-len(order) // columns)
-    figure = new_figure(PAGE_WIDTH if columns > 2 else 6.4, 0.6 + 2.25 * rows)
-    grid = panels(figure, len(order), columns, sharex=True, sharey=True)
+    figure = style.new_figure(style.PAGE_WIDTH if columns > 2 else 6.4, 0.6 + 2.25 * rows)
+    grid = style.panels(figure, len(order), columns, sharex=True, sharey=True)
     speed = np.linspace(0, 1, 201)
     bands = [_band(model, speed) for model in models]
     highest = 0.0
     for axes, motor in zip(grid, order, strict=True):
         for model, band in zip(models, bands, strict=True):
-            color, curve = rung_color(model.name), _curves(model, speed)[motor]
+            color, curve = style.rung_color(model.name), _curves(model, speed)[motor]
             highest = max(highest, float(curve.max()))
             axes.plot(speed, curve, color=color, lw=3.0, alpha=0.45, zorder=2)
             if band is not None:
@@ -118,7 +105,9 @@ def thrust_figure(
         for model in reference:
             curve = _curves(model, speed)[motor]
             highest = max(highest, float(curve.max()))
-            axes.plot(speed, curve, color=rung_color(model.name), lw=1.1, ls=DASHED, zorder=3)
+            axes.plot(
+                speed, curve, color=style.rung_color(model.name), lw=1.1, ls=style.DASHED, zorder=3
+            )
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
     # A band that knows nothing must not flatten the curves.
     widest = [np.nanmax(band[1], initial=0.0) for band in bands if band is not None]
@@ -131,16 +120,16 @@ def thrust_figure(
             used = trajectory.input[trajectory.usable, motor]
             _draw_commands(axes, used, last=number % columns == columns - 1)
     handles: list[Artist] = [
-        key(_label(model), rung_color(model.name), lw=3, alpha=0.6) for model in models
+        style.key(_label(model), style.rung_color(model.name), lw=3, alpha=0.6) for model in models
     ]
     if any(band is not None for band in bands):
-        color = rung_color(models[0].name) if len(models) == 1 else SKY
+        color = style.rung_color(models[0].name) if len(models) == 1 else style.SKY
         handles.append(Patch(color=color, alpha=0.25, lw=0, label="95 % interval"))
     if reference:
-        handles.append(key(reference_label, lw=1.1, ls=DASHED))
+        handles.append(style.key(reference_label, lw=1.1, ls=style.DASHED))
     if trajectory is not None:
-        handles.append(Patch(color=LIGHT, label="commands in training"))
-    top_legend(figure, handles)
+        handles.append(Patch(color=style.LIGHT, label="commands in training"))
+    style.top_legend(figure, handles)
     return figure
 
 
@@ -167,7 +156,7 @@ def _label(model: Model) -> str:
 
 def _arrangement(vehicle: Vehicle) -> tuple[list[int], int]:
     """Return the order of the motors in a grid, and its columns; up to four pairs stand upright."""
-    groups = propeller_groups(vehicle)
+    groups = style.propeller_groups(vehicle)
     if len(groups) <= 4 and {len(group) for group in groups} == {2}:
         return [group[row] for row in (0, 1) for group in groups], len(groups)
     return list(range(vehicle.n_propellers)), min(vehicle.n_propellers, 4)
@@ -181,27 +170,30 @@ def _draw_commands(axes: Axes, commands: Float[np.ndarray, " N"], *, last: bool)
     scale.set_zorder(axes.get_zorder() - 1)
     axes.patch.set_visible(False)
     scale.grid(False)
-    scale.bar(edges[:-1], share, _BIN, align="edge", color=LIGHT, edgecolor="white", lw=0.6)
+    scale.bar(edges[:-1], share, _BIN, align="edge", color=style.LIGHT, edgecolor="white", lw=0.6)
     scale.set(ylim=(0, _TOP), yticks=(0, 5, 10))
-    scale.tick_params(colors=GREY, labelright=last, right=last)
+    scale.tick_params(colors=style.GREY, labelright=last, right=last)
     if last:
-        scale.set_ylabel("samples [%]", color=GREY, loc="bottom")
-    small = {"fontsize": 7.5, "color": GREY}
+        scale.set_ylabel("samples [%]", color=style.GREY, loc="bottom")
+    small = {"fontsize": 7.5, "color": style.GREY}
     for left, value in zip(edges[:-1], share, strict=True):
         if value > _TOP:
             scale.text(left + 1.2 * _BIN, 0.97 * _TOP, f"{value:.0f} %", va="top", **small)
     low, high = float(commands.min()), float(commands.max())
     axes.set_title(f"u from {low:.2g} to {high:.2g}", loc="right", fontweight="normal", **small)
-    bracket = {"arrowstyle": "|-|", "mutation_scale": 3, "color": BLACK, "shrinkA": 0, "shrinkB": 0}
+    bracket = {
+        "arrowstyle": "|-|",
+        "mutation_scale": 3,
+        "color": style.BLACK,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     scale.annotate("", (low, 0.0), (high, 0.0), arrowprops=bracket, annotation_clip=False)
 
 
-@styled
+@style.styled
 def parameter_figure(
-    fitted: Sequence[Model],
-    reference: Mapping[str, Model],
-    *,
-    reference_label: str = "published",
+    fitted: Sequence[Model], reference: Mapping[str, Model], *, reference_label: str = "published"
 ) -> Figure:
     """Draw relative differences between fitted and reference parameters.
 
@@ -211,7 +203,7 @@ def parameter_figure(
     """
     models = [model for model in fitted if model.name in reference]
     names = models[0].vehicle.propeller_names
-    figure = new_figure(PAGE_WIDTH, 1.35 + 0.3 * len(names))
+    figure = style.new_figure(style.PAGE_WIDTH, 1.35 + 0.3 * len(names))
     linear, angular, scalars = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
     for kind, axes, quantity in ((0, linear, "linear"), (1, angular, "angular")):
         ratios = {
@@ -231,7 +223,9 @@ def parameter_figure(
     scalars.set_title("where learned", loc="left")
     for axes in (linear, angular, scalars):
         axes.set_xlabel(f"fitted against {reference_label} [%]")
-    top_legend(figure, [key(m.name, rung_color(m.name), ls="", marker="o") for m in models])
+    style.top_legend(
+        figure, [style.key(m.name, style.rung_color(m.name), ls="", marker="o") for m in models]
+    )
     return figure
 
 
@@ -249,32 +243,36 @@ def _draw_ratios(
     rows = -np.arange(len(labels), dtype=float)
     spread = np.linspace(0.26, -0.26, max(len(ratios), 2))
     for offset, (name, ratio) in zip(spread, ratios.items(), strict=False):
-        axes.plot(100 * (ratio - 1), rows + offset, "o", color=rung_color(name), ms=4.5)
+        axes.plot(100 * (ratio - 1), rows + offset, "o", color=style.rung_color(name), ms=4.5)
     for row in rows[:-1]:
         axes.axhline(row - 0.5, color="#e6e6e6", lw=0.6)
-    axes.axvline(0, color=BLACK, lw=0.8)
+    axes.axvline(0, color=style.BLACK, lw=0.8)
     axes.grid(visible=False, axis="y")
     axes.set_yticks(rows, labels)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(rows[-1] - 0.5, 0.5)
 
 
-@styled
+@style.styled
 def packet_delay_figure(
     sent: Float[np.ndarray, " K"], delays: PacketDelays, model: Model
 ) -> Figure:
     """Draw the delay of every packet that is known, ± two standard errors, and the distribution."""
-    figure = new_figure(PAGE_WIDTH, 2.9)
+    figure = style.new_figure(style.PAGE_WIDTH, 2.9)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
     mean = 1e3 * model.transport_delay
     delay, reach = mean + 1e3 * delays.deviation, 2e3 * delays.standard_error
-    left.errorbar(sent[delays.packet], delay, reach, ls="", marker="o", ms=2.6, lw=0.7, color=BLUE)
-    handles = [left.axhline(mean, color=GREY, lw=1.0, label="mean, as learned with the model")]
+    left.errorbar(
+        sent[delays.packet], delay, reach, ls="", marker="o", ms=2.6, lw=0.7, color=style.BLUE
+    )
+    handles = [
+        left.axhline(mean, color=style.GREY, lw=1.0, label="mean, as learned with the model")
+    ]
     left.set(xlabel="time [s]", ylabel="delay of a packet [ms]")
     count, edges, _ = right.hist(
-        delay, _DELAY_BINS, orientation="horizontal", color=BLUE, alpha=0.55
+        delay, _DELAY_BINS, orientation="horizontal", color=style.BLUE, alpha=0.55
     )
-    right.axhline(mean, color=GREY, lw=1.0)
+    right.axhline(mean, color=style.GREY, lw=1.0)
     right.set(xlabel="packets", xlim=(0, 1.08 * count.max()))
     jitter = model.delay_jitter
     if jitter is not None and jitter.standard_deviation_s > 0:
@@ -283,6 +281,6 @@ def packet_delay_figure(
         density = np.exp(-(((at - center) / spread) ** 2) / 2) / (spread * np.sqrt(2 * np.pi))
         expected = density * len(delay) * (edges[1] - edges[0])
         label = f"normal, jitter of {spread:.1f} ms"
-        handles += right.plot(expected, at, color=VERMILLION, label=label)
-    top_legend(figure, handles)
+        handles += right.plot(expected, at, color=style.VERMILLION, label=label)
+    style.top_legend(figure, handles)
     return figure

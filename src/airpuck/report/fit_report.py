@@ -15,16 +15,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.model.model_file import Model
 from airpuck.report.fault_report import fault_section
 from airpuck.report.fit_figures import packet_delay_figure
-from airpuck.report.fit_sections import (
-    craft_section,
-    optimiser_section,
-    parameter_section,
-    prediction_section,
-    sources_section,
-    thrust_section,
-    timeline_section,
-)
-from airpuck.report.fit_study import FitStudy
+from airpuck.report.fit_sections import FitStudy, craft_section, sources_section, study_sections
 from airpuck.report.page import Picture, Section, write_page
 
 
@@ -38,7 +29,35 @@ def fit_report(
     title: str | None = None,
     more: Sequence[Section] = (),
 ) -> Path:
-    """Write a report on one or several fits."""
+    """Write a report on one or several fits.
+
+    Parameters
+    ----------
+    fits : Fit or sequence of Fit
+        Fits of one craft to one recording.
+    evaluations : sequence of Evaluation
+        How well they predict another recording, in the same order; can be empty.
+    training : Trajectory
+        What they were learned from.
+    out : path-like
+        Folder to write to.
+    truth : Model, optional
+        What flew, where it is known; the report compares the fits with it.
+    title : str, optional
+        By default the name of the craft.
+    more : sequence of Section, optional
+        Sections to add at the end.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        If there is no fit, or the folder cannot be written to.
+    """
     fits = (fits,) if isinstance(fits, Fit) else tuple(fits)
     if not fits:
         raise InputError("there is no fit to report on")
@@ -53,10 +72,7 @@ def fit_report(
         reference_label="true" if truth is not None else "reference",
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
-    sections = [craft_section(vehicle)]
-    if evaluations:
-        sections += [prediction_section(study), timeline_section(study)]
-    sections += [thrust_section(study), optimiser_section(study), parameter_section(study)]
+    sections = [craft_section(vehicle), *study_sections(study)]
     if last.packet_delays and len(last.packet_delays[0]):
         sections.append(_delay_section(last, training))
     if last.exclusion is not None:

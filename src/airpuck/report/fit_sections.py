@@ -1,14 +1,22 @@
-"""The sections of a report on fits, of whatever to whatever craft."""
+"""Fits of whatever to whatever craft, and the sections of a report on them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Span, Trajectory
+from airpuck.data.windows import make_windows
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.evaluation.evaluate import Evaluation, hold_for, prediction_errors
 from airpuck.identification.fit_result import Fit
+from airpuck.identification.objective import PUBLISHED_WEIGHTS
+from airpuck.model.model_file import Model
 from airpuck.report.craft import craft_figure
 from airpuck.report.error_figures import (
     WORST,
@@ -19,17 +27,10 @@ from airpuck.report.error_figures import (
     touched_by,
 )
 from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
-from airpuck.report.fit_study import FitStudy, protocol_words
 from airpuck.report.page import Picture, Section, Table, Text, packaged_text
-from airpuck.report.parameter_table import (
-    coefficient_rows,
-    effect_rows,
-    main_rows,
-    parameter_table,
-)
+from airpuck.report.parameter_table import coefficient_rows, effect_rows, main_rows, parameter_table
 
-#: Factors and formats of x, y, yaw in tables.
-_FACTORS, _FORMATS = (1e3, 1e3, 1.0), (".2f", ".2f", ".4f")
+#: Headings of errors in tables.
 _CHANNELS = ("x mm", "y mm", "γ rad")
 #: What stands behind a value.
 _INTERVALS = (
@@ -39,12 +40,77 @@ _INTERVALS = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class FitStudy:
+    """Models of one craft, learned from one trajectory and judged on another."""
+
+    #: What the models were learned from.
+    training: Trajectory
+    #: How they were learned.
+    fits: tuple[Fit, ...]
+    #: How well they predict, in the same order; can be empty.
+    fitted: tuple[Evaluation, ...] = ()
+    #: What they are compared with, by name of the rung.
+    reference: Mapping[str, Model] = field(default_factory=dict)
+    #: How well the reference predicts.
+    reference_evaluations: tuple[Evaluation, ...] = ()
+    #: What the reference is, in a word.
+    reference_label: str = "published"
+    #: Known faults of the recording that the models are judged on.
+    faults: tuple[Span, ...] = ()
+
+    @property
+    def models(self) -> list[Model]:
+        """The models that were learned."""
+        return [fit.model for fit in self.fits]
+
+    @cached_property
+    def reference_losses(self) -> dict[str, float]:
+        """Loss of each reference model on the windows of the fit of the same name.
+
+        Each reference is evaluated with its own conventions of encoder and frame.
+        """
+        losses = {}
+        for fit in self.fits:
+            model, settings = self.reference.get(fit.model.name), fit.model.fit
+            if model is None:
+                continue
+            encoder = PaperEncoder(settings.get("encoder_length", 20), model.indexing)
+            windows = hold_for(
+                model,
+                make_windows(
+                    self.training,
+                    encoder.length,
+                    settings.get("prediction_length", 50),
+                    settings.get("stride", 7),
+                ),
+            )
+            errors = prediction_errors(model.dynamics, windows, encoder)
+            weights = np.array(settings.get("weights", PUBLISHED_WEIGHTS))[:, None]
+            losses[fit.model.name] = float(np.mean((weights * errors) ** 2))
+        return losses
+
+    @cached_property
+    def best(self) -> Evaluation:
+        """The fitted model whose three errors are lowest on geometric average."""
+        return min(self.fitted, key=lambda e: float(np.log(np.maximum(e.rmse, 1e-300)).sum()))
+
+
+def protocol_words(evaluation: Evaluation) -> str:
+    """Say in a sentence how errors were measured."""
+    protocol = evaluation.protocol
+    after = evaluation.horizon_step * evaluation.sample_period
+    return (
+        f"Protocol “{protocol.name}”: {evaluation.errors.shape[2]} windows that do not overlap, "
+        f"of {protocol.encoder_length} samples for the encoder and {protocol.prediction_length} "
+        f"steps to predict; errors after step {evaluation.horizon_step} ({after:.3f} s)."
+    )
+
+
 def errors_as_text(values: np.ndarray) -> list[str]:
     """Format errors of x, y [m] and yaw [rad] as millimetres and radians."""
-    return [
-        format(factor * value, form)
-        for value, factor, form in zip(values, _FACTORS, _FORMATS, strict=True)
-    ]
+    x, y, yaw = values
+    return [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
 
 
 def craft_section(vehicle: Vehicle) -> Section:
@@ -67,7 +133,18 @@ def craft_section(vehicle: Vehicle) -> Section:
     return Section("craft", "The craft", pictures)
 
 
-def prediction_section(study: FitStudy, table: Table | None = None) -> Section:
+def study_sections(study: FitStudy, error_table: Table | None = None) -> list[Section]:
+    """Show how well models predict, where any were judged, how they were found, and what they are.
+
+    The table of errors can be replaced.
+    """
+    judged = []
+    if study.fitted:
+        judged = [_prediction_section(study, error_table), _timeline_section(study)]
+    return [*judged, _thrust_section(study), _optimiser_section(study), _parameter_section(study)]
+
+
+def _prediction_section(study: FitStudy, table: Table | None = None) -> Section:
     """Show how far predictions are off."""
     protocol, label = protocol_words(study.fitted[0]), study.reference_label
     horizon = "Root mean square error over the time predicted. "
@@ -82,19 +159,18 @@ def prediction_section(study: FitStudy, table: Table | None = None) -> Section:
         f"lies above {np.min(ranks):.0f} to {np.max(ranks):.0f} % of the windows: the higher, the "
         "more it is ruled by a few, and the less it says about the typical window, at 50 %. "
     )
+    shares = error_distribution_figure(study.fitted)
     curves = horizon_figure(study.fitted, study.reference_evaluations, reference_label=label)
     blocks = (
         table or _error_table(study),
         _median_table(study),
         Picture("horizon", curves, horizon + protocol),
-        Picture(
-            "error_distribution", error_distribution_figure(study.fitted), distribution + protocol
-        ),
+        Picture("error_distribution", shares, distribution + protocol),
     )
     return Section("prediction", "Prediction error", blocks)
 
 
-def timeline_section(study: FitStudy) -> Section:
+def _timeline_section(study: FitStudy) -> Section:
     """Show where in time the errors of the best fitted model are."""
     best = study.best
     shares = " / ".join(f"{100 * share_of_squares(errors):.0f}" for errors in best.at_horizon)
@@ -118,7 +194,7 @@ def timeline_section(study: FitStudy) -> Section:
     return Section("time", "Where in time the errors are", (picture,))
 
 
-def thrust_section(study: FitStudy) -> Section:
+def _thrust_section(study: FitStudy) -> Section:
     """Show the thrust curves, of M3 and M4 where they are there."""
     models = [m for m in study.models if m.name in ("M3", "M4")] or study.models
     reference = [study.reference[m.name] for m in models if m.name in study.reference]
@@ -142,7 +218,7 @@ def thrust_section(study: FitStudy) -> Section:
     return Section("thrust", "Thrust curves", (Picture("thrust", figure, caption),))
 
 
-def optimiser_section(study: FitStudy) -> Section:
+def _optimiser_section(study: FitStudy) -> Section:
     """Show how the fits were found."""
     losses, label = study.reference_losses, study.reference_label
     rows = []
@@ -183,7 +259,7 @@ def optimiser_section(study: FitStudy) -> Section:
     return Section("optimiser", "How the fits were found", blocks)
 
 
-def parameter_section(study: FitStudy) -> Section:
+def _parameter_section(study: FitStudy) -> Section:
     """Show the parameters."""
     label, groups = study.reference_label, [("", 2)]
     models, headings = [], ["", "unit"]

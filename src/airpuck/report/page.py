@@ -76,6 +76,25 @@ def write_page(
 
     The page holds its pictures within itself, so that it can be sent alone. Each file is written to
     a temporary name and renamed; the page comes last.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder to write to.
+    title, lead : str
+        Plain text.
+    sections : sequence of Section
+        Content.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
     """
     folder = Path(out)
     images = {}

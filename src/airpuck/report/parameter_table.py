@@ -95,7 +95,7 @@ def coefficient_rows(models: Sequence[Model]) -> list[Row]:
     """Tabulate every thrust coefficient as learned, without any change of scale."""
     by_power = []
     for power in range(max(np.shape(model.parameters.thrust)[1] for model in models)):
-        labels = [f"{chr(ord('a') + power)} {name}" for name in _propellers(models)]
+        labels = [f"{chr(ord('a') + power)} {name}" for name in models[0].vehicle.propeller_names]
 
         def coefficients(model: Model, power: int = power) -> Any:
             return model.parameters.thrust[:, power : power + 1].sum(axis=1)  # 0 beyond the degree
@@ -113,14 +113,9 @@ def effect_rows(models: Sequence[Model]) -> list[Row]:
     )
     rows = []
     for label, unit, values, form in kinds:
-        labels = [f"{label} {name}" for name in _propellers(models)]
+        labels = [f"{label} {name}" for name in models[0].vehicle.propeller_names]
         rows += _rows(models, labels, unit, "thrust", values, form)
     return rows
-
-
-def _propellers(models: Sequence[Model]) -> tuple[str, ...]:
-    """Return the names of the propellers."""
-    return models[0].vehicle.propeller_names
 
 
 def _rows(

@@ -14,22 +14,8 @@ from airpuck.control.discretization import rotation_error
 from airpuck.flight.replay import Replay
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
+from airpuck.report import style
 from airpuck.report.page import Picture, Section, Table, Text, write_page
-from airpuck.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    LIGHT,
-    ORANGE,
-    PAGE_WIDTH,
-    POSE,
-    VERMILLION,
-    key,
-    motor_panels,
-    new_figure,
-    styled,
-    top_legend,
-)
 
 #: What the outcomes of a control step mean.
 OUTCOMES = {
@@ -59,26 +45,14 @@ def replay_report(replay: Replay, model: Model, period: float, out: str | os.Pat
     )
     error = rotation_error_figure(_fastest_spin(replay), period)
     corrected = "The next measurement corrects it; it matters for the one-step look-ahead only."
+    asked = Picture("replay_flight", flight_figure(replay), "Where the craft was asked to be.")
+    compared = Picture("replay_commands", command_figure(replay), commands)
+    neglected = (Picture("rotation_error", error, turning), Text([corrected]))
     sections = [
-        Section(
-            "commands",
-            "Commands",
-            (
-                _agreement_table(replay),
-                Picture("replay_commands", command_figure(replay), commands),
-            ),
-        ),
-        Section(
-            "flight",
-            "Flight",
-            (Picture("replay_flight", flight_figure(replay), "Where the craft was asked to be."),),
-        ),
+        Section("commands", "Commands", (_agreement_table(replay), compared)),
+        Section("flight", "Flight", (asked,)),
         Section("controller", "Controller", _controller_tables(replay)),
-        Section(
-            "discretisation",
-            "What the discretisation neglects",
-            (Picture("rotation_error", error, turning), Text([corrected])),
-        ),
+        Section("discretisation", "What the discretisation neglects", neglected),
     ]
     lead = (
         f"{model.name}, {figures['steps']} commands between {used[0]:.1f} and {used[-1]:.1f} s: "
@@ -128,11 +102,11 @@ def _fastest_spin(replay: Replay) -> float:
     return float(np.max(np.abs(turned / taken), initial=0.0)) if (taken > 0).all() else 0.0
 
 
-@styled
+@style.styled
 def command_figure(replay: Replay) -> Figure:
     """Draw the recorded and the computed command of every motor over time."""
     n = len(replay.motors)
-    figure = new_figure(PAGE_WIDTH, 0.5 + 1.35 * ((n + 1) // 2))
+    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.35 * ((n + 1) // 2))
     medians = np.median(np.abs(replay.difference), axis=0)
     titles = [
         f"{name}: r = {correlation:.3f}, median |Δ| {median:.4f}"
@@ -141,60 +115,62 @@ def command_figure(replay: Replay) -> Figure:
         )
     ]
     outside = _outside(replay)
-    for i, axes in enumerate(motor_panels(figure, titles)):
-        axes.plot(replay.time, replay.sent[:, i], color=GREY, linewidth=2.2)
-        axes.plot(replay.time, replay.computed[:, i], color=VERMILLION, linewidth=0.9)
+    for i, axes in enumerate(style.motor_panels(figure, titles)):
+        axes.plot(replay.time, replay.sent[:, i], color=style.GREY, linewidth=2.2)
+        axes.plot(replay.time, replay.computed[:, i], color=style.VERMILLION, linewidth=0.9)
         for start, stop in outside:
-            axes.axvspan(start, stop, color=LIGHT, linewidth=0, alpha=0.6)
+            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, alpha=0.6)
         axes.set_xlim(replay.time[0], replay.time[-1])
     handles: list[Artist] = [
-        key("sent in the flight", GREY, linewidth=2.2),
-        key("computed by this controller", VERMILLION, linewidth=0.9),
+        style.key("sent in the flight", style.GREY, linewidth=2.2),
+        style.key("computed by this controller", style.VERMILLION, linewidth=0.9),
     ]
     if outside:
-        handles.append(Patch(color=LIGHT, alpha=0.6, label="not compared"))
-    top_legend(figure, handles)
+        handles.append(Patch(color=style.LIGHT, alpha=0.6, label="not compared"))
+    style.top_legend(figure, handles)
     return figure
 
 
-@styled
+@style.styled
 def flight_figure(replay: Replay) -> Figure:
     """Draw what the craft did beside what it was asked to do."""
-    figure = new_figure(PAGE_WIDTH, 4.4)
+    figure = style.new_figure(style.PAGE_WIDTH, 4.4)
     panels = figure.subplots(3, 1, sharex=True)
     pose, asked = replay.pose.copy(), replay.reference.copy()
     # The yaw is drawn continuous, and a set point in the turn that is nearest to the craft.
     known = np.isfinite(pose[:, 2])
     pose[known, 2] = np.unwrap(pose[known, 2])
     asked[known, 2] = (pose[:, 2] - wrapped(np, pose[:, 2] - asked[:, 2]))[known]
-    for i, (axes, (name, unit)) in enumerate(zip(panels, POSE, strict=True)):
-        axes.plot(replay.time, asked[:, i], color=BLACK, linewidth=1.0, linestyle="--")
-        axes.plot(replay.time, pose[:, i], color=BLUE)
+    for i, (axes, (name, unit)) in enumerate(zip(panels, style.POSE, strict=True)):
+        axes.plot(replay.time, asked[:, i], color=style.BLACK, linewidth=1.0, linestyle="--")
+        axes.plot(replay.time, pose[:, i], color=style.BLUE)
         axes.set_ylabel(f"{name} [{unit}]")
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(replay.time[0], replay.time[-1])
-    craft = key("the craft, as the controller saw it", BLUE)
-    top_legend(figure, [craft, key("set point", linewidth=1.0, linestyle="--")])
+    craft = style.key("the craft, as the controller saw it", style.BLUE)
+    style.top_legend(figure, [craft, style.key("set point", linewidth=1.0, linestyle="--")])
     return figure
 
 
-@styled
+@style.styled
 def rotation_error_figure(fastest: float, period: float) -> Figure:
     """Draw what the discretisation neglects: the craft turns while a force is held."""
-    figure = new_figure(0.75 * PAGE_WIDTH, 3.0)
+    figure = style.new_figure(0.75 * style.PAGE_WIDTH, 3.0)
     axes = figure.subplots()
     spin = np.geomspace(0.1, 50, 200)
     periods = sorted({0.002, 0.005, 0.01, 0.02, 0.05, period})
     for shade, h in zip(np.linspace(0.25, 1.0, len(periods)), periods, strict=True):
         error = 100 * rotation_error(spin, np.full_like(spin, h))
         flown = h == period
-        color, alpha, width = (VERMILLION, 1.0, 2.2) if flown else (BLUE, float(shade), 1.2)
+        color, alpha, width = (
+            (style.VERMILLION, 1.0, 2.2) if flown else (style.BLUE, float(shade), 1.2)
+        )
         axes.loglog(spin, error, color=color, alpha=alpha, linewidth=width)
         place = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
         axes.annotate(f"{1e3 * h:g} ms", (spin[-1], error[-1]), fontsize=8, **place)
     if fastest > 0:
         at = 100 * float(rotation_error(np.array(fastest), np.array(period)))
-        axes.plot([fastest], [at], "o", color=ORANGE, markeredgecolor=BLACK, zorder=5)
+        axes.plot([fastest], [at], "o", color=style.ORANGE, markeredgecolor=style.BLACK, zorder=5)
         axes.annotate(
             f"fastest spin flown: {fastest:.1f} rad/s, {at:.1f} %",
             (fastest, at),

@@ -19,24 +19,9 @@ from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.evaluation.residuals import ResidualTests
 from airpuck.model.model_file import Model
+from airpuck.report import style
 from airpuck.report.fit_sections import sources_section
 from airpuck.report.page import Picture, Section, Table, Text, write_page
-from airpuck.report.style import (
-    BLACK,
-    BLUE,
-    ERRORS,
-    GREY,
-    LIGHT,
-    ORANGE,
-    PAGE_WIDTH,
-    SKY,
-    VERMILLION,
-    key,
-    new_figure,
-    propeller_colors,
-    styled,
-    top_legend,
-)
 
 #: Opacity of the total band, and of that of the parameters on it.
 _TOTAL, _PARAMETERS = 0.35, 0.55
@@ -140,7 +125,7 @@ def _noise_table(tests: ResidualTests) -> Table:
     return Table(caption, ["", "x", "y", "γ", "unit"], rows)
 
 
-@styled
+@style.styled
 def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     """Draw the correlations of the innovations with their 99 % bands.
 
@@ -148,9 +133,9 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     positive lags those that act already; at negative ones those to come, which show only under
     feedback or where the model lets commands act too late.
     """
-    figure = new_figure(PAGE_WIDTH, 5.2)
+    figure = style.new_figure(style.PAGE_WIDTH, 5.2)
     rows = figure.subplots(2, len(tests.whiteness), squeeze=False)
-    colors = propeller_colors(vehicle)
+    colors = style.propeller_colors(vehicle)
     # The second propeller of a pair is dashed.
     dashes = ["-" if colors.index(c) == i else (0, (3, 1.2)) for i, c in enumerate(colors)]
     styles = {
@@ -160,7 +145,7 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     for above, below, white in zip(*rows, tests.whiteness, strict=True):
         lags = np.arange(1, len(white.autocorrelation) + 1)
         _draw_white_band(above, white.band)
-        color = BLUE if white.passed else VERMILLION
+        color = style.BLUE if white.passed else style.VERMILLION
         above.vlines(lags, 0, white.autocorrelation, color=color, lw=1.2)
         above.plot(lags, white.autocorrelation, ".", color=color, ms=4)
         above.set_title(f"{white.channel}: {'white' if white.passed else 'not white'}", loc="left")
@@ -172,9 +157,9 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
         reach = max(np.abs(axes.get_ylim()).max() for axes in row)
         for axes in row:
             axes.set_ylim(-reach, reach)
-    handles: list[Artist] = [Patch(color=LIGHT, label="99 % band")]
-    handles += [key(name, **style) for name, style in styles.items()]
-    top_legend(figure, handles, columns=min(len(handles), 7))
+    handles: list[Artist] = [Patch(color=style.LIGHT, label="99 % band")]
+    handles += [style.key(name, **line) for name, line in styles.items()]
+    style.top_legend(figure, handles, columns=min(len(handles), 7))
     return figure
 
 
@@ -195,7 +180,7 @@ def _draw_correlations(
             alpha=0.6 if test.passed else 1.0,
         )
         axes.set_xlim(-reach, reach)
-    axes.axvline(0, color=GREY, lw=0.7)
+    axes.axvline(0, color=style.GREY, lw=0.7)
     failed = sum(not test.passed for test in correlations)
     verdict = f"{failed} of {len(correlations)} motors fail" if failed else "all motors pass"
     axes.set_title(f"{channel}: {verdict}", loc="left")
@@ -204,8 +189,8 @@ def _draw_correlations(
 
 def _draw_white_band(axes: Axes, band: float) -> None:
     """Shade where 99 % of the correlations lie if there is nothing to find."""
-    axes.axhspan(-band, band, color=LIGHT, lw=0)
-    axes.axhline(0, color=GREY, lw=0.7)
+    axes.axhspan(-band, band, color=style.LIGHT, lw=0)
+    axes.axhline(0, color=style.GREY, lw=0.7)
 
 
 def typical_window(bands: PredictionBands) -> int:
@@ -216,7 +201,7 @@ def typical_window(bands: PredictionBands) -> int:
     return int(np.argsort(size, kind="stable")[(len(size) - 1) // 2])
 
 
-@styled
+@style.styled
 def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) -> Figure:
     """Draw predictions with their bands over some seconds of a recording.
 
@@ -224,26 +209,26 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
     predicted, which the bands should hold. Right: the same of the simulation with the median error,
     over all of these seconds.
     """
-    figure = new_figure(PAGE_WIDTH, 6.4)
+    figure = style.new_figure(style.PAGE_WIDTH, 6.4)
     whole = typical_window(simulated)
     begin, end = simulated.start[whole], simulated.time[-1, whole]
-    shown = np.flatnonzero((ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9))
+    shown = np.flatnonzero((ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)).tolist()
     grid = figure.subplots(3, 3, sharex=True)
     for channel, (pose, left, right) in enumerate(grid):
         time = simulated.time[:, whole]
-        pose.plot(time, simulated.measured[:, channel, whole], color=BLACK, lw=2.4, alpha=0.5)
+        pose.plot(time, simulated.measured[:, channel, whole], color=style.BLACK, lw=2.4, alpha=0.5)
         middle, half = simulated.predicted[:, channel, whole], simulated.total[:, channel, whole]
-        pose.fill_between(time, middle - half, middle + half, color=SKY, alpha=_TOTAL, lw=0)
-        pose.plot(time, middle, color=ORANGE, lw=1.1)
-        for k in shown.tolist():
+        pose.fill_between(time, middle - half, middle + half, color=style.SKY, alpha=_TOTAL, lw=0)
+        pose.plot(time, middle, color=style.ORANGE, lw=1.1)
+        for k in shown:
             short = ahead.predicted[:, channel, k]
-            pose.plot(ahead.time[:, k], short, color=BLUE, lw=1.1, zorder=3)
+            pose.plot(ahead.time[:, k], short, color=style.BLUE, lw=1.1, zorder=3)
             _draw_errors(left, ahead, k, channel)
         _draw_errors(right, simulated, whole, channel)
         name = "xyγ"[channel]
         pose.set_ylabel(f"{name} [{'rad' if channel == 2 else 'm'}]")
         for axes, bands in ((left, ahead), (right, simulated)):
-            axes.set_ylabel(f"error of {name} [{ERRORS[channel][1]}]")
+            axes.set_ylabel(f"error of {name} [{style.ERRORS[channel][1]}]")
             held = f"{bands.coverage[channel]:.0f} % of {len(bands.start)} held"
             axes.set_title(f"{bands.horizon:.1f} s: {held}", loc="left")
     grid[0, 0].set_title("poses", loc="left")
@@ -251,25 +236,25 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
         axes.set_xlabel("time [s]")
         axes.margins(x=0.01)
     handles: list[Artist] = [
-        key("measured", lw=2.4, alpha=0.5),
-        key(f"predicted {ahead.horizon:.1f} s ahead", BLUE),
-        key(f"simulated for {simulated.horizon:.1f} s", ORANGE),
-        Patch(color=SKY, alpha=_TOTAL, label="95 % band"),
+        style.key("measured", lw=2.4, alpha=0.5),
+        style.key(f"predicted {ahead.horizon:.1f} s ahead", style.BLUE),
+        style.key(f"simulated for {simulated.horizon:.1f} s", style.ORANGE),
+        Patch(color=style.SKY, alpha=_TOTAL, label="95 % band"),
     ]
     if ahead.by_parameters is not None:
-        handles.append(Patch(color=BLUE, alpha=_PARAMETERS, label="of it, parameters"))
-    top_legend(figure, handles)
+        handles.append(Patch(color=style.BLUE, alpha=_PARAMETERS, label="of it, parameters"))
+    style.top_legend(figure, handles)
     return figure
 
 
 def _draw_errors(axes: Axes, bands: PredictionBands, window: int, channel: int) -> None:
     """Draw measured minus predicted of one window, and the bands about zero."""
-    factor, time = ERRORS[channel][2], bands.time[:, window]
-    parts = [(bands.total, SKY, _TOTAL)]
+    factor, time = style.ERRORS[channel][2], bands.time[:, window]
+    parts = [(bands.total, style.SKY, _TOTAL)]
     if bands.by_parameters is not None:
-        parts.append((bands.by_parameters, BLUE, _PARAMETERS))
+        parts.append((bands.by_parameters, style.BLUE, _PARAMETERS))
     for band, color, alpha in parts:
         half = factor * band[:, channel, window]
         axes.fill_between(time, -half, half, color=color, alpha=alpha, lw=0)
     error = factor * (bands.measured - bands.predicted)[:, channel, window]
-    axes.plot(time, error, color=BLACK, lw=1.0)
+    axes.plot(time, error, color=style.BLACK, lw=1.0)

@@ -139,7 +139,7 @@ def propeller_size(vehicle: Vehicle) -> float:
     return min(0.16 * vehicle.radius_m, 0.42 * closest_propellers(vehicle))
 
 
-def panels(figure: Figure, count: int, columns: int, **sharing: bool) -> list[Axes]:
+def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axes]:
     """Add a grid of panels, row by row; places left over stay empty."""
     grid = figure.subplots(-(-count // columns), columns, squeeze=False, **sharing).ravel()
     for spare in grid[count:]:

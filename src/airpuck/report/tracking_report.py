@@ -11,21 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from airpuck.flight.track import SetPointResult, Track
+from airpuck.report import style
 from airpuck.report.page import Picture, Section, Table, write_page
-from airpuck.report.style import (
-    BLACK,
-    DASHED,
-    GREY,
-    PAGE_WIDTH,
-    POSE,
-    VERMILLION,
-    key,
-    motor_panels,
-    new_figure,
-    rung_color,
-    styled,
-    top_legend,
-)
 from airpuck.twin.tracking_study import Tracked
 
 
@@ -92,32 +79,32 @@ def _triple(values: tuple[float, float, float]) -> str:
     return f"{1e3 * x:.1f}, {1e3 * y:.1f} mm, {yaw:.3f} rad"
 
 
-@styled
+@style.styled
 def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     """Draw pose and set points over time, for all models (fig:control_lqr).
 
     Real flights begin at different times: each is drawn from half a second before its first
     set point that differs from the start (`Track.origin`).
     """
-    figure = new_figure(PAGE_WIDTH, 5.0)
+    figure = style.new_figure(style.PAGE_WIDTH, 5.0)
     panels = figure.subplots(3, 1, sharex=True)
-    handles = [key("set point", linewidth=0.9, linestyle=":")]
+    handles = [style.key("set point", linewidth=0.9, linestyle=":")]
     _draw_set_points(panels, flights[0].twin, flights[0].origin)
     for flight in flights:
-        color = rung_color(flight.model)
+        color = style.rung_color(flight.model)
         tracks = [(flight.twin, "twin", {"linewidth": 1.5})]
         if flight.real is not None:
-            dashed = {"linewidth": 1.2, "linestyle": DASHED, "alpha": 0.8}
+            dashed = {"linewidth": 1.2, "linestyle": style.DASHED, "alpha": 0.8}
             tracks.append((flight.real, "real flight", dashed))
-        for track, kind, style in tracks:
+        for track, kind, line in tracks:
             for axes, values in zip(panels, track.pose.T, strict=True):
-                axes.plot(track.time - flight.origin, values, color=color, **style)
-            handles.append(key(f"{flight.model}, {kind}", color, **style))
-    for axes, (name, unit) in zip(panels, POSE, strict=True):
+                axes.plot(track.time - flight.origin, values, color=color, **line)
+            handles.append(style.key(f"{flight.model}, {kind}", color, **line))
+    for axes, (name, unit) in zip(panels, style.POSE, strict=True):
         axes.set_ylabel(f"{name} [{unit}]")
     panels[-1].set_xlim(0.0, max(float(f.twin.time[-1]) - f.origin for f in flights))
     panels[-1].set_xlabel("time [s]")
-    top_legend(figure, handles)
+    style.top_legend(figure, handles)
     return figure
 
 
@@ -126,22 +113,24 @@ def _draw_set_points(panels: Any, track: Track, origin: float) -> None:
     times = np.append(track.set_points.times, track.time[-1]) - origin
     poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
     for axes, values in zip(panels, poses.T, strict=True):
-        axes.step(times, values, where="post", color=BLACK, linewidth=0.9, linestyle=":")
+        axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
 
 
-@styled
+@style.styled
 def input_figure(flight: Tracked) -> Figure:
     """Draw the commands of one flight."""
     motors = flight.twin.motors
-    figure = new_figure(PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
-    tracks = [(flight.twin, "twin", VERMILLION, 0.9)]
+    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
+    tracks = [(flight.twin, "twin", style.VERMILLION, 0.9)]
     if flight.real is not None:
-        tracks.insert(0, (flight.real, "real flight", GREY, 2.0))
-    for i, axes in enumerate(motor_panels(figure, motors)):
+        tracks.insert(0, (flight.real, "real flight", style.GREY, 2.0))
+    for i, axes in enumerate(style.motor_panels(figure, motors)):
         for track, _, color, width in tracks:
             time = track.command_time - flight.origin
             axes.step(time, track.command[:, i], where="post", color=color, linewidth=width)
         axes.set_xlim(0.0, float(flight.twin.time[-1]) - flight.origin)
-    handles = [key(name, color, linewidth=width) for _, name, color, width in reversed(tracks)]
-    top_legend(figure, handles)
+    handles = [
+        style.key(name, color, linewidth=width) for _, name, color, width in reversed(tracks)
+    ]
+    style.top_legend(figure, handles)
     return figure
