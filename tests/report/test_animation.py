@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 
@@ -151,6 +152,14 @@ def test_a_page_needs_nothing_from_outside_and_runs_nothing_foreign(tmp_path):
     craft = CRAFT.model_copy(update={"propellers": propellers, "pairs": ()})
     page = animate(flight(craft), tmp_path / "b.html", vehicle=craft)
     assert page_data(page)["craft"]["names"] == list(names)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js")
+def test_the_script_of_a_page_is_javascript(tmp_path):
+    text = animate(flight(), tmp_path / "a.html").read_text(encoding="utf-8")
+    script = tmp_path / "a.js"
+    script.write_text(text.rpartition("<script>")[2].partition("</script>")[0], encoding="utf-8")
+    subprocess.run(["node", "--check", str(script)], check=True)
 
 
 def test_pages_are_small(tmp_path):

@@ -155,7 +155,7 @@ def _aligned(pose: Stream, other: Stream) -> Aligned:
 
 
 def _repeated(stream: Stream, times: int) -> Stream:
-    """Return a stream several times over."""
+    """Repeat the samples of a stream."""
     return Stream(
         np.tile(stream.stamp_ns, times),
         np.tile(stream.received_ns, times),
@@ -167,7 +167,7 @@ def _repeated(stream: Stream, times: int) -> Stream:
 def _poses(
     pose: Stream, aligned: Aligned, source: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Return times and poses that were really measured, the yaw continuous."""
+    """Return times and poses that were measured, with continuous yaw; frozen ones are left out."""
     time, values = _usable(pose, aligned.pose_time, "pose")
     if len(time) < 2:
         raise InputError("has fewer than two finite poses; there is nothing to show", file=source)
@@ -223,7 +223,7 @@ def _period(time: Float[np.ndarray, " K"]) -> float:
 
 
 def _longest_pause(time: Float[np.ndarray, " N"]) -> float:
-    """Return how far apart in time two poses may be that belong together."""
+    """Return the largest time between two poses that are connected [s]."""
     return max(_LONGEST_PAUSE, GAP_PERIODS * _period(time))
 
 
@@ -245,14 +245,14 @@ def _surroundings(
 def frame_times(
     start: float, stop: float, speed: float, frames_per_second: float
 ) -> Float[np.ndarray, " F"]:
-    """Return the moments that are shown."""
+    """Return the moments of the frames [s]."""
     step = speed / frames_per_second
-    # A hair's breadth more, so that rounding does not lose the last frame.
+    # A tiny allowance, so that rounding does not lose the last frame.
     return start + step * np.arange(int((stop - start) / step * (1 + 1e-9)) + 1)
 
 
 def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
-    """Say where everything is at given moments."""
+    """Compute where everything is at given moments [s]."""
     after = np.searchsorted(scene.time, time, side="right").clip(1, len(scene.time) - 1)
     before = after - 1
     apart = scene.time[after] - scene.time[before]
@@ -295,7 +295,7 @@ def thinned(scene: Scene, rate: float = 120.0) -> Scene:
 def trail(
     scene: Scene, until: float, seconds: float
 ) -> tuple[Float[np.ndarray, "S 2 2"], Float[np.ndarray, " S"]]:
-    """Return the path that the craft has just come along."""
+    """Return the last `seconds` of the path: line segments [m] and their ages, 0 to 1 (oldest)."""
     since = until - seconds
     inside = (scene.time > since) & (scene.time < until)
     # The trail begins and ends between poses.
@@ -311,7 +311,7 @@ def trail(
 
 
 def arrow_scale(vehicle: Vehicle) -> float:
-    """Return how long the arrow of a thrust is."""
+    """Return the length of an arrow per thrust [m/N]."""
     full = _largest_thrust(vehicle)
     return _LONGEST_ARROW * vehicle.radius_m / full if full > 0 else 0.0
 
@@ -325,7 +325,7 @@ def _largest_thrust(vehicle: Vehicle) -> float:
 def thrust_arrows(
     vehicle: Vehicle, pose: Float[np.ndarray, "F 3"], command: Float[np.ndarray, "F n"]
 ) -> Float[np.ndarray, "F n 2 2"]:
-    """Say where the arrows of the commanded thrusts start and end."""
+    """Compute where the arrows of the commanded thrusts start and end [m]."""
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     turn = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
     start = pose[:, None, :2] + np.einsum("fij,nj->fni", turn, vehicle.positions)
@@ -335,7 +335,7 @@ def thrust_arrows(
 
 
 def arrow_shapes(arrows: Float[np.ndarray, "n 2 2"], radius: float) -> Float[np.ndarray, "n 7 2"]:
-    """Return the outlines of arrows."""
+    """Return the outlines of arrows from their starts and ends; `radius` is the craft's [m]."""
     along = arrows[:, 1] - arrows[:, 0]
     length = np.hypot(along[:, 0], along[:, 1])
     unit = along / np.where(length > 0, length, 1.0)[:, None]
@@ -360,19 +360,19 @@ def arrow_shapes(arrows: Float[np.ndarray, "n 2 2"], radius: float) -> Float[np.
 
 
 def heading_mark(vehicle: Vehicle) -> Float[np.ndarray, "3 2"]:
-    """Return the mark that says where the front is."""
+    """Return the triangle that marks the front, in the body frame [m]."""
     return vehicle.radius_m * np.array([[1.3, 0.0], [1.0, 0.24], [1.0, -0.24]])
 
 
 def round_thrust(vehicle: Vehicle) -> float:
-    """Return a round thrust that an arrow in the key can stand for."""
+    """Return a round thrust for the arrow of the legend [N]."""
     full = _largest_thrust(vehicle) / 2
     power = 10.0 ** np.floor(np.log10(full)) if full > 0 else 1.0
     return float(max(k * power for k in (1, 2, 5) if k == 1 or k * power <= full))
 
 
 def short_names(names: tuple[str, ...]) -> list[str]:
-    """Return names without the words that all begin with."""
+    """Return names without the leading words that all share."""
     words = [name.split("_") for name in names]
     # The last word of a name is always its own.
     most = min(map(len, words)) - 1 if len(names) > 1 else 0

@@ -1,4 +1,4 @@
-"""An animation as one page that needs nothing from outside: play, pause, search, look closely."""
+"""An animation as one self-contained page, to play, pause and search in."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ _COLORS: dict[str, Any] = {
 
 
 def flight_data(scene: Scene) -> dict[str, Any]:
-    """Return what the page's script draws, as values that JSON knows."""
+    """Return what the page's script draws, as JSON values."""
     shown = thinned(scene)
     return {
         "start": round(scene.start, 6),
@@ -101,7 +101,7 @@ def flight_data(scene: Scene) -> dict[str, Any]:
 
 
 def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dict[str, list[int]]:
-    """Return times and poses as changes."""
+    """Return times and poses as differences."""
     return {
         "time": _changes(time, "time"),
         "x": _changes(pose[:, 0], "length"),
@@ -111,7 +111,7 @@ def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dic
 
 
 def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:
-    """Return numbers as changes of whole multiples of a unit: short, and errors do not add up."""
+    """Return numbers as differences in whole units: short, and errors do not add up."""
     whole = np.rint(values / _UNITS[unit]).astype(np.int64)
     return np.diff(whole, prepend=0).tolist()
 

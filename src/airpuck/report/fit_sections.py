@@ -97,7 +97,7 @@ class FitStudy:
 
 
 def protocol_words(evaluation: Evaluation) -> str:
-    """Say in a sentence how errors were measured."""
+    """Describe in a sentence how errors were measured."""
     protocol = evaluation.protocol
     after = evaluation.horizon_step * evaluation.sample_period
     return (

@@ -218,7 +218,7 @@ def _write_report(out: Path, study: FitStudy, validation: Trajectory, wall_s: fl
 
 
 def _summary_section(study: FitStudy, wall_s: float) -> Section:
-    """Say in a few lines what was found."""
+    """Summarise the findings in a few lines."""
     published = {e.model: e for e in study.reference_evaluations}
     agree = sum(
         f"{error:{form}}" == printed
