@@ -337,7 +337,7 @@ def _force(motor: int, speed: float, model: Model) -> float:
 def _direction(motor: int, ahead: Float[np.ndarray, " 2"], model: Model) -> float:
     """Return the angle between the force of a propeller and a direction [rad]."""
     x, y = np.asarray(model.dynamics.configuration)[:2, motor]
-    return np.arctan2(ahead[0] * y - ahead[1] * x, ahead @ (x, y))
+    return float(np.arctan2(ahead[0] * y - ahead[1] * x, ahead @ (x, y)))
 
 
 def _turn_per_push(motor: int, model: Model) -> float:

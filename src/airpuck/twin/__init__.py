@@ -1,4 +1,4 @@
 """The simulated table.
 
-Entry points: `plant.Plant`.
+Entry points: `plant.build_plant`.
 """
