@@ -11,15 +11,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from airpuck.boundary.errors import InputError
-from airpuck.live.dds import (
-    dds_topic,
-    dds_type,
-    domain_config,
-    domain_id,
-    idl_struct,
-    ros_topic,
-    ros_type,
-)
+from airpuck.live import dds
 from airpuck.recording.message import HOLOHOVER_CONTROL, command_type, definitions
 
 pytest.importorskip("cyclonedds")
@@ -86,7 +78,7 @@ def build(given_values, node, description, make, array):
 def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
     plain = values(data.draw, Nodetype.NAME, msgtype)
     root = (Nodetype.NAME, msgtype)
-    ours = build(plain, *root, lambda name: idl_struct(TYPES, name, STRUCTS), list)
+    ours = build(plain, *root, lambda name: dds.idl_struct(TYPES, name, STRUCTS), list)
     theirs = build(plain, *root, store.types.__getitem__, np.array)
     sent = ours.serialize(use_version_2=False)
     assert sent[:4] == b"\x00\x01\x00\x00"
@@ -96,30 +88,30 @@ def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
 
 def test_names_as_ros_2_mangles_them():
     # As `ddsls` lists the topics of the real table.
-    assert dds_topic("/optitrack/drone/pose") == "rt/optitrack/drone/pose"
-    assert dds_type("geometry_msgs/msg/PoseStamped") == "geometry_msgs::msg::dds_::PoseStamped_"
-    pose = idl_struct(TYPES, "geometry_msgs/msg/PoseStamped", STRUCTS)
+    assert dds.dds_topic("/optitrack/drone/pose") == "rt/optitrack/drone/pose"
+    assert dds.dds_type("geometry_msgs/msg/PoseStamped") == "geometry_msgs::msg::dds_::PoseStamped_"
+    pose = dds.idl_struct(TYPES, "geometry_msgs/msg/PoseStamped", STRUCTS)
     assert pose.__idl_typename__ == "geometry_msgs::msg::dds_::PoseStamped_"
 
 
 @pytest.mark.parametrize("topic", ["/rosout", "/drone/control"])
 def test_names_come_back(topic):
-    assert ros_topic(dds_topic(topic)) == topic
-    assert ros_type(dds_type(HOLOHOVER_CONTROL)) == HOLOHOVER_CONTROL
+    assert dds.ros_topic(dds.dds_topic(topic)) == topic
+    assert dds.ros_type(dds.dds_type(HOLOHOVER_CONTROL)) == HOLOHOVER_CONTROL
 
 
 @pytest.mark.parametrize("name", ["rq/add_two_intsRequest", "DCPSParticipant", "rtx/pose"])
 def test_what_is_no_ros_topic(name):
-    assert ros_topic(name) is None
+    assert dds.ros_topic(name) is None
 
 
 def test_a_foreign_type_keeps_its_name():
-    assert ros_type("HelloWorldData::Msg") == "HelloWorldData::Msg"
+    assert dds.ros_type("HelloWorldData::Msg") == "HelloWorldData::Msg"
 
 
 def test_a_missing_definition_is_a_value_error():
     with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
-        idl_struct(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
+        dds.idl_struct(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
 
 
 # Domains ------------------------------------------------------------------------------------------
@@ -128,7 +120,7 @@ LOOPBACK = next(name for _, name in socket.if_nameindex() if name.startswith("lo
 
 
 def test_by_default_only_the_loopback_interface_and_its_address_are_named():
-    domain = ElementTree.fromstring(domain_config(None)).find("Domain")
+    domain = ElementTree.fromstring(dds.domain_config(None)).find("Domain")
     assert domain is not None
     assert [item.get("name") for item in domain.iter("NetworkInterface")] == [LOOPBACK]
     assert domain.findtext("General/AllowMulticast") == "false"
@@ -139,7 +131,7 @@ def test_a_named_interface_takes_its_place():
     other = next((n for _, n in socket.if_nameindex() if n != LOOPBACK), None)
     if other is None:
         pytest.skip("the machine has no other interface")
-    domain = ElementTree.fromstring(domain_config(other)).find("Domain")
+    domain = ElementTree.fromstring(dds.domain_config(other)).find("Domain")
     assert domain is not None
     assert [item.get("name") for item in domain.iter("NetworkInterface")] == [other]
     assert domain.findtext("General/AllowMulticast") == "true"
@@ -148,7 +140,7 @@ def test_a_named_interface_takes_its_place():
 
 def test_an_interface_that_is_not_there_is_refused():
     with pytest.raises(InputError, match=r"--interface: there is no network interface 'wifi<7'"):
-        domain_config("wifi<7")
+        dds.domain_config("wifi<7")
 
 
 @pytest.mark.parametrize(
@@ -156,10 +148,10 @@ def test_an_interface_that_is_not_there_is_refused():
     [(None, {}, 0), (None, {"ROS_DOMAIN_ID": "42"}, 42), (7, {"ROS_DOMAIN_ID": "42"}, 7)],
 )
 def test_the_domain_is_that_of_the_option_or_of_ros(given, environment, number):
-    assert domain_id(given, environment) == number
+    assert dds.domain_id(given, environment) == number
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "four"])
 def test_a_domain_that_does_not_exist_is_refused(text):
     with pytest.raises(InputError, match="ROS_DOMAIN_ID: must be a whole number from 0 to 232"):
-        domain_id(None, {"ROS_DOMAIN_ID": text})
+        dds.domain_id(None, {"ROS_DOMAIN_ID": text})

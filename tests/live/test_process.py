@@ -23,21 +23,14 @@ COMMAND = CODECS[COMMANDS]
 
 
 @pytest.fixture
-def first(domain):
-    """Who is on the graph already."""
-    made = Graph("first", domain=domain)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def second(domain, first):
-    """A process that comes later."""
+def second(domain):
+    """A process that comes after the first of a pair."""
     with Process("second", LiveSettings(domain=domain, quiet=True)) as made:
         yield made
 
 
-def test_who_sends_is_refused_for_within_a_second(first, second):
+def test_who_sends_is_refused_for_within_a_second(pair, second):
+    first, _ = pair
     commands = first.publisher(COMMANDS, COMMAND.msgtype, COMMAND.types, SENSOR)
     end = Event()
 
@@ -57,7 +50,8 @@ def test_who_sends_is_refused_for_within_a_second(first, second):
         sender.join()
 
 
-def test_who_is_silent_is_waited_for_as_long_as_one_who_was_killed(first, second, monkeypatch):
+def test_who_is_silent_is_waited_for_as_long_as_one_who_was_killed(pair, second, monkeypatch):
+    first, _ = pair
     monkeypatch.setattr(process, "LEASE", -0.2)
     first.publisher(COMMANDS, COMMAND.msgtype, COMMAND.types, SENSOR)
     began = time.monotonic()
@@ -95,19 +89,6 @@ def test_a_signal_ends_the_loop_and_not_the_process(second):
         time.sleep(0.01)
         assert not third.goes_on
     assert signal.getsignal(signal.SIGINT) is before
-
-
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [
-        ({"domain": 233}, "domain"),
-        ({"interface": "wifi7"}, "interface"),
-        ({"duration": 0}, "duration"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(wrong, field):
-    with pytest.raises(InputError, match=f"--{field}"):
-        LiveSettings(**wrong)
 
 
 # Streams as numbers, over a graph made up for it --------------------------------------------------

@@ -1,5 +1,5 @@
 """Flying on a ROS 2 graph: twin, controller, recorder, watcher and viewer as processes.
 
 Entry points: `graph.Graph`, `process.LiveSettings`, `fly.fly_live`, `twin.serve_twin`,
-`watch.watch_live`, `view.view_live`, `scene.Scene`.
+`view.view_live`, `scene.Scene`.
 """
