@@ -9,8 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from airpuck.compute.arrays import small_product
+from airpuck.physics.angle import pose_difference
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics, acceleration
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,90 @@ class Noise:
 #: Standard deviation of velocity and disturbance at the first pose, in each axis.
 INITIAL_VELOCITY = np.array([0.5, 0.5, 5.0])
 INITIAL_DISTURBANCE = np.array([0.1, 0.1, 3.0])
+
+
+@dataclass(frozen=True, eq=False)
+class IndependentAxes:
+    """How beliefs of a craft change whose motors do what the model says.
+
+    Given the yaw, which the cameras measure well, the axes are independent. A belief is a mean
+    (3, 3) and covariances (3, 3, 3), the axis first.
+    """
+
+    dynamics: Dynamics
+    noise: Noise
+
+    def begin(self, pose: Any, before: Any, elapsed: float) -> tuple[Any, ...]:
+        """Return the belief at a pose, at rest; what was believed before does not matter."""
+        mean, covariance = np.zeros((3, 3)), np.zeros((3, 3, 3))
+        mean[:, 0] = pose
+        drives = np.array(self.noise.disturbance) > 0
+        initial = [self.noise.pose, INITIAL_VELOCITY, INITIAL_DISTURBANCE * drives]
+        covariance[:, range(3), range(3)] = np.square(initial).T
+        return mean, covariance
+
+    def advance(self, xp: Any, mean: Any, covariance: Any, speed: Any, *pieces: Any) -> Any:
+        """Move belief and motor speeds through durations (S,) and commands (S, n)."""
+        densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
+        mean, speed = propagate(xp, self.dynamics, mean, speed, *pieces)
+        return mean, spread(xp, covariance, xp.sum(pieces[0]), *densities), speed
+
+    def use_pose(self, xp: Any, mean: Any, covariance: Any, speed: Any, *given: Any) -> Any:
+        """Advance, then use a pose, the last argument; the last result is the innovation."""
+        *pieces, pose = given
+        mean, covariance, speed = self.advance(xp, mean, covariance, speed, *pieces)
+        innovation = pose_difference(xp, pose, mean[:, 0])
+        mean, covariance = correct(mean, covariance, 0, innovation, np.square(self.noise.pose))
+        return mean, covariance, speed, innovation
+
+    def use_imu(self, belief: Any, motors: Any, force: Any, gyro: float, noise: Any) -> Any:
+        """Use an inertial measurement at given motor speeds and commands."""
+        mean, covariance = belief
+        (_, vx, dx), (_, vy, dy), (yaw, spin, _) = mean
+        modelled = acceleration(np, self.dynamics, (yaw, vx, vy, spin), motors[0])
+        ax, ay = to_world(force, yaw)
+        innovation = np.array([ax - modelled[0] - dx, ay - modelled[1] - dy, 0.0])
+        variance = np.array([noise[0] ** 2, noise[0] ** 2, np.inf])
+        mean, covariance = correct(mean, covariance, 2, innovation, variance)
+        innovation = np.array([0.0, 0.0, gyro - mean[2, 1]])
+        variance = np.array([np.inf, np.inf, noise[1] ** 2])
+        return correct(mean, covariance, 1, innovation, variance)
+
+    def use_mouse(self, belief: Any, velocity: Any, noise: float) -> Any:
+        """Use a measured velocity along the body's axes."""
+        mean, covariance = belief
+        innovation = np.array([*to_world(velocity, mean[2, 0]), mean[2, 1]]) - mean[:, 1]
+        return correct(mean, covariance, 1, innovation, np.array([noise**2, noise**2, np.inf]))
+
+    def predict(self, xp: Any, mean: Any, covariance: Any, *given: Any) -> tuple[Any, ...]:
+        """Return state, motor speeds, disturbance and effectiveness after pieces of time."""
+        mean, speed = propagate(xp, self.dynamics, mean, *given)
+        return xp.ravel(mean[:, :2].T), speed, mean[:, 2], xp.ones(speed.shape)
+
+
+def propagate(
+    xp: Any, dynamics: Dynamics, mean: Any, motor_speed: Any, durations: Any, commands: Any
+) -> tuple[Any, Any]:
+    """Move mean and motor speeds through pieces of time with one command each.
+
+    In each piece the acceleration is that of its middle, so that the error is of second order.
+    """
+    tau = dynamics.motor_time_constant
+    for k in range(len(durations)):
+        h, command = durations[k], commands[k]
+        middle = motor_step(xp, motor_speed, command, h / 2, tau)
+        motion = mean[2, 0] + h / 2 * mean[2, 1], mean[0, 1], mean[1, 1], mean[2, 1]
+        rate = xp.stack(acceleration(xp, dynamics, motion, middle)) + mean[:, 2]
+        p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
+        mean = xp.stack([p + h * v + h * h / 2 * rate, v + h * rate, d], axis=1)
+        motor_speed = motor_step(xp, motor_speed, command, h, tau)
+    return mean, motor_speed
+
+
+def to_world(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:
+    """Turn a body vector into the world frame."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
 
 
 def spread(

@@ -1,7 +1,8 @@
 """State estimation in closed loop, from one measurement to the next.
 
 The accelerations of x, y and γ are those of the model under the commands that act at the time,
-plus a disturbance d that wanders slowly; the equations are in `airpuck.estimate.multiple_models`.
+plus a disturbance d that wanders slowly; the equations are in `airpuck.estimate.axis_filter`, and
+with unknown motors in `airpuck.estimate.multiple_models`.
 Commands act a transport delay after they were sent, measurements come at any time and may come
 late ("out of sequence").
 """
@@ -18,10 +19,10 @@ from jaxtyping import Float
 
 from airpuck.compute.compiled import program
 from airpuck.estimate.actuation import ActuationEncoder
-from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
 from airpuck.estimate.held_commands import HeldCommands
-from airpuck.estimate.multiple_models import AS_MODELLED, Belief, MultipleModels, States
+from airpuck.estimate.multiple_models import MultipleModels, States
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 
@@ -31,7 +32,9 @@ _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
 #: How late a measurement may come where sensors have different latencies [s].
 _REMEMBERED = 0.1
 
-#: Time, belief and motor speeds; the arrays are never written to.
+#: What the equations hold true of the craft: arrays that are never written to.
+Belief = tuple[Any, ...]
+#: Time, belief and motor speeds.
 _State = tuple[float, Belief, Float[np.ndarray, " n"]]
 #: Durations [s] and commands of pieces of time.
 _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
@@ -55,18 +58,23 @@ class KalmanFilter:
     """
 
     def __init__(
-        self, model: Model, noise: Noise, *, states: States = AS_MODELLED, compiled: bool = True
+        self, model: Model, noise: Noise, *, states: States | None = None, compiled: bool = True
     ) -> None:
         self.model = model
         self._compiled = compiled
         self._idle = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
-        self._models = models = MultipleModels(model.dynamics, noise, states)
-        first = *models.begin(np.zeros(3), None, 0.0), self._idle
+        self._states = states
+        self._equations = equations = (
+            IndependentAxes(model.dynamics, noise)
+            if states is None
+            else MultipleModels(model.dynamics, noise, states)
+        )
+        first = *equations.begin(np.zeros(3), None, 0.0), self._idle
         #: Arguments of a prediction, as examples for the compiler.
         self._examples = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_PREDICT)
-        self._advance_by = program(models.advance, *self._examples, compiled=compiled)
-        pieces = _arrays([(0.0, self._idle)], _PIECES_TO_MEASURE)
-        self._use_pose = program(models.use_pose, *first, *pieces, np.zeros(3), compiled=compiled)
+        self._advance_by = program(equations.advance, *self._examples, compiled=compiled)
+        measured = *first, *_arrays([(0.0, self._idle)], _PIECES_TO_MEASURE), np.zeros(3)
+        self._use_pose = program(equations.use_pose, *measured, compiled=compiled)
         self._predict = self.composed(lambda *_: ())
         self.reset()
 
@@ -192,7 +200,7 @@ class KalmanFilter:
         given = time, np.array(acceleration_body, dtype=float), gyro, noise
         if self._advance(time, "imu", given):
             motors = self._motor_speed, self._commands.cut(time, time)[-1][1]
-            self._belief = self._models.use_imu(self._belief, motors, *given[1:])
+            self._belief = self._equations.use_imu(self._belief, motors, *given[1:])
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
         """Use the velocity that the optical sensor under the craft measured.
@@ -208,7 +216,7 @@ class KalmanFilter:
         """
         given = time, np.array(velocity, dtype=float), noise
         if self._advance(time, "mouse", given):
-            self._belief = self._models.use_mouse(self._belief, *given[1:])
+            self._belief = self._equations.use_mouse(self._belief, *given[1:])
 
     def predict(self, time: float) -> Estimate:
         """Predict with the commands so far, without changing anything.
@@ -241,7 +249,7 @@ class KalmanFilter:
         callable
             For `predict_with`.
         """
-        predict, count = self._models.predict, len(self._examples)
+        predict, count = self._equations.predict, len(self._examples)
 
         def both(xp: Any, *given: Any) -> tuple[Any, ...]:
             predicted = predict(xp, *given[:count])
@@ -272,10 +280,11 @@ class KalmanFilter:
         """
         belief, speed, pieces = self._pieces(time, _PIECES_TO_PREDICT)
         results = composed(*belief, speed, *pieces, *more)
-        state, speed, disturbance, effectiveness, e, deviation, weights, *following = results
+        state, speed, disturbance, effectiveness, *following = results
         actuation = None
-        if len(e):
-            probability = dict(zip(self._models.states.names, weights.tolist(), strict=True))
+        if self._states is not None:
+            e, deviation, weights, *following = following
+            probability = dict(zip(self._states.names, weights.tolist(), strict=True))
             delay = float(e[-1]), float(deviation[-1])
             actuation = ActuationEstimate(effectiveness, deviation[:-1], probability, *delay)
         return Estimate(time, state, speed, disturbance, actuation), following
@@ -299,7 +308,7 @@ class KalmanFilter:
         self._motors_at = None
         self._history.clear()
         self._time = time
-        self._belief = self._models.begin(pose, before, elapsed)
+        self._belief = self._equations.begin(pose, before, elapsed)
 
     def _advance(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
         """Advance to a measurement of a sensor on board; return whether it is to be used now.

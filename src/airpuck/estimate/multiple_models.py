@@ -9,7 +9,6 @@ beyond the model's. Along the yaw, which the cameras measure well, everything is
 a the modelled accelerations, aᵢ those of motor i, and for the delay -da/dt. Several states of the
 craft with different priors of e compete, each with a Kalman filter of its own: an interacting
 multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
-With one state and no e it is the Kalman filter of a craft whose motors do what the model says.
 """
 
 from __future__ import annotations
@@ -26,10 +25,12 @@ from airpuck.estimate.axis_filter import (
     INITIAL_VELOCITY,
     Noise,
     process_noise,
+    propagate,
+    to_world,
 )
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import Dynamics, acceleration, motor_accelerations
+from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 
 #: An innovation beyond this many standard deviations in every state is a rail or a hand; a motor
 #: would need ten frames for it. The velocities are unknown again, and no motor is blamed.
@@ -62,10 +63,6 @@ class States:
     tail: float
     #: Power of the likelihood by which states compete.
     tempering: float
-
-
-#: One state, in which motors do what the model says.
-AS_MODELLED = States(("healthy",), np.ones(1), np.zeros((1, 0, 0)), np.inf, 1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +114,7 @@ class MultipleModels:
         total = xp.sum(durations)
         means, covariances, weights = self.renewed(xp, (means, covariances, weights), total)
         path = xp.sum(weights[:, None] * means, axis=0)
-        _, transition, offset, speed = drift(xp, self.dynamics, path, speed, durations, commands)
+        transition, offset, speed = drift(xp, self.dynamics, path, speed, durations, commands)
         half = small_product(xp, transition, covariances)
         moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
         densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
@@ -151,12 +148,12 @@ class MultipleModels:
         """Use an inertial measurement at given motor speeds and commands."""
         mean, _ = mixed(np, belief)
         motion = mean[2], *mean[VELOCITY]
-        modelled, by_e = sensitivity(np, self.dynamics, motion, *motors, len(mean) - 9)
+        modelled, by_e = sensitivity(np, self.dynamics, motion, *motors)
         rows = np.zeros((3, len(mean)))
         rows[:, DISTURBANCE] = np.diag([1.0, 1.0, 0.0])
         rows[:2, ACTUATION] = by_e[:2]
         rows[2, 5] = 1.0
-        measured = np.array([*_to_world(acceleration_body, mean[2]), gyro])
+        measured = np.array([*to_world(acceleration_body, mean[2]), gyro])
         innovation = measured - np.array([*modelled[:2], 0.0]) - rows @ mean
         variance = np.square([noise[0], noise[0], noise[1]])
         return self.measure(np, belief, rows, innovation, variance)
@@ -165,7 +162,7 @@ class MultipleModels:
         """Use a measured velocity along the body's axes."""
         mean, _ = mixed(np, belief)
         rows = np.eye(len(mean))[3:5]
-        innovation = np.array(_to_world(velocity, mean[2])) - mean[3:5]
+        innovation = np.array(to_world(velocity, mean[2])) - mean[3:5]
         return self.measure(np, belief, rows, innovation, np.full(2, noise**2))
 
     def measure(self, xp: Any, belief: Belief, rows: Any, innovations: Any, variances: Any) -> Any:
@@ -173,13 +170,12 @@ class MultipleModels:
         means, covariances, weights = belief
         states, size = self.states, means.shape[1]
         reference = xp.sum(weights[:, None] * means, axis=0)
-        if size > 9:
-            unknown = np.zeros(size)
-            unknown[VELOCITY] = INITIAL_VELOCITY**2
-            deviations = innovations - xp.sum((means - reference)[:, None] * rows, axis=2)
-            plain = xp.sum(small_product(xp, rows, covariances) * rows, axis=2) + variances
-            knocked = xp.min(xp.max(deviations**2 / plain, axis=1)) > _KNOCK**2
-            covariances = covariances + xp.where(knocked, 1.0, 0.0) * np.diag(unknown)
+        unknown = np.zeros(size)
+        unknown[VELOCITY] = INITIAL_VELOCITY**2
+        deviations = innovations - xp.sum((means - reference)[:, None] * rows, axis=2)
+        plain = xp.sum(small_product(xp, rows, covariances) * rows, axis=2) + variances
+        knocked = xp.min(xp.max(deviations**2 / plain, axis=1)) > _KNOCK**2
+        covariances = covariances + xp.where(knocked, 1.0, 0.0) * np.diag(unknown)
         evidence = xp.log(weights)
         for k in range(len(rows)):
             row = rows[k]
@@ -202,22 +198,23 @@ class MultipleModels:
         """
         mean = xp.sum(weights[:, None] * means, axis=0)
         e = mean[ACTUATION]
-        effectiveness = 1 + e[:-1] if len(e) else xp.ones(given[0].shape)
+        effectiveness = 1 + e[:-1]
         # The estimated delay is not used: each command on its way has its own.
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
-        path, _, _, speed = drift(xp, effective, mean[:9], *given)
+        axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given)
         variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
         deviation = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
-        return path[:6], speed, path[DISTURBANCE], effectiveness, e, deviation, weights
+        state = xp.ravel(axes[:, :2].T)
+        return state, speed, axes[:, 2], effectiveness, e, deviation, weights
 
 
 def drift(
     xp: Any, dynamics: Dynamics, mean: Any, speed: Any, durations: Any, commands: Any
-) -> tuple[Any, Any, Any, Any]:
+) -> tuple[Any, Any, Any]:
     """Integrate the accelerations over pieces of time with one command each.
 
     In each piece they are those of its middle, so that the error is of second order. Returns the
-    mean of p, v, d; the matrix and the offset that move any x; and the motor speeds.
+    matrix and the offset that move any x, and the motor speeds.
     """
     tau = dynamics.motor_time_constant
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
@@ -230,7 +227,7 @@ def drift(
         h, command = durations[k], commands[k]
         middle = motor_step(xp, speed, command, h / 2, tau)
         motion = p[2] + h / 2 * v[2], v[0], v[1], v[2]
-        a, by_e = sensitivity(xp, dynamics, motion, middle, command, size)
+        a, by_e = sensitivity(xp, dynamics, motion, middle, command)
         rate = a + d + small_product(xp, by_e, e)
         p_by_e, v_by_e = p_by_e + h * v_by_e + h * h / 2 * by_e, v_by_e + h * by_e
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
@@ -245,16 +242,13 @@ def drift(
             xp.eye(9 + size)[6:],
         ]
     )
-    offset = xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)])
-    return xp.concatenate([p, v, d]), transition, offset, speed
+    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed
 
 
 def sensitivity(
-    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any, size: int
+    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any
 ) -> tuple[Any, Any]:
-    """Return the modelled accelerations and their derivatives by e, which may be empty."""
-    if not size:
-        return xp.stack(acceleration(xp, dynamics, motion, speed)), xp.zeros((3, 0))
+    """Return the modelled accelerations and their derivatives by e."""
     by_motor, rest = motor_accelerations(xp, dynamics, motion, speed)
     a = xp.sum(by_motor, axis=1) + rest
     # Had the commands come a little later: a(t - δ).
@@ -277,9 +271,3 @@ def mixed(xp: Any, belief: Belief) -> tuple[Any, Any]:
 def _padded(covariance: Float[np.ndarray, "H m m"]) -> Float[np.ndarray, "H k k"]:
     """Put covariances of e where e is."""
     return np.pad(covariance, ((0, 0), (9, 0), (9, 0)))
-
-
-def _to_world(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:
-    """Turn a body vector into the world frame."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
