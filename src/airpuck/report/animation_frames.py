@@ -147,21 +147,15 @@ def read_scene(
 
 def _aligned(pose: Stream, other: Stream) -> Aligned:
     """Put two streams on one time axis, however short they are."""
-    # align_clocks looks at the quarters of a stream, and a flight may have a single set point.
-    four = align_clocks(*(_repeated(stream, 4) for stream in (pose, other)))
-    return replace(
-        four, pose_time=four.pose_time[: len(pose)], command_time=four.command_time[: len(other)]
-    )
-
-
-def _repeated(stream: Stream, times: int) -> Stream:
-    """Repeat the samples of a stream."""
-    return Stream(
-        np.tile(stream.stamp_ns, times),
-        np.tile(stream.received_ns, times),
-        np.tile(stream.values, (times, 1)),
-        stream.columns,
-    )
+    repeated = []
+    for stream in (pose, other):
+        # align_clocks looks at the quarters of a stream, and a flight may have a single set point.
+        stamp, received = np.tile(stream.stamp_ns, 4), np.tile(stream.received_ns, 4)
+        values = np.tile(stream.values, (4, 1))
+        repeated.append(Stream(stamp, received, values, stream.columns))
+    four = align_clocks(*repeated)
+    once = four.pose_time[: len(pose)], four.command_time[: len(other)]
+    return replace(four, pose_time=once[0], command_time=once[1])
 
 
 def _poses(

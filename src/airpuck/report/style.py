@@ -25,7 +25,7 @@ from airpuck.craft.vehicle import Vehicle
 
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
 BLUE, ORANGE, GREEN, VERMILLION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
-SKY, PURPLE, YELLOW = "#56b4e9", "#cc79a7", "#f0e442"
+SKY, PURPLE = "#56b4e9", "#cc79a7"
 
 #: One colour for each rung of the model ladder, in every figure.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
@@ -105,9 +105,7 @@ def png(figure: Figure) -> bytes:
 
 def rung_color(name: str) -> str:
     """Return the colour of a model."""
-    if name in RUNG_COLORS:
-        return RUNG_COLORS[name]
-    return _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
+    return RUNG_COLORS.get(name) or _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
 
 
 def propeller_colors(vehicle: Vehicle) -> list[str]:
