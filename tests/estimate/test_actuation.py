@@ -76,7 +76,7 @@ def test_a_weak_motor_is_named(motor):
     assert np.median(found.probability[2, told]) > 0.9
 
 
-def test_a_loss_of_all_motors_is_told_from_that_of_one():
+def test_a_loss_of_all_motors_is_distinguished_from_that_of_one():
     past = past_of(fly(weakened([0.5] * 6), duration=5.0))
     found = EXACT.estimate(MODEL.dynamics, past)
     assert np.median(found.probability[1]) > 0.9

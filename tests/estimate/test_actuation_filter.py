@@ -200,7 +200,7 @@ def test_a_rail_is_not_blamed_on_motors(ours):
     np.testing.assert_allclose(ours.predict(1.5).effectiveness, 1, atol=0.2)
 
 
-def test_longer_delays_are_told(ours):
+def test_longer_delays_are_estimated(ours):
     # Commands act 4 ms later than the filter thinks.
     flight = random_flight(M3, 3.0, 4)
     for k, z in enumerate(flight.state):

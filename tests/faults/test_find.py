@@ -30,7 +30,7 @@ def flight():
 
 
 def with_log(flight, first, last, command):
-    """The same motion, of a craft that was told something else."""
+    """The same motion, of a craft that got other commands."""
     logged = flight.command.copy()
     inside = (flight.command_time >= first) & (flight.command_time < last)
     logged[inside] = np.where(np.isnan(command), logged[inside], command)
@@ -70,7 +70,7 @@ def test_a_motor_that_stands_is_named(flight, motor):
 
 
 def test_a_blow_is_no_fault_of_motors():
-    """A craft that drifts into a rail, told to push along it."""
+    """A craft that drifts into a rail while it pushes along it."""
     settings = default_twin_settings()
     twin = Twin(MODEL, settings, seed=0, pose=(0.8, 0.0, 0.0))
     rng = np.random.default_rng(1)

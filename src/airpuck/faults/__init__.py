@@ -1,1 +1,4 @@
-"""Which parts of a recording a model of a healthy craft must not be learned from."""
+"""When motors did not follow their commands, and whether the vehicle file has them right.
+
+Entry points: `find.find_faults`, `layout_check.check_layout`.
+"""
