@@ -175,8 +175,7 @@ class Inbox:
     def take(self) -> list[tuple[float, Float[np.ndarray, " k"]]]:
         """Take what has come: when each message was stamped, on our clock [s], and its numbers."""
         taken = []
-        for stamp_ns, values in self._decoded():
-            arrival = self._clock.now
+        for arrival, stamp_ns, values in self._decoded():
             if stamp_ns is None:
                 taken.append((arrival, values))
                 continue
@@ -201,7 +200,7 @@ class Inbox:
             self._late_until = self._looked + _COMES_LATE
         late = self._looked < self._late_until
         taken = []
-        for _, values in self._decoded():
+        for _, _, values in self._decoded():
             if not np.isfinite(values).all():
                 self._refuse("finite", f"numbers on {self._topic} that are not finite")
             elif late:
@@ -222,15 +221,16 @@ class Inbox:
                 )
                 self._warn(text, kind=text)
 
-    def _decoded(self) -> Iterator[tuple[int | None, Float[np.ndarray, " k"]]]:
-        """Take stamps [ns since the epoch] and numbers; garbage is refused."""
+    def _decoded(self) -> Iterator[tuple[float, int | None, Float[np.ndarray, " k"]]]:
+        """Take arrivals [s], stamps [ns since the epoch] and numbers; garbage is refused."""
         for sample in self._subscription.take():
+            arrival = self._clock.now
             try:
-                message = self._codec.decode(sample.data)
+                stamp_ns, values = self._codec.decode(sample.data)
             except ValueError as error:
                 self._refuse("garbage", f"garbage on {self._topic}: {error}")
             else:
-                yield message
+                yield arrival, stamp_ns, values
 
     def _refuse(self, kind: str, text: str) -> None:
         """Count a message that cannot be used, and warn."""
