@@ -1,0 +1,38 @@
+"""Each equation of the paper is found where docs/equations.md says, under the paper's label."""
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+import airpuck
+
+ROOT = Path(airpuck.__file__).parent
+TABLE = (Path(__file__).parents[1] / "docs" / "equations.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\|[^|]+\| `(\w+:\w+)` \| `([\w.]+)`", TABLE, re.MULTILINE)
+LABELS = {label for label, _ in ROWS} | {"sec:results", "fig:hovercraft", "fig:overview"}
+KINDS = "|".join(sorted({label.partition(":")[0] for label in LABELS}))
+#: `eq. thrust_poly`, or any other label in full.
+LABEL = re.compile(rf"\beq\. (\w+)|\b((?:{KINDS}):\w+)")
+
+
+def labels_in(text: str) -> set[str]:
+    return {f"eq:{equation}" if equation else other for equation, other in LABEL.findall(text)}
+
+
+def test_the_table_is_read():
+    assert len(ROWS) >= 28
+
+
+@pytest.mark.parametrize(("label", "name"), ROWS)
+def test_an_equation_is_where_the_table_says(label, name):
+    module, _, function = name.rpartition(".")
+    here = importlib.import_module(module)
+    text = f"{here.__doc__}\n{getattr(here, function).__doc__}"
+    assert label in labels_in(text)
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
+def test_only_the_papers_labels_are_cited(path):
+    assert labels_in(path.read_text(encoding="utf-8")) <= LABELS
