@@ -134,3 +134,21 @@ def test_no_room_takes_a_verbs_name():
     # Importing airpuck.x makes the module an attribute of airpuck, over any function of that name.
     rooms = {path.stem if path.is_file() else path.name for path in ROOT.iterdir()}
     assert not rooms & set(airpuck.__all__)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_functions_are_short_or_say_why_not(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for node in ast.walk(ast.parse("\n".join(lines))):
+        if isinstance(node, ast.FunctionDef) and code_lines(node, lines) > 60:
+            about = "\n".join(lines[node.lineno - 2 : node.body[0].end_lineno])
+            assert "Long because" in about, f"{node.name} has {code_lines(node, lines)} lines"
+
+
+def code_lines(function: ast.FunctionDef, lines: list[str]) -> int:
+    """Lines of a body without its docstring, comments and blank lines."""
+    statements = function.body[1:] if ast.get_docstring(function) else function.body
+    if not statements:
+        return 0
+    body = lines[statements[0].lineno - 1 : function.end_lineno]
+    return sum(bool(line.strip()) and not line.strip().startswith("#") for line in body)
