@@ -1,4 +1,4 @@
-"""The law of the controller: the acceleration that steers the craft, by a quadratic regulator."""
+"""The controller's law (seq:control): a quadratic regulator gives the craft's acceleration."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def look_ahead(
 
 
 def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
-    """Return the inverse of thrust curves and motor lag.
+    """Return the inverse of thrust curves and motor lag, u = B⁻¹ (F⁻¹(F) - A φ) (seq:control).
 
     (xp, solution, lower, upper, coasting), as in `Plan` → commands.
     """

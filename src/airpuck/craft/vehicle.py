@@ -52,7 +52,7 @@ class Nominal(Section):
 
 
 class Vehicle(Section):
-    """A craft: mass, propellers, pairs, command limits, nominal values.
+    """A craft: mass, propellers, pairs, command limits, nominal values (seq:model).
 
     Attributes
     ----------

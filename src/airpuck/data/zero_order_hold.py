@@ -1,4 +1,4 @@
-"""Zero-order hold of commands: their value at a time, and their mean over a step."""
+"""Zero-order hold of commands (subsec:data_preprocessing): at a time, and over a step."""
 
 from __future__ import annotations
 

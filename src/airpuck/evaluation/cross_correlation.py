@@ -2,7 +2,7 @@
 
 Commands of a pair exclude each other and are held over many samples, so that the correlations with
 one motor hold some of the others', and of its own at other lags. The bands account for the latter
-(Ljung 1999, eq. 16.69); the test is Wald's in one regression on all motors' past commands.
+(Ljung 1999, equation 16.69); the test is Wald's in one regression on all motors' past commands.
 """
 
 from __future__ import annotations

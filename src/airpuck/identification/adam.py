@@ -152,7 +152,7 @@ def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, A
 
 
 def monotone_penalty(xp: Any, coefficients: Any) -> Any:
-    """Compute the paper's regulariser without its weight.
+    """Compute the paper's regulariser without its weight (subsec:reg_force_model).
 
     The sum over propellers of max(0, -F'(φ)) at φ = 0, at φ = 1 and, by Proposition 1
     (prop:thrust), at the minimum of F' where that lies in between. The minimum is exact for degrees

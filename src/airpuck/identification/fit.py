@@ -1,4 +1,4 @@
-"""`identify`: from trajectories to a model, step by step."""
+"""`identify`: from trajectories to a model, step by step (fig:learning_architecture)."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ def _solve(
 
 
 class SlopeConstraints:
-    """Linear inequalities that keep thrust curves rising, made where they are needed.
+    """Linear inequalities that keep thrust curves rising (prop:thrust), made where needed.
 
     F'(φ) ≥ 0 for all φ in [0, 1] is one linear inequality in the coefficients for every φ. The
     ones at the ends are there from the start; `cut` adds the one at the minimum of a curve that

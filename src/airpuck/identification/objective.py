@@ -69,7 +69,7 @@ _Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
 
 @dataclass(frozen=True, eq=False)
 class PredictionLoss:
-    """Mean squared prediction error over windows, steps and channels.
+    """Mean squared prediction error over windows, steps and channels (eq. combined_loss).
 
     L(θ) = 1/(3 T W) Σ_windows Σ_{k=1…T} ‖ w ∘ (ŷ_{t+k|t} - y_{t+k}) ‖², y = (x, y, γ).
 

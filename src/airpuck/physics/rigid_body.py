@@ -153,7 +153,7 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
 
 
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
-    """Return M(γ) and g(ω) of the accelerations M F + g, as eq. force_qp needs them.
+    """Return M(γ) and g(ω) of the accelerations M F + g (eq. acc_dyn), for eq. force_qp.
 
     Without the optional effects, which a controller rejects as a disturbance.
     """

@@ -59,7 +59,7 @@ def _column(coefficients: Any, power: int, like: Any) -> Any:
 def lowest_slope(
     coefficients: Float[np.ndarray, "n degree"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Find the lowest slope of each thrust curve on [0, 1], and the speed where it occurs.
+    """Find the lowest slope of each thrust curve on [0, 1], and its speed (eq. thrust_cond).
 
     The minimum of dF/dφ lies at an end of the interval or where d²F/dφ² vanishes inside. For a
     cubic this is the argument of Proposition 1 (prop:thrust).

@@ -1,4 +1,4 @@
-"""Velocity and acceleration from poses: Savitzky-Golay smoothing, then finite differences."""
+"""Velocity and acceleration from smoothed poses (subsec:data_preprocessing)."""
 
 from __future__ import annotations
 

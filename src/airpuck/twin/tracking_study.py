@@ -1,4 +1,4 @@
-"""The tracking study: the paper's set points on the twin, beside the real flights."""
+"""The tracking study (fig:control_lqr): the paper's set points on the twin and in reality."""
 
 from __future__ import annotations
 
