@@ -49,6 +49,9 @@ def normal_equations(
 
     Local coordinates are the thrust coefficients, K directions of Π and the effects, the centre of
     mass where it acts beside Π, τ, and the transport delay.
+
+    Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
+    of each.
     """
     coefficients, linear, center, tau = dynamics
     (n, degree), batch = coefficients.shape, starts.shape[0]
