@@ -49,10 +49,11 @@ def test_times_are_compared_with_their_limits():
 
 def test_each_channel_and_each_motor_has_a_gauge():
     found = Deviations(
-        30, np.array([8e-3, 4e-3, 0.1]), np.array([0.88, 1.0]), np.full(2, 0.01), 0.002, 0.001,
-        np.array([0.6, 0.1, -0.02]),
+        30, np.array([8e-3, 4e-3, 0.1]), np.array([0.88, 1.0, 0.002]),
+        np.array([0.01, 0.01, 0.001]), np.array([0.6, 0.1, -0.02]),
     )  # fmt: skip
-    read = Balanced(health_html(Health(("left", "right"), True, 0.2, found)))
+    health = Health(("left", "right"), True, found)
+    read = Balanced(health_html(health))
     text = " ".join(read.text)
     assert "x 8.0 mm" in text
     assert "yaw 0.100 rad" in text
@@ -60,4 +61,4 @@ def test_each_channel_and_each_motor_has_a_gauge():
     assert "propeller left at 88 % ± 1 %" in text
     bars = [width for width in read.widths if width not in ("32%", "100%")]
     assert bars == ["50%", "25%", "20%", "60%", "10%", "0%"]
-    assert "; shares of the error: left 60 %" in str(Health(("left", "right"), True, 0.2, found))
+    assert "; shares of the error: left 60 %" in str(health)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.tuning import Estimation, default_tuning
+from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.held_commands import HeldCommands
 from airpuck.estimate.kalman import KalmanFilter
@@ -22,6 +22,8 @@ from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import thrust
 
+#: How far ahead is predicted, and how late packets come [s].
+HORIZON, _JITTER = 0.2, 0.007
 #: Time between predictions, as a share of the horizon.
 _APART = 0.5
 #: The filter's view is used when it has watched for this long [s].
@@ -75,12 +77,11 @@ class Deviations:
     predictions: int
     #: Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
     error: Float[np.ndarray, " 3"]
-    #: Share of the modelled thrust that each motor gives, and its standard deviation.
-    effectiveness: Float[np.ndarray, " n"]
-    deviation: Float[np.ndarray, " n"]
-    #: By how much the transport delay is longer than the model's, and its standard deviation [s].
-    delay: float
-    delay_deviation: float
+    #: Share of the modelled thrust that each motor gives; last, by how much the transport delay is
+    #: longer than the model's [s].
+    value: Float[np.ndarray, " m"]
+    #: Standard deviation of each value.
+    deviation: Float[np.ndarray, " m"]
     #: By how much the sum of squared errors of the pose would be smaller, had the model known this
     #: motor, and the delay; yaw counts with the radius of gyration. NaN without predictions.
     share: Float[np.ndarray, " m"]
@@ -94,8 +95,6 @@ class Health:
     motors: tuple[str, ...]
     #: Whether the craft is watched: poses and commands come, and no rail is near.
     flying: bool
-    #: How far ahead is predicted [s].
-    horizon: float
     #: Errors of prediction, effectiveness of each motor, delay.
     found: Deviations
 
@@ -104,14 +103,12 @@ class Health:
         """Differences from the model in words, above four standard deviations."""
         if self.found.predictions < _ENOUGH:
             return ()
+        *thrusts, (late, sd) = zip(self.found.value, self.found.deviation, strict=True)
         findings = [
             f"propeller {name} at {100 * e:.0f} % ± {100 * sd:.0f} %"
-            for name, e, sd in zip(
-                self.motors, self.found.effectiveness, self.found.deviation, strict=True
-            )
+            for name, (e, sd) in zip(self.motors, thrusts, strict=True)
             if abs(e - 1) > max(_CERTAIN * sd, _LOSS)
         ]
-        late, sd = self.found.delay, self.found.delay_deviation
         if abs(late) > max(_CERTAIN * sd, _LATE):
             word = "longer" if late > 0 else "shorter"
             findings.append(
@@ -126,38 +123,29 @@ class Health:
             return "no prediction judged yet"
         x, y, yaw = self.found.error.tolist()
         text = (
-            f"after {self.horizon:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad; "
+            f"after {HORIZON:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad; "
             + (", ".join(self.findings) or "motors and delay as the model says")
         )
         causes = zip((*self.motors, "delay"), self.found.share, strict=True)
         largest = [f"{name} {100 * share:.0f} %" for name, share in causes if share > _NOTABLE]
         return text + (f"; shares of the error: {', '.join(largest)}" if largest else "")
 
-    def to_json(self) -> Mapping[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
-
-        def number(value: float) -> float | None:
-            return float(value) if math.isfinite(value) else None
-
         found = self.found
+        figures = np.column_stack([found.value, found.deviation, found.share]).tolist()
+        thrust_keys = "effectiveness", "deviation", "error_share"
+        delay_keys = "difference_s", "deviation_s", "error_share"
         return {
             "flying": self.flying,
-            "horizon_s": self.horizon,
+            "horizon_s": HORIZON,
             "predictions": found.predictions,
-            "rmse_m_m_rad": [number(e) for e in found.error],
+            "rmse_m_m_rad": found.error.tolist(),
             "propellers": {
-                name: {
-                    "effectiveness": number(found.effectiveness[i]),
-                    "deviation": number(found.deviation[i]),
-                    "error_share": number(found.share[i]),
-                }
-                for i, name in enumerate(self.motors)
+                name: dict(zip(thrust_keys, row, strict=True))
+                for name, row in zip(self.motors, figures[:-1], strict=True)
             },
-            "delay": {
-                "difference_s": number(found.delay),
-                "deviation_s": number(found.delay_deviation),
-                "error_share": number(found.share[-1]),
-            },
+            "delay": dict(zip(delay_keys, figures[-1], strict=True)),
             "findings": list(self.findings),
         }
 
@@ -165,23 +153,11 @@ class Health:
 class HealthMonitor:
     """Watches a craft in flight beside its model; computes nothing that flies."""
 
-    def __init__(
-        self,
-        model: Model,
-        *,
-        estimation: Estimation | None = None,
-        horizon: float = 0.2,
-        memory: float = 5.0,
-        jitter: float = 0.007,
-        table: Table | None = None,
-        compiled: bool = True,
-    ) -> None:
-        self.model = model
-        self._horizon, self._memory, self._jitter = horizon, memory, jitter
-        noise = (estimation or default_tuning().estimation).noise
+    def __init__(self, model: Model, *, memory: float = 5.0, compiled: bool = True) -> None:
+        self.model, self._memory = model, memory
+        noise = default_tuning().estimation.noise
         self._filter = KalmanFilter(model, noise, compiled=compiled)
-        reach = (table or Table()).reach(model.vehicle.radius_m)
-        self._free = np.array(reach) - _AT_RAIL
+        self._free = np.array(Table().reach(model.vehicle.radius_m)) - _AT_RAIL
         n = model.vehicle.n_propellers
         #: Back to the first prediction's beginning.
         self._commands = HeldCommands(np.full(n, model.vehicle.command_min))
@@ -206,19 +182,23 @@ class HealthMonitor:
             return
         blind = last is None or time - last > _SILENT or time - self._commanded > _SILENT
         if blind or (np.abs(pose[:2]) > self._free).any():
-            self._lose_sight(time, pose)
+            # Begin anew; what was found out is kept until it is too old.
+            self._filter.restart(time, pose)
+            self._since = None
+            self._begun.clear()
+            self._forget(time)
             return
         if self._since is None:
             self._since = time
         if not self._filter.pose(time, pose, _JUMP):
             return
         newest = self._begun[-1][0] if self._begun else -math.inf
-        ends = bool(self._begun) and time - self._begun[0][0] >= self._horizon
-        begins = time - self._since >= _SETTLED and time - newest >= _APART * self._horizon
+        ends = bool(self._begun) and time - self._begun[0][0] >= HORIZON
+        begins = time - self._since >= _SETTLED and time - newest >= _APART * HORIZON
         if ends or begins:
             estimate = self._filter.predict(time)
             if ends:
-                self._judge(*self._begun.popleft(), time, estimate.state)
+                self._judge(time, estimate.state)
             if begins:
                 state = np.concatenate([estimate.state, estimate.motor_speed])
                 self._begun.append((time, state))
@@ -226,36 +206,20 @@ class HealthMonitor:
 
     def health(self) -> Health:
         """Return how well the model fits, from the predictions that are remembered."""
+        names, radius = self.model.vehicle.propeller_names, self.model.radius_of_gyration
         found = deviations(
-            tuple(self._judged),
-            self.model.vehicle.n_propellers,
-            memory=self._memory,
+            self._judged,
+            len(names),
+            self._memory,
             overlap=1 / _APART,
-            jitter=self._jitter,
-            radius=self.model.radius_of_gyration,
+            jitter=_JITTER,
+            radius=radius,
         )
-        return Health(
-            self.model.vehicle.propeller_names,
-            self._since is not None,
-            self._horizon,
-            found,
-        )
+        return Health(names, self._since is not None, found)
 
-    def _lose_sight(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Begin anew; what was found out is kept until it is too old."""
-        self._filter.restart(time, pose)
-        self._since = None
-        self._begun.clear()
-        self._forget(time)
-
-    def _judge(
-        self,
-        begin: float,
-        start: Float[np.ndarray, " z"],
-        end: float,
-        state: Float[np.ndarray, " 6"],
-    ) -> None:
-        """Compare a prediction with the state at its end."""
+    def _judge(self, end: float, state: Float[np.ndarray, " 6"]) -> None:
+        """Compare the oldest prediction with the state at its end."""
+        begin, start = self._begun.popleft()
         stronger = 1 + _LOSS_STEP * np.eye(len(start) - 6, len(start) - 5, 1)
         predicted = self._predicted(stronger, start, begin, end)
         late = self._predicted(stronger[:, :1], start, begin - _DELAY_STEP, end - _DELAY_STEP)
@@ -305,8 +269,8 @@ class HealthMonitor:
 def deviations(
     judged: Sequence[Judged],
     motors: int,
-    *,
     memory: float,
+    *,
     overlap: float,
     jitter: float,
     radius: float,
@@ -317,10 +281,9 @@ def deviations(
     same data, packets come late by `jitter` [s], the yaw counts with the `radius` of gyration [m].
     """
     prior = np.append(np.full(motors, PRIOR_LOSS), PRIOR_DELAY) ** -2.0
+    modelled = np.append(np.ones(motors), 0.0)
     if not judged:
-        sd, none = prior**-0.5, np.full(motors + 1, np.nan)
-        ones = np.ones(motors)
-        return Deviations(0, none[:3], ones, sd[:-1], 0.0, float(sd[-1]), none)
+        return Deviations(0, np.full(3, np.nan), modelled, prior**-0.5, np.full(motors + 1, np.nan))
     errors = np.array([one.error for one in judged])
     slopes = np.array([one.slopes for one in judged])
     lateness = jitter**2 * np.array([one.impulses for one in judged])
@@ -335,19 +298,11 @@ def deviations(
         seen = overlap * np.tensordot(weights**2, information, 1)
         covariance = inverse @ (np.diag(prior) + seen) @ inverse
         spread = _spread(errors - slopes @ p, lateness, weights, spread)
-    sd = np.sqrt(np.diag(covariance))
     metric = np.array([1.0, 1.0, radius])
     pose, changes = errors[:, :3] * metric, slopes[:, :3] * metric[:, None] * p
     left = np.sum((pose[..., None] - changes) ** 2, axis=(0, 1))
-    return Deviations(
-        len(judged),
-        np.sqrt(np.mean(errors[:, :3] ** 2, axis=0)),
-        1 + p[:-1],
-        sd[:-1],
-        float(p[-1]),
-        float(sd[-1]),
-        1 - left / np.sum(pose**2),
-    )
+    rmse, sd = np.sqrt(np.mean(errors[:, :3] ** 2, axis=0)), np.sqrt(np.diag(covariance))
+    return Deviations(len(judged), rmse, modelled + p, sd, 1 - left / np.sum(pose**2))
 
 
 def _spread(

@@ -32,7 +32,6 @@ class Link(Protocol):
     @property
     def now(self) -> float:
         """The present, on the controller's clock [s]."""
-        ...
 
     def wait_until(self, time: float) -> list[Measurement]:
         """Let time pass.
@@ -47,7 +46,6 @@ class Link(Protocol):
         list of Measurement
             Those that have arrived since the last call, in the order of their arrival.
         """
-        ...
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
         """Send a command now.
@@ -57,7 +55,6 @@ class Link(Protocol):
         command : array, shape (n,)
             Motor commands.
         """
-        ...
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
         """Publish what the craft is asked to do.
@@ -67,4 +64,3 @@ class Link(Protocol):
         reference : array, shape (6,)
             x, y, yaw and their rates.
         """
-        ...

@@ -22,27 +22,21 @@ class Pilot(Protocol):
     @property
     def reference(self) -> Reference:
         """The reference that the craft tracks."""
-        ...
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Take note of a pose; see `TrackingController.pose`."""
-        ...
 
     def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
         """Take note of an inertial measurement; see `TrackingController.imu`."""
-        ...
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
         """Take note of a velocity; see `TrackingController.mouse`."""
-        ...
 
     def step(self, time: float) -> Step:
         """Compute the command to send now; see `TrackingController.step`."""
-        ...
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         """Take note of the command that was sent; see `TrackingController.sent`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,15 +93,15 @@ def fly(
     FlightLog
         What was sent, and why.
     """
-    times, commands, status, references = [], [], [], []
     start = link.now
-    for action in control(pilot, link, duration, period, on_board=on_board):
-        times.append(action.time)
-        commands.append(action.step.command)
-        status.append(action.step.status)
-        references.append(action.reference[:3])
+    actions = list(control(pilot, link, duration, period, on_board=on_board))
     link.wait_until(start + duration)
-    return FlightLog(np.array(times), np.array(commands), tuple(status), np.array(references))
+    return FlightLog(
+        time=np.array([action.time for action in actions]),
+        command=np.array([action.step.command for action in actions]),
+        status=tuple(action.step.status for action in actions),
+        reference=np.array([action.reference[:3] for action in actions]),
+    )
 
 
 def control(

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import match_columns
@@ -164,7 +164,9 @@ def judge_pulses(
     """Compare what pulses did with what the model expects of them."""
     n, names = model.vehicle.n_propellers, model.vehicle.propeller_names
     pose = np.column_stack([pose[:, :2], _continuous(pose[:, 2])])
-    checks = [_pose_check(time, pose, command_time, command, model.vehicle.command_min)]
+    running = (command > model.vehicle.command_min + 1e-6).any(axis=1)
+    rest = time < (command_time[running.argmax()] if running.any() else np.inf)
+    checks = [_pose_check(time, pose, rest)]
     # Forces and moments in one unit: moments as forces at the radius of gyration.
     expected = acceleration_map(np, model.dynamics, 0.0, 0.0)[0]
     scale = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
@@ -221,16 +223,9 @@ def _continuous(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 
 
 def _pose_check(
-    time: Float[np.ndarray, " N"],
-    pose: Float[np.ndarray, "N 3"],
-    command_time: Float[np.ndarray, " K"],
-    command: Float[np.ndarray, "K n"],
-    idle: float,
+    time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"], rest: Bool[np.ndarray, " N"]
 ) -> Check:
-    """Check rate, noise and drift of the poses before the first pulse."""
-    running = (command > idle + 1e-6).any(axis=1)
-    begins = command_time[running.argmax()] if running.any() else np.inf
-    rest = time < begins
+    """Check rate, noise and drift of the poses at rest, before the first pulse."""
     rate = 1 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if rate < _RATE or rest.sum() < 10:
         return Check("poses", "wrong", f"come at {rate:.0f} Hz; at least {_RATE:g} are needed")
@@ -254,16 +249,14 @@ def _beyond_any_table(
     pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2"]
 ) -> Check | None:
     """Check whether the craft is far from any table, and in which units it would be on it."""
-    x, y = pose[:2]
-    if (np.abs(pose[:2]) <= _FAR * reach).all():
+    distance = np.abs(pose[:2])
+    if (distance <= _FAR * reach).all():
         return None
-    fitting = [
-        unit for unit, factor in _LENGTHS.items() if (np.abs(pose[:2]) <= factor * reach).all()
-    ]
+    fitting = [unit for unit, factor in _LENGTHS.items() if (distance <= factor * reach).all()]
     like = f"is it in {' or '.join(fitting)}, or is" if fitting else "is"
     words = (
-        f"the craft is at x = {x:.4g}, y = {y:.4g}, beyond any table in metres: {like} the origin "
-        "not the middle of the table?"
+        f"the craft is at x = {pose[0]:.4g}, y = {pose[1]:.4g}, beyond any table in metres: {like} "
+        "the origin not the middle of the table?"
     )
     return Check("units", "wrong", words)
 
@@ -274,23 +267,21 @@ def _pose_units(
     """Guess units from effects that are too large; return factors to SI, and a finding."""
     if not responses:
         return np.ones(3), ""
-    push, turn = (
-        float(np.median([_ratio(r.effect[part], expected[part, r.motor]) for r in responses]))
-        for part in (slice(0, 2), slice(2, 3))
-    )
+    found = _sizes(np.array([response.effect for response in responses]).T)
+    modelled = _sizes(expected[:, [response.motor for response in responses]])
+    push, turn = np.median(found / np.maximum(modelled, np.finfo(float).tiny), axis=1)
     for unit, factor in _LENGTHS.items():
         if factor / 3 < push <= 3 * factor:
-            words = f"positions are in {unit}, not in metres"
-            return np.array([1 / factor, 1 / factor, 1.0]), words
+            scale = np.array([1 / factor, 1 / factor, 1.0])
+            return scale, f"positions are in {unit}, not in metres"
     if _DEGREES / 3 < turn < 3 * _DEGREES:
         return np.array([1.0, 1.0, 1 / _DEGREES]), "the yaw is in degrees, not in radians"
     return np.ones(3), ""
 
 
-def _ratio(measured: Float[np.ndarray, " k"], expected: Float[np.ndarray, " k"]) -> float:
-    """Return the ratio of the lengths of two vectors."""
-    least = float(np.finfo(float).tiny)
-    return float(np.linalg.norm(measured)) / max(float(np.linalg.norm(expected)), least)
+def _sizes(effects: Float[np.ndarray, "3 p"]) -> Float[np.ndarray, "2 p"]:
+    """Return the sizes of the forces and of the moments."""
+    return np.stack([np.hypot(effects[0], effects[1]), np.abs(effects[2])])
 
 
 def _frame_check(

@@ -55,11 +55,8 @@ class PulseTest:
         self, vehicle: Vehicle, plan: PulsePlan | None = None, table: Table | None = None
     ) -> None:
         self.vehicle, self.plan = vehicle, plan or PulsePlan()
-        if self.plan.level <= vehicle.command_min:
-            raise InputError(
-                f"must be above the command of an idle motor, {vehicle.command_min:g}",
-                field="level",
-            )
+        if self.plan.level <= (idle := vehicle.command_min):
+            raise InputError(f"must be above the command of an idle motor, {idle:g}", field="level")
         paired = [index for pair in vehicle.pair_indices for index in pair]
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
         self._order = [*paired, *single] * self.plan.rounds

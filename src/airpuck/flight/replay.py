@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,13 +39,11 @@ class Gains:
 
     def matrix(self) -> Float[np.ndarray, "3 6"]:
         """Return K of v = -K x, for the state x, y, γ, vx, vy, ω."""
-        return np.concatenate(
-            [
-                np.diag([self.position, self.position, self.yaw]),
-                np.diag([self.speed, self.speed, self.spin]),
-            ],
-            axis=1,
+        of_pose, of_rates = (
+            (self.position, self.position, self.yaw),
+            (self.speed, self.speed, self.spin),
         )
+        return np.hstack([np.diag(of_pose), np.diag(of_rates)])
 
     @classmethod
     def of(cls, matrix: Float[np.ndarray, "3 6"]) -> Gains:
@@ -93,16 +92,14 @@ class Replay:
     @property
     def outcomes(self) -> dict[str, int]:
         """How many control steps in the span ended how."""
-        status = [self.status[k] for k in np.flatnonzero(self.span)]
-        return {outcome: status.count(outcome) for outcome in sorted(set(status))}
+        found = Counter(self.status[k] for k in np.flatnonzero(self.span))
+        return dict(sorted(found.items()))
 
     @property
     def correlation(self) -> Float[np.ndarray, " n"]:
         """Correlation of recorded and computed commands, for each motor; 0 if one is constant."""
-        sent, computed = (
-            part[self.compared] - part[self.compared].mean(axis=0)
-            for part in (self.sent, self.computed)
-        )
+        compared = np.stack([self.sent, self.computed])[:, self.compared]
+        sent, computed = compared - compared.mean(axis=1, keepdims=True)
         norm = np.linalg.norm(sent, axis=0) * np.linalg.norm(computed, axis=0)
         return np.sum(sent * computed, axis=0) / np.where(norm > 0, norm, 1.0)
 
@@ -121,12 +118,11 @@ class Replay:
             ``gains``, ``fitted``, ``steps``, ``outcomes``; all of the span.
         """
         apart = np.abs(self.difference)
+        motors = zip(self.motors, self.correlation, np.median(apart, axis=0), strict=True)
         return {
             "motors": [
                 {"name": name, "correlation": float(r), "median_abs": float(m)}
-                for name, r, m in zip(
-                    self.motors, self.correlation, np.median(apart, axis=0), strict=True
-                )
+                for name, r, m in motors
             ],
             "median_abs": float(np.median(apart)),
             "gains": vars(self.gains),

@@ -33,14 +33,14 @@ class SetPointResult:
     start: float
     stop: float
     #: x, y [m], yaw [rad].
-    pose: tuple[float, float, float]
+    pose: tuple[float, ...]
     #: Until the pose stays within `TOLERANCE`; None if it does not [s].
     settling_time: float | None
     #: How far x, y, yaw went beyond, seen from where they were at the start [m, m, rad].
-    overshoot: tuple[float, float, float]
+    overshoot: tuple[float, ...]
     #: Mean pose minus set point at the end of the dwell; None if poses are missing there [m, m,
     #: rad].
-    steady_state_error: tuple[float, float, float] | None
+    steady_state_error: tuple[float, ...] | None
     #: Mean over the dwell of the sum of squared commands above the lowest.
     effort: float
 
@@ -52,9 +52,7 @@ class SetPointResult:
             "set_point": _named(self.pose),
             "settling_time_s": self.settling_time,
             "overshoot": _named(self.overshoot),
-            "steady_state_error": (
-                None if self.steady_state_error is None else _named(self.steady_state_error)
-            ),
+            "steady_state_error": self.steady_state_error and _named(self.steady_state_error),
             "effort": self.effort,
         }
 
@@ -85,12 +83,11 @@ class Track:
         """Read a flight off a recording."""
         poses, commands, aligned = clean_streams(recording, vehicle)
         start = float(commands.time[0])
-        set_points = recorded_set_points(recording, aligned.recorder_epoch + start)
         return cls(
             label=label,
             time=poses.time - start,
             pose=np.column_stack([poses.values[:, :2], unwrap_yaw(poses.values[:, 2])]),
-            set_points=set_points,
+            set_points=recorded_set_points(recording, aligned.recorder_epoch + start),
             command_time=commands.time - start,
             command=commands.values,
             motors=vehicle.propeller_names,
@@ -137,11 +134,7 @@ class Track:
         return found
 
     def _result(
-        self,
-        start: float,
-        stop: float,
-        pose: Float[np.ndarray, " 3"],
-        inside: Any,
+        self, start: float, stop: float, pose: Float[np.ndarray, " 3"], inside: Any
     ) -> SetPointResult:
         """Measure one set point."""
         time, error = self.time[inside], self.pose[inside] - pose
@@ -161,11 +154,11 @@ class Track:
         return SetPointResult(
             start=start,
             stop=stop,
-            pose=_triple(pose),
+            pose=tuple(pose.tolist()),
             settling_time=settled,
-            overshoot=_triple(beyond),
+            overshoot=tuple(beyond.tolist()),
             # Without poses there it is unknown.
-            steady_state_error=_triple(error[steady].mean(axis=0)) if steady.any() else None,
+            steady_state_error=tuple(error[steady].mean(axis=0).tolist()) if steady.any() else None,
             effort=float((above**2).sum(axis=1).mean()) if given.any() else 0.0,
         )
 
@@ -173,9 +166,9 @@ class Track:
         self, other: Track, span: tuple[float, float] = (0.5, 6.5)
     ) -> Float[np.ndarray, "M 3"]:
         """Compare with another flight, at this one's poses."""
-        begin, stop = self.origin + span[0], self.origin + span[1]
-        stop = min(stop, self.time[-1], other.time[-1])
-        inside = (self.time >= max(begin, other.time[0])) & (self.time <= stop)
+        begin = max(self.origin + span[0], other.time[0])
+        stop = min(self.origin + span[1], other.time[-1])
+        inside = (self.time >= begin) & (self.time <= stop)
         if not inside.any():
             raise InputError(f"{self.label} and {other.label} have no time in common")
         theirs = [np.interp(self.time[inside], other.time, values) for values in other.pose.T]
@@ -193,12 +186,6 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     return SetPoints(times[new].tolist(), [tuple(pose) for pose in poses[new].tolist()])
 
 
-def _triple(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
-    """Return three plain numbers."""
-    x, y, yaw = values.tolist()
-    return x, y, yaw
-
-
-def _named(values: tuple[float, float, float]) -> dict[str, float]:
+def _named(values: tuple[float, ...]) -> dict[str, float]:
     """Name the channels."""
     return dict(zip(("x_m", "y_m", "yaw_rad"), values, strict=True))

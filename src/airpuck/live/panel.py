@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.flight.health import Health
+from airpuck.flight.health import HORIZON, Health
 from airpuck.live.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
@@ -148,13 +148,13 @@ def health_html(health: Health) -> str:
     words = f"{1e3 * x:.1f} mm", f"{1e3 * y:.1f} mm", f"{yaw:.3f} rad"
     lengths = (x, y, yaw) / np.array(_FULL_ERROR)
     errors = map(Gauge, ("x", "y", "yaw"), words, lengths.tolist())
-    thrusts = 100 * np.column_stack([found.effectiveness, found.deviation])
-    words = [f"{percent:.0f} ± {deviation:.0f} %" for percent, deviation in thrusts.tolist()]
-    words.append(f"{1e3 * found.delay:+.1f} ± {1e3 * found.delay_deviation:.1f} ms")
+    *thrusts, (late, sd) = np.column_stack([found.value, found.deviation]).tolist()
+    words = [f"{100 * share:.0f} ± {100 * deviation:.0f} %" for share, deviation in thrusts]
+    words.append(f"{1e3 * late:+.1f} ± {1e3 * sd:.1f} ms")
     causes = map(Gauge, (*health.motors, "delay"), words, found.share.tolist())
     findings = "".join(paragraph(finding, _WARNING) for finding in health.findings)
     return (
-        paragraph(f"Errors after {health.horizon:g} s (bar: of 16 mm, 0.5 rad)")
+        paragraph(f"Errors after {HORIZON:g} s (bar: of 16 mm, 0.5 rad)")
         + gauges_html(list(errors))
         + paragraph("Thrust and delay against the model's (bar: of the squared error)")
         + gauges_html(list(causes))
