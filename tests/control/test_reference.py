@@ -42,10 +42,10 @@ def test_a_set_point_is_not_anticipated():
 @pytest.mark.parametrize(
     ("times", "poses", "problem"),
     [
-        ([], [], "at least one"),
-        ([0.0], [], "as many times as set points"),
-        ([0.0, 1.0], [(0, 0, 0)], "as many times as set points"),
-        ([0.0], [(0, 0, 0), (1, 0, 0)], "as many times as set points"),
+        ([], [], "at least 1"),
+        ([0.0], [], "as many times as poses"),
+        ([0.0, 1.0], [(0, 0, 0)], "as many times as poses"),
+        ([0.0], [(0, 0, 0), (1, 0, 0)], "as many times as poses"),
         ([0.0, 0.0], [(0, 0, 0), (1, 0, 0)], "must increase"),
         ([1.0, 0.0], [(0, 0, 0), (1, 0, 0)], "must increase"),
         ([0.0, float("nan")], [(0, 0, 0), (1, 0, 0)], "finite"),
@@ -55,7 +55,7 @@ def test_a_set_point_is_not_anticipated():
         ([0.0], [(0, 0)], "three numbers"),
         ([0.0, 1.0], [(0, 0, 0), (1, 1)], "three numbers"),
         ([0.0], np.zeros(3), "three numbers"),
-        (np.zeros((1, 1)), [(0, 0, 0)], "as many times as set points"),
+        (np.zeros((1, 1)), [(0, 0, 0)], "as many times as poses"),
     ],
 )
 def test_set_points_that_make_no_sense_are_refused(times, poses, problem):
@@ -143,7 +143,7 @@ def test_the_yaw_of_a_path_may_go_round():
 @pytest.mark.parametrize(
     ("times", "poses", "problem"),
     [
-        ([0.0], [[0, 0, 0]], "at least two"),
+        ([0.0], [[0, 0, 0]], "at least 2"),
         ([0.0, 0.0], [[0, 0, 0], [1, 0, 0]], "must increase"),
         ([1.0, 0.0], [[0, 0, 0], [1, 0, 0]], "must increase"),
         ([0.0, np.nan], [[0, 0, 0], [1, 0, 0]], "finite"),
@@ -152,7 +152,7 @@ def test_the_yaw_of_a_path_may_go_round():
         ([0.0, 1.0, 2.0], np.zeros((3, 2)), "three numbers"),
         ([0.0, 1.0, 2.0], np.zeros(3), "three numbers"),
         ([0.0, 1.0, 2.0], np.zeros((4, 3)), "as many times as poses"),
-        ([], [], "at least two"),
+        ([], [], "at least 2"),
     ],
 )
 def test_paths_that_make_no_sense_are_refused(times, poses, problem):

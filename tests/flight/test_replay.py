@@ -298,7 +298,7 @@ def bad_value(row, column, value):
         ("command", lambda s, r, v: (s[:1], r[:1], v[:1]), "none of the commands"),
         ("command", bad_value(7, 1, np.nan), "motor_a_2: 1 of 300 commands are not finite"),
         ("command", bad_value(7, 1, 1.5), r"motor_a_2: command 1.5 at 0.07. s is outside \[0, 1\]"),
-        ("reference", bad_value(1, 0, np.nan), "set points must be finite"),
+        ("reference", bad_value(1, 0, np.nan), "poses must be finite"),
     ],
 )
 def test_bad_input_is_one_clear_line(recording, stream, edit, message):

@@ -27,7 +27,7 @@ def test_a_file_of_set_points(tmp_path):
     np.testing.assert_array_equal(points.times, [0.0, 3.5])
     np.testing.assert_array_equal(points.poses, [(0.2, 0.1, 1.0), (-0.2, 0.1, 1.0)])
     path.write_text(entry.format(3.5, 0.2) + entry.format(3.5, -0.2))
-    with pytest.raises(InputError, match=r"points.toml: setpoints: times of set points must incr"):
+    with pytest.raises(InputError, match=r"points.toml: setpoints: times must increase"):
         read_setpoints(path)
 
 

@@ -9,6 +9,7 @@ import re
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -38,6 +39,12 @@ def read_toml(
     if base is not None:
         content = laid_over(base.model_dump(mode="json"), content)
     return checked(content, schema, file=path)
+
+
+def read_packaged(name: str, schema: type[Schema]) -> Schema:
+    """Read a TOML file that comes with the package, and check it against a schema."""
+    with resources.as_file(resources.files("airpuck") / "packaged" / name) as path:
+        return read_toml(path, schema)
 
 
 def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:

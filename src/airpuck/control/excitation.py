@@ -6,16 +6,14 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
-import pydantic
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml, write_toml
 from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import Numbers, Step, TrackingController
+from airpuck.control.tracking import Step, TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
@@ -23,8 +21,6 @@ from airpuck.model.model_file import Model
 
 #: Largest signal: of all, or of each.
 Amplitude = float | Sequence[float]
-_Share = Annotated[float, pydantic.Field(ge=0, le=1)]
-_Positive = Annotated[float, pydantic.Field(gt=0)]
 
 #: Least acceleration in any direction with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
@@ -39,13 +35,13 @@ class ExcitationPlan(Section):
 
     #: Largest signal, of all or of each: those of the pairs, then those of the propellers without a
     #: partner.
-    amplitude: _Share | tuple[_Share, ...] = 1.0
+    amplitude: Fraction | tuple[Fraction, ...] = 1.0
     #: Time between changes of the signals.
-    hold_s: _Positive = 0.2
+    hold_s: Positive = 0.2
     #: Length.
-    duration_s: _Positive = 90.0
+    duration_s: Positive = 90.0
     #: Distance to the rails at which the craft must be able to stop; else the signals pause.
-    margin_m: Annotated[float, pydantic.Field(ge=0)] = 0.05
+    margin_m: NonNegative = 0.05
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the plan as TOML."""
@@ -117,6 +113,9 @@ class Excitation:
             reject_disturbance=False,
             compensate_delay=False,
         )
+        #: What is measured and sent is the controller's concern only.
+        self.pose, self.imu, self.mouse = controller.pose, controller.imu, controller.mouse
+        self.sent = controller.sent
         if not hold >= controller.tuning.period_s:
             raise InputError(
                 f"must be at least the controller's period, {controller.tuning.period_s:g} s",
@@ -127,22 +126,22 @@ class Excitation:
         self._rng = np.random.Generator(self._bits)
         self._signed, self._mixer = _mixing(model)
         self._amplitude = _amplitudes(amplitude, self._mixer.shape[1])
-        vehicle = model.vehicle
-        self._reach = np.array((table or Table()).reach(vehicle.radius_m)) - margin
+        self._reach = np.array((table or Table()).reach(model.vehicle.radius_m)) - margin
         if not (margin >= 0 and (self._reach > 0).all()):
             raise InputError(
                 "must not be negative, and leave room between the rails", field="margin"
             )
         weakest = _weakest_push(model)
+        craft = model.vehicle.name
         if weakest < _LEAST_PUSH:
             raise InputError(
-                f"the propellers of {vehicle.name!r} cannot push in every direction: the craft "
-                "could not be kept on the table"
+                f"the propellers of {craft!r} cannot push in every direction: the craft could not "
+                "be kept on the table"
             )
         if _weakest_effort(model) < _LEAST_PUSH:
             raise InputError(
-                f"the propellers of {vehicle.name!r} cannot push in every direction and turn it "
-                "both ways: no positive thrusts of all cancel in force and in moment"
+                f"the propellers of {craft!r} cannot push in every direction and turn it both "
+                "ways: no positive thrusts of all cancel in force and in moment"
             )
         self._braking = _BRAKING * weakest
         self._begun: float | None = None
@@ -155,22 +154,6 @@ class Excitation:
     def reference(self) -> Reference:
         """What the controller steers to."""
         return self.controller.reference
-
-    def pose(self, time: float, pose: Numbers) -> None:
-        """Pass a pose on; see `TrackingController.pose`."""
-        self.controller.pose(time, pose)
-
-    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
-        """Pass an inertial measurement on; see `TrackingController.imu`."""
-        self.controller.imu(time, acceleration, gyro)
-
-    def mouse(self, time: float, velocity: Numbers) -> None:
-        """Pass a velocity on; see `TrackingController.mouse`."""
-        self.controller.mouse(time, velocity)
-
-    def sent(self, time: float, command: Numbers) -> None:
-        """Pass on what was sent; see `TrackingController.sent`."""
-        self.controller.sent(time, command)
 
     def step(self, time: float) -> Step:
         """Compute the command to send now.
@@ -244,25 +227,21 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
     """
     vehicle, effects = model.vehicle, model.propeller_effects
     effects = effects / np.linalg.norm(effects, axis=0)
-    n, pairs = vehicle.n_propellers, vehicle.pair_indices
-    paired = {index for pair in pairs for index in pair}
-    single = [index for index in range(n) if index not in paired]
-    signed, mixer = np.eye(n), np.zeros((n, len(pairs) + len(single)))
-    for column, (first, second) in enumerate(pairs):
-        cosine = float(effects[:, first] @ effects[:, second])
+    for (one, other), (first, second) in zip(vehicle.pairs, vehicle.pair_indices, strict=True):
+        cosine = effects[:, first] @ effects[:, second]
         if cosine > _OPPOSED:
-            names = vehicle.propeller_names
             raise InputError(
-                f"{names[first]} and {names[second]} of {vehicle.name!r} do not oppose each other "
+                f"{one} and {other} of {vehicle.name!r} do not oppose each other "
                 f"in force and in moment (cosine {cosine:.2f}, at most {_OPPOSED:g}); take the "
                 "pair out, and each is excited by itself",
                 field="pairs",
             )
-        signed[first, second] = signed[second, first] = -1.0
-        mixer[first, column], mixer[second, column] = 1.0, -1.0
-    for column, index in enumerate(single, start=len(pairs)):
-        mixer[index, column] = 1.0
-    return signed, mixer
+    first, second = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2).T
+    each = np.eye(vehicle.n_propellers)
+    mixer = [each[:, first] - each[:, second], np.delete(each, [*first, *second], axis=1)]
+    signed = each.copy()
+    signed[first, second] = signed[second, first] = -1.0
+    return signed, np.hstack(mixer)
 
 
 def _weakest_effort(model: Model) -> float:

@@ -89,16 +89,9 @@ class SetPoints:
         times: Sequence[float] | np.ndarray,
         poses: Sequence[Sequence[float]] | np.ndarray,
     ) -> None:
-        self.times = np.array(times, dtype=float)
-        self.poses = _poses(poses, "setpoint")
-        if len(self.times) == 0 or self.times.shape != (len(self.poses),):
-            raise InputError("give as many times as set points, and at least one", field="setpoint")
+        self.times, self.poses = _checked(times, poses, 1, "setpoint")
         at_rest = np.concatenate([self.poses, np.zeros_like(self.poses)], axis=1)
         self._targets = [Target(state, np.zeros(3)) for state in at_rest]
-        if not (np.isfinite(self.times).all() and np.isfinite(self.poses).all()):
-            raise InputError("times and set points must be finite numbers", field="setpoint")
-        if (np.diff(self.times) <= 0).any():
-            raise InputError("times of set points must increase", field="setpoint")
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the set point in force now; see `Reference.at`."""
@@ -132,15 +125,9 @@ class TimedPath:
     ) -> None:
         from scipy.interpolate import CubicSpline
 
-        times, poses = np.array(times, dtype=float), _poses(poses, "path")
-        if times.shape != (len(poses),):
-            raise InputError("give as many times as poses", field="path")
-        if len(times) < 2 or not (np.isfinite(times).all() and np.isfinite(poses).all()):
-            raise InputError("give at least two times and poses, all finite", field="path")
-        if (np.diff(times) <= 0).any():
-            raise InputError("times must increase", field="path")
-        self._first, self._last = float(times[0]), float(times[-1])
-        spline = CubicSpline(times, poses, bc_type="clamped")
+        known, through = _checked(times, poses, 2, "path")
+        self._first, self._last = float(known[0]), float(known[-1])
+        spline = CubicSpline(known, through, bc_type="clamped")
         self._splines = (spline, spline.derivative(), spline.derivative(2))
 
     def at(self, now: float, ahead: float) -> Target:
@@ -153,14 +140,24 @@ class TimedPath:
         return Target(np.concatenate([pose, velocity]), acceleration)
 
 
-def _poses(given: Sequence[Sequence[float]] | np.ndarray, field: str) -> Float[np.ndarray, "N 3"]:
-    """Return poses as rows of three numbers, none regrouped and none left out."""
+def _checked(
+    times: Sequence[float] | np.ndarray,
+    poses: Sequence[Sequence[float]] | np.ndarray,
+    least: int,
+    field: str,
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """Return times and poses as arrays, or refuse them."""
     try:
-        poses = np.array(given, dtype=float)
+        pose = np.array(poses, dtype=float)
     except ValueError:
-        poses = np.zeros((1, 1))  # rows of different lengths
-    if poses.size == 0:
-        return np.zeros((0, 3))
-    if poses.ndim != 2 or poses.shape[1] != 3:
+        pose = np.zeros((1, 1))  # rows of different lengths
+    if pose.size and pose.shape[1:] != (3,):
         raise InputError("each pose must be three numbers: x, y, yaw", field=field)
-    return poses
+    time, pose = np.array(times, dtype=float), pose.reshape(-1, 3)
+    if time.shape != (len(pose),) or len(time) < least:
+        raise InputError(f"give as many times as poses, and at least {least}", field=field)
+    if not (np.isfinite(time).all() and np.isfinite(pose).all()):
+        raise InputError("times and poses must be finite numbers", field=field)
+    if (np.diff(time) <= 0).any():
+        raise InputError("times must increase", field=field)
+    return time, pose

@@ -117,31 +117,25 @@ class TrackingController:
         self.law = LQR(regulator(tuning.weights, tuning.period_s) if gain is None else gain)
         #: Not to be exchanged: the programs below are made for it.
         self.filter = _estimator(model, tuning.estimation, compiled)
-        n, period, slack_weight = (
-            vehicle.n_propellers,
-            tuning.period_s,
-            tuning.allocation.slack_weight,
-        )
+        n, period, allocation = vehicle.n_propellers, tuning.period_s, tuning.allocation
+        slack_weight = allocation.slack_weight
         self._allocator = ThrustAllocator(
-            n, model.radius_of_gyration, slack_weight, tuning.allocation.solver
+            n, model.radius_of_gyration, slack_weight, allocation.solver
         )
         self._idle = np.full(n, vehicle.command_min)
         state, axes, motors, bounds = np.zeros(6), np.zeros(3), np.zeros(n), np.zeros(n + 5)
         asked = state, axes, *self.law.numbers
         plan = plan_stage(model, period, self.law, slack_weight, reject_disturbance)
         self._plan = program(plan, state, motors, axes, motors, *asked, compiled=compiled)
-        self._command = program(
-            command_stage(model, period),
-            *(np.zeros(n + 2), bounds, bounds, motors),
-            compiled=compiled,
-        )
+        command, solution = command_stage(model, period), np.zeros(n + 2)
+        self._command = program(command, solution, bounds, bounds, motors, compiled=compiled)
         #: Prediction and plan as one program, where that is faster.
         self._predict_and_plan = None
         if compensate_delay and (not compiled or large_programs_are_fast()):
             self._predict_and_plan = self.filter.composed(plan, *asked)
         self._gate = PoseGate()
-        #: The latest time that has certainly come.
-        self._clock: float | None = None
+        #: The latest time that has certainly come; -inf: none yet.
+        self._clock = -math.inf
 
     def pose(self, time: float, pose: Numbers) -> None:
         """Take note of a measured pose.
@@ -164,7 +158,7 @@ class TrackingController:
             If the pose is not three numbers.
         """
         if self._gate.offer(self.filter, time, _copied(pose, 3, "pose")):
-            self._clock = time if self._clock is None else max(self._clock, time)
+            self._clock = max(self._clock, time)
 
     def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
         """Take note of an inertial measurement.
@@ -226,12 +220,11 @@ class TrackingController:
         command = _copied(command, len(self._idle), "command")
         if not all_finite(command):
             return
-        late = self._clock is not None and time > self._clock + STALE
-        if self._clock is not None and (late or not math.isfinite(time)):
+        if math.isfinite(self._clock) and not -math.inf < time <= self._clock + STALE:
             time = self._clock
         if not math.isfinite(time):
             return
-        self._clock = time if self._clock is None else max(self._clock, time)
+        self._clock = max(self._clock, time)
         self.filter.command(time, command)
         self.filter.run_motors(time - _REMEMBERED)
 
@@ -250,12 +243,12 @@ class TrackingController:
         """
         refusal = self.refusal(time)
         if refusal is not None:
-            return self._idling(refusal)
+            return Step(self._idle.copy(), refusal, np.zeros(3), None)
         delay = self.model.transport_delay
         target = self.reference.at(time, delay + self.tuning.period_s)
         if self._predict_and_plan is None:
             return self.steer(self.predict(time), target)
-        asked = target.state, target.acceleration, *self.law.numbers
+        asked = self._asked(target)
         estimate, plan = self.filter.predict_with(self._predict_and_plan, time + delay, *asked)
         return self._carried_out(estimate, Plan(*plan))
 
@@ -293,36 +286,22 @@ class TrackingController:
         Step
             The command.
         """
-        plan = self._plan(
-            estimate.state,
-            estimate.motor_speed,
-            estimate.disturbance,
-            estimate.effectiveness,
-            target.state,
-            target.acceleration,
-            *self.law.numbers,
-        )
-        return self._carried_out(estimate, Plan(*plan))
+        e = estimate
+        believed = e.state, e.motor_speed, e.disturbance, e.effectiveness
+        return self._carried_out(e, Plan(*self._plan(*believed, *self._asked(target))))
+
+    def _asked(self, target: Target) -> tuple[np.ndarray, ...]:
+        """Return what a plan needs beside the estimate."""
+        return target.state, target.acceleration, *self.law.numbers
 
     def _carried_out(self, estimate: Estimate, plan: Plan) -> Step:
         """Allocate thrusts for a plan and invert them to commands."""
         solution, outcome = self._allocator.solve(plan.a, plan.lower, plan.upper, plan.finite)
-        if solution is None:
-            return self._idling("failed", plan.request, estimate)
-        (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)
-        if not all_finite(command):
-            return self._idling("failed", plan.request, estimate)
-        return Step(command, outcome, plan.request, estimate)
-
-    def _idling(
-        self,
-        status: Status,
-        request: Float[np.ndarray, " 3"] | None = None,
-        estimate: Estimate | None = None,
-    ) -> Step:
-        """Return a step that idles the motors."""
-        request = np.zeros(3) if request is None else request
-        return Step(self._idle.copy(), status, request, estimate)
+        if solution is not None:
+            (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)
+            if all_finite(command):
+                return Step(command, outcome, plan.request, estimate)
+        return Step(self._idle.copy(), "failed", plan.request, estimate)
 
     def refusal(self, time: float) -> Status | None:
         """Return why the craft cannot be steered now.
@@ -346,8 +325,7 @@ class TrackingController:
 def _commands_all_directions(model: Model) -> bool:
     """Return whether the propellers' forces and moments span all accelerations."""
     # Moments as forces at the radius of gyration: one unit for all three rows.
-    strength = np.linalg.svd(model.propeller_effects, compute_uv=False)
-    return len(strength) == 3 and bool(strength[2] > 1e-6 * strength[0])
+    return bool(np.linalg.matrix_rank(model.propeller_effects, rtol=1e-6) == 3)
 
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:

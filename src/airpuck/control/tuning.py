@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import os
-from importlib import resources
 from typing import Annotated, Literal
 
 import pydantic
 
-from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.files import (
+    NonNegative,
+    Positive,
+    Section,
+    read_packaged,
+    read_toml,
+    write_toml,
+)
 from airpuck.estimate.axis_filter import Noise
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
 
-Positive = Annotated[float, pydantic.Field(gt=0)]
-NonNegative = Annotated[float, pydantic.Field(ge=0)]
 # Beyond these the Riccati equation is out of reach of the arithmetic.
 Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
 PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
@@ -71,13 +75,12 @@ class Estimation(Section):
     @property
     def noise(self) -> Noise:
         """The noise as the filter takes it."""
-        push, turn = self.acceleration_density, self.angular_acceleration_density
-        wander, twist = self.disturbance_density, self.angular_disturbance_density
-        return Noise(
-            pose=(self.position_m, self.position_m, self.yaw_rad),
-            acceleration=(push, push, turn),
-            disturbance=(wander, wander, twist),
+        pairs = (
+            (self.position_m, self.yaw_rad),
+            (self.acceleration_density, self.angular_acceleration_density),
+            (self.disturbance_density, self.angular_disturbance_density),
         )
+        return Noise(*((linear, linear, angular) for linear, angular in pairs))
 
 
 class Tuning(Section):
@@ -150,6 +153,4 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
 
 def default_tuning() -> Tuning:
     """Return the packaged tuning, near the one that flew the paper's experiment."""
-    packaged = resources.files("airpuck") / "packaged" / "tuning.toml"
-    with resources.as_file(packaged) as path:
-        return read_toml(path, Tuning)
+    return read_packaged("tuning.toml", Tuning)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pydantic
@@ -21,6 +19,7 @@ from airpuck.boundary.files import (
     NonNegative,
     Positive,
     Section,
+    read_packaged,
     read_toml,
     write_toml,
 )
@@ -192,9 +191,7 @@ def default_vehicle() -> Vehicle:
     Vehicle
         Six propellers in three opposing pairs, 137.7 g.
     """
-    packaged = resources.files("airpuck") / "packaged" / "holohover.toml"
-    with resources.as_file(packaged) as path:
-        return read_vehicle(Path(path))
+    return read_packaged("holohover.toml", Vehicle)
 
 
 def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib import resources
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from airpuck.boundary.files import (
     NonNegative,
     Positive,
     Section,
+    read_packaged,
     read_toml,
     write_toml,
 )
@@ -221,6 +221,4 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
 
 def default_twin_settings() -> TwinSettings:
     """Return the packaged settings: sensors and radio as in the real recordings, no faults."""
-    packaged = resources.files("airpuck") / "packaged" / "twin.toml"
-    with resources.as_file(packaged) as path:
-        return read_toml(path, TwinSettings)
+    return read_packaged("twin.toml", TwinSettings)
