@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.options import Json, Quiet
-from airpuck.cli.output import check_destinations, report, table, write_json
+from airpuck.cli.output import report, table, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,26 +30,21 @@ _SHOWN = 10
 
 @app.command(rich_help_panel="Many at once")
 def campaign(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A spec.toml.")],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results.")
-    ],
+    spec: Annotated[Path, Argument(metavar="SPEC", help="A spec.toml.")],
+    output: Annotated[Path, options.output("DIR", "Folder of the results.")],
     scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="TCP", help="Address of a Dask scheduler, tcp://HOST:PORT."),
+        str | None, Option(metavar="TCP", help="Address of a Dask scheduler, tcp://HOST:PORT.")
     ] = None,
     workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Processes to start; as many as processors.", min=1),
+        int | None, Option(metavar="N", help="Processes to start; as many as processors.", min=1)
     ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Run again what failed.")] = False,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    retry: Annotated[bool, Option("--retry", help="Run again what failed.")] = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Run many independent flights or fits; what is done already is not done again."""
     if scheduler is not None and workers is not None:
         raise InputError("a running cluster has its own; give one of the two", field="--workers")
-    check_destinations(output=output, json=json_file)
     try:
         with _progress(quiet) as progress:
             found = airpuck.campaign(

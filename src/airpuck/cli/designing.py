@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Option
 
 import airpuck
+from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_controls, read_twin
-from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile
-from airpuck.cli.output import check_destinations, report, table, warn
+from airpuck.cli.output import report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,44 +31,40 @@ _SHOWN = 8
 @app.command(rich_help_panel="Control and flight")
 def design(
     model: Annotated[
-        str, typer.Option(metavar="MODEL", help="What is believed of the craft.")
+        str, Option(metavar="MODEL", help="What is believed of the craft.")
     ] = "paper:M3",
     after: Annotated[
         list[Path] | None,
-        typer.Option(metavar="RECORDING", help="Fit to this first; repeat for several."),
+        Option(metavar="RECORDING", help="Fit to this first; repeat for several."),
     ] = None,
     duration: Annotated[
-        float, typer.Option(metavar="S", help=r"Length of the flight to propose \[s].")
+        float, Option(metavar="S", help=r"Length of the flight to propose \[s].")
     ] = 60.0,
     criterion: Annotated[
         Literal["worst", "mean"],
-        typer.Option(help="worst: the largest relative error; mean: their geometric mean."),
+        Option(help="worst: the largest relative error; mean: their geometric mean."),
     ] = "worst",
-    margin: Annotated[
-        float, typer.Option(metavar="M", help=r"Least distance to the rails \[m].")
-    ] = 0.08,
+    margin: Annotated[float, Option(metavar="M", help=r"Least distance to the rails \[m].")] = 0.08,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Plan to write, for excite --plan."),
+        Path | None, options.output("FILE", "Plan to write, for excite --plan.")
     ] = None,
     check: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Fly it N times on the twin, identify, and compare.", min=1),
+        Option(metavar="N", help="Fly it N times on the twin, identify, and compare.", min=1),
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the errors; a PNG.")
+        Path | None, options.output("FILE", "Draw the errors; a PNG.", "--figure")
     ] = None,
-    twin: TwinFile = None,
-    tuning: TuningFile = None,
-    topics: TopicsFile = None,
-    seed: Seed = 0,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    twin: options.TwinFile = None,
+    tuning: options.TuningFile = None,
+    topics: options.TopicsFile = None,
+    seed: options.Seed = 0,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Propose the excitation that shrinks the worst-determined parameters most."""
     from airpuck.experiment_design.trials import check_design
 
-    check_destinations(output=output, figure=figure, json=json_file)
     craft = airpuck.read_model(model)
     if after:
         craft = _fitted(craft, after, topics, quiet)

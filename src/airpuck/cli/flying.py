@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import (
     published_flights,
@@ -19,17 +20,7 @@ from airpuck.cli.inputs import (
     read_flight,
     read_twin,
 )
-from airpuck.cli.options import (
-    Json,
-    PageFolder,
-    Seed,
-    Span,
-    TopicsFile,
-    TuningFile,
-    TwinFile,
-    VehicleFile,
-)
-from airpuck.cli.output import check_destinations, report
+from airpuck.cli.output import report
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -43,24 +34,21 @@ PANEL = "Control and flight"
 def replay(
     flight: Annotated[
         Path,
-        typer.Argument(metavar="FLIGHT", help="A recording with poses, commands and references."),
+        Argument(metavar="FLIGHT", help="A recording with poses, commands and references."),
     ],
-    model: Annotated[
-        str, typer.Option(metavar="MODEL", help="What the controller believes the craft to be.")
-    ],
+    model: Annotated[str, options.CONTROLLERS_MODEL],
     fit_gains: Annotated[
-        bool, typer.Option("--fit-gains", help="Fit the regulator's gains to the log first.")
+        bool, Option("--fit-gains", help="Fit the regulator's gains to the log first.")
     ] = False,
-    tuning: TuningFile = None,
-    span: Span = None,
-    topics: TopicsFile = None,
-    output: PageFolder = None,
-    json_file: Json = None,
+    tuning: options.TuningFile = None,
+    span: options.Span = None,
+    topics: options.TopicsFile = None,
+    output: options.PageFolder = None,
+    json_file: options.Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with those sent."""
     from airpuck.control.tuning import default_tuning
 
-    check_destinations(output=output, json=json_file)
     craft, settings = read_belief(model), read_controls(tuning) or default_tuning()
     result = airpuck.replay(
         read_flight(flight, topics),
@@ -79,33 +67,28 @@ def replay(
 
 @app.command(rich_help_panel=PANEL)
 def excite(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")
-    ],
+    output: options.NewBag,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help=r"Length \[s], by default 90.")
+        float | None, Option(metavar="S", help=r"Length \[s], by default 90.")
     ] = None,
-    seed: Seed = 0,
-    vehicle: VehicleFile = None,
+    seed: options.Seed = 0,
+    vehicle: options.VehicleFile = None,
     model: Annotated[
         str | None,
-        typer.Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
+        Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
     ] = None,
-    amplitude: Annotated[
-        float | None, typer.Option(help="Largest random signal, by default 1.")
-    ] = None,
+    amplitude: Annotated[float | None, Option(help="Largest random signal, by default 1.")] = None,
     hold: Annotated[
-        float | None,
-        typer.Option(metavar="S", help=r"Time between its changes \[s], by default 0.2."),
+        float | None, Option(metavar="S", help=r"Time between its changes \[s], by default 0.2.")
     ] = None,
     plan: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="These and the margin, as airpuck design proposes."),
+        Option(metavar="FILE", help="These and the margin, as airpuck design proposes."),
     ] = None,
-    twin: TwinFile = None,
-    tuning: TuningFile = None,
-    csv: Annotated[bool, typer.Option("--csv", help="Record CSV files instead of a bag.")] = False,
-    json_file: Json = None,
+    twin: options.TwinFile = None,
+    tuning: options.TuningFile = None,
+    csv: Annotated[bool, Option("--csv", help="Record CSV files instead of a bag.")] = False,
+    json_file: options.Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
     from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
@@ -119,7 +102,6 @@ def excite(
     # Before the flight: a folder that is in the way should not cost a minute.
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
-    check_destinations(output=output, json=json_file)
     given = {"duration_s": duration, "amplitude": amplitude, "hold_s": hold}
     planned = ExcitationPlan() if plan is None else read_excitation_plan(plan)
     planned = planned.model_copy(update={k: v for k, v in given.items() if v is not None})
@@ -140,34 +122,33 @@ def excite(
 def track(
     models: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--model", metavar="MODEL", help="What the controller believes; repeat for several."
         ),
     ] = None,
     flights: Annotated[
         list[Path] | None,
-        typer.Option("--flight", metavar="FLIGHT", help="Real flight of each model, to imitate."),
+        Option("--flight", metavar="FLIGHT", help="Real flight of each model, to imitate."),
     ] = None,
-    truth: Annotated[str, typer.Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
+    truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
     dwell: Annotated[
-        float | None,
-        typer.Option(metavar="S", help=r"Time at each set point \[s]; imitates no flight."),
+        float | None, Option(metavar="S", help=r"Time at each set point \[s]; imitates no flight.")
     ] = None,
     controller: Annotated[
         Literal["paper", "full"],
-        typer.Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
+        Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
     ] = "paper",
     estimator: Annotated[
         Literal["kalman", "actuation"] | None,
-        typer.Option(
+        Option(
             help="kalman, or actuation: finds out what each motor does; by default the tuning's."
         ),
     ] = None,
-    seed: Seed = 0,
-    twin: TwinFile = None,
-    tuning: TuningFile = None,
-    output: PageFolder = None,
-    json_file: Json = None,
+    seed: options.Seed = 0,
+    twin: options.TwinFile = None,
+    tuning: options.TuningFile = None,
+    output: options.PageFolder = None,
+    json_file: options.Json = None,
 ) -> None:
     """Fly the paper's set points on the twin, beside the real flights."""
     from airpuck.control.tuning import default_tuning
@@ -183,7 +164,6 @@ def track(
         paths = published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
-    check_destinations(output=output, json=json_file)
     controls = read_controls(tuning)
     if estimator is not None:
         controls = (controls or default_tuning()).with_estimator(estimator)
@@ -211,25 +191,22 @@ def track(
 @app.command(rich_help_panel=PANEL)
 def animate(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSVs.")
+        Path, Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSVs.")
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="flight.gif or flight.html")
-    ],
-    span: Span = None,
-    vehicle: VehicleFile = None,
-    topics: TopicsFile = None,
-    speed: Annotated[float, typer.Option(help="Seconds of flight per second.")] = 1.0,
-    fps: Annotated[float, typer.Option(help="Frames of a GIF per second.")] = 25.0,
+    output: Annotated[Path, options.output("FILE", "flight.gif or flight.html")],
+    span: options.Span = None,
+    vehicle: options.VehicleFile = None,
+    topics: options.TopicsFile = None,
+    speed: Annotated[float, Option(help="Seconds of flight per second.")] = 1.0,
+    fps: Annotated[float, Option(help="Frames of a GIF per second.")] = 25.0,
     table: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="L W", help=r"Length and width of the table \[m]."),
+        Option(metavar="L W", help=r"Length and width of the table \[m]."),
     ] = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.animation_frames import TABLE
 
-    check_destinations(output=output)
     page = airpuck.animate(
         read_flight(recording, topics),
         output,

@@ -8,23 +8,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_craft
-from airpuck.cli.options import (
-    Json,
-    Quiet,
-    RecordingPath,
-    Seed,
-    Span,
-    TopicsFile,
-    VehicleFile,
-)
 from airpuck.cli.output import (
-    check_destinations,
     is_stdout,
     report,
     show_progress,
@@ -45,20 +36,19 @@ PANEL = "From a recording to a validated model"
 
 @app.command(rich_help_panel=PANEL)
 def preprocess(
-    recording: RecordingPath,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="traj.npz")],
-    vehicle: VehicleFile = None,
-    topics: TopicsFile = None,
+    recording: options.RecordingPath,
+    output: Annotated[Path, options.output("FILE", "traj.npz")],
+    vehicle: options.VehicleFile = None,
+    topics: options.TopicsFile = None,
     delay: Annotated[
-        float | None, typer.Option(metavar="S", help="Transport delay; by default it is found.")
+        float | None, Option(metavar="S", help="Transport delay; by default it is found.")
     ] = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Turn a recording into a trajectory: states, commands, delay, what not to use."""
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
-    check_destinations(output=output, json=json_file)
     silent = quiet or is_stdout(json_file)
     trajectory = load(recording, read_craft(vehicle), topics, delay=delay, quiet=silent)
     trajectory.save(output)
@@ -83,62 +73,65 @@ def preprocess(
 @app.command(rich_help_panel=PANEL)
 def identify(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="One or more, of one craft.")
+        list[Path], Argument(metavar="RECORDING...", help="One or more, of one craft.")
     ],
     model: Annotated[
-        str, typer.Option(help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair.")
+        str, Option(help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair.")
     ] = "M3",
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="Model file to write.")
-    ] = Path("model.toml"),
-    span: Span = None,
-    vehicle: VehicleFile = None,
-    topics: TopicsFile = None,
+    output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
+    span: options.Span = None,
+    vehicle: options.VehicleFile = None,
+    topics: options.TopicsFile = None,
     method: Annotated[
-        Literal["lm", "adam"], typer.Option(help="lm (Levenberg-Marquardt) or adam.")
+        Literal["lm", "adam"], Option(help="lm (Levenberg-Marquardt) or adam.")
     ] = "lm",
-    epochs: Annotated[int | None, typer.Option(help="Epochs of Adam.", min=1)] = None,
+    epochs: Annotated[int | None, Option(help="Epochs of Adam.", min=1)] = None,
     stride: Annotated[
-        int | None, typer.Option(help="Samples between windows; 7, for adam 1.", min=1)
+        int | None, Option(help="Samples between windows; 7, for adam 1.", min=1)
     ] = None,
     degree: Annotated[
-        int | None, typer.Option(help="Degree of the thrust polynomials.", min=1, max=9)
+        int | None, Option(help="Degree of the thrust polynomials.", min=1, max=9)
     ] = None,
     yaw_weight: Annotated[
-        float, typer.Option(help="Weight of yaw errors in the loss [1/rad].", min=0)
+        float, Option(help="Weight of yaw errors in the loss [1/rad].", min=0)
     ] = 0.1,
     com_frame: Annotated[
         Literal["body", "world"],
-        typer.Option(help="Centre of mass fixed to the body, or as in the paper to the world."),
+        Option(help="Centre of mass fixed to the body, or as in the paper to the world."),
     ] = "body",
     report_folder: Annotated[
-        Path | None, typer.Option("--report", metavar="DIR", help="Write a page with figures, too.")
+        Path | None,
+        Option(
+            "--report",
+            metavar="DIR",
+            help="Write a page with figures, too.",
+            callback=options.writable,
+        ),
     ] = None,
     delay: Annotated[
         Literal["fit", "fixed"] | None,
-        typer.Option(
+        Option(
             help="Transport delay: fit it, or take each recording's (fixed); by default fit, where "
             "a motor lag is modelled, with lm, unless others have prepared the recording (data.pt)."
         ),
     ] = None,
     robust: Annotated[
-        bool,
-        typer.Option("--robust", help="Let windows that are predicted badly count less."),
+        bool, Option("--robust", help="Let windows that are predicted badly count less.")
     ] = False,
     faults: Annotated[
         Literal["exclude", "keep"] | None,
-        typer.Option(
+        Option(
             help="exclude: where motors or radio failed, nothing is learned; or keep. By default "
             "exclude, unless others have prepared the recording (data.pt)."
         ),
     ] = None,
     bootstrap: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
+        Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
     ] = None,
-    seed: Seed = 0,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    seed: options.Seed = 0,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
     from airpuck.identification.bootstrap import bootstrap as resample
@@ -158,7 +151,6 @@ def identify(
                 raise InputError("is of lm only", field=option)
     if seed and bootstrap is None:
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
-    check_destinations(output=output, json=json_file, report=report_folder)
     craft = read_craft(vehicle)
     trajectories = [load(path, craft, topics, span=span, quiet=quiet) for path in recordings]
     stride = stride or (7 if method == "lm" else 1)

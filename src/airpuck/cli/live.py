@@ -7,15 +7,15 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 from typer.core import TyperCommand
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import read_belief, read_controls, read_craft, read_flight, read_twin
-from airpuck.cli.options import Json, Quiet, Seed, TopicsFile, TuningFile, TwinFile, VehicleFile
-from airpuck.cli.output import check_destinations, is_stdout, report, write_json
+from airpuck.cli.output import is_stdout, report, write_json
 
 if TYPE_CHECKING:
     from airpuck.control.reference import SetPoints
@@ -27,48 +27,43 @@ _DWELL = 3.0
 _PANEL = "Live, on a ROS 2 graph"
 
 Domain = Annotated[
-    int | None,
-    typer.Option("--domain", metavar="N", help="DDS domain; by default $ROS_DOMAIN_ID, or 0."),
+    int | None, Option("--domain", metavar="N", help="DDS domain; by default $ROS_DOMAIN_ID, or 0.")
 ]
 Interface = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--interface",
         metavar="NAME",
         help="Network interface, such as eth0; by default nothing leaves this machine.",
     ),
 ]
 Duration = Annotated[
-    float | None,
-    typer.Option("--duration", metavar="S", help=r"Length \[s]; by default until Ctrl-C."),
+    float | None, Option("--duration", metavar="S", help=r"Length \[s]; by default until Ctrl-C.")
 ]
-Belief = Annotated[
-    str, typer.Option("--model", metavar="MODEL", help="What the craft is believed to be.")
-]
+Belief = Annotated[str, options.BELIEVED_MODEL]
 
 
 @app.command(rich_help_panel=_PANEL)
 def twin(
     model: Annotated[
-        str, typer.Option(metavar="MODEL", help="Truth of the simulated craft.")
+        str, Option(metavar="MODEL", help="Truth of the simulated craft.")
     ] = "paper:M3",
-    settings: TwinFile = None,
+    settings: options.TwinFile = None,
     pose: Annotated[
         tuple[float, float, float],
-        typer.Option(metavar="X Y YAW", help=r"Where the craft stands at first \[m, m, rad]."),
+        Option(metavar="X Y YAW", help=r"Where the craft stands at first \[m, m, rad]."),
     ] = (0.0, 0.0, 0.0),
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     domain: Domain = None,
     interface: Interface = None,
-    topics: TopicsFile = None,
+    topics: options.TopicsFile = None,
     duration: Duration = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
 
-    check_destinations(json=json_file)
     live = live_settings(domain, interface, topics, duration, quiet)
     truth = airpuck.read_model(model)
     figures = serve_twin(truth, live, read_twin(settings), seed=seed, pose=pose)
@@ -97,48 +92,42 @@ class _Triples(TyperCommand):
 
 @app.command(rich_help_panel=_PANEL, cls=_Triples)
 def fly(
-    model: Annotated[
-        str | None,
-        typer.Option(metavar="MODEL", help="What the controller believes the craft to be."),
-    ] = None,
+    model: Annotated[str | None, options.CONTROLLERS_MODEL] = None,
     setpoints: Annotated[
         list[str] | None,
-        typer.Option(
-            SETPOINT, metavar="X Y YAW", help="Where to go; repeat for several, in order."
-        ),
+        Option(SETPOINT, metavar="X Y YAW", help="Where to go; repeat for several, in order."),
     ] = None,
     dwell: Annotated[
-        float | None,
-        typer.Option(metavar="S", help=r"Time at each --setpoint \[s]; by default 3."),
+        float | None, Option(metavar="S", help=r"Time at each --setpoint \[s]; by default 3.")
     ] = None,
     setpoints_file: Annotated[
         Path | None,
-        typer.Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
+        Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
     ] = None,
     topic: Annotated[
-        bool, typer.Option("--topic", help="Go where the graph's reference topic says.")
+        bool, Option("--topic", help="Go where the graph's reference topic says.")
     ] = False,
     excite: Annotated[
-        bool, typer.Option("--excite", help="Fly the excitation experiment instead.")
+        bool, Option("--excite", help="Fly the excitation experiment instead.")
     ] = False,
-    vehicle: VehicleFile = None,
+    vehicle: options.VehicleFile = None,
     geofence: Annotated[
         tuple[float, float] | None,
-        typer.Option(
+        Option(
             metavar="X Y",
             help=r"Motors idle beyond ±X, ±Y \[m]; by default beyond the table's rails.",
         ),
     ] = None,
-    tuning: TuningFile = None,
+    tuning: options.TuningFile = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Seed of --excite; by default 0.", min=0)
+        int | None, Option(metavar="N", help="Seed of --excite; by default 0.", min=0)
     ] = None,
     domain: Domain = None,
     interface: Interface = None,
-    topics: TopicsFile = None,
+    topics: options.TopicsFile = None,
     duration: Duration = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
     from airpuck.compute.process import low_latency
@@ -157,7 +146,6 @@ def fly(
         raise InputError("is the seed of --excite; nothing else is random", field="--seed")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
-    check_destinations(json=json_file)
     live = live_settings(domain, interface, topics, duration, quiet)
     craft = read_model_or_vehicle(model, vehicle)
     fence = _fence(geofence, craft)
@@ -188,20 +176,17 @@ def fly(
 
 @app.command(rich_help_panel=_PANEL)
 def record(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="BAG", help="Folder to record to; new.")
-    ],
-    vehicle: VehicleFile = None,
+    output: options.NewBag,
+    vehicle: options.VehicleFile = None,
     domain: Domain = None,
     interface: Interface = None,
     duration: Duration = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
-    check_destinations(output=output, json=json_file)
     craft = read_craft(vehicle)
     motors = () if craft is None else craft.propeller_names
     live = live_settings(domain, interface, None, duration, quiet)
@@ -212,27 +197,23 @@ def record(
 
 @app.command(rich_help_panel=_PANEL)
 def preflight(
-    model: Annotated[
-        str | None,
-        typer.Option(metavar="MODEL", help="What the craft is believed to be."),
-    ] = None,
-    vehicle: VehicleFile = None,
+    model: Annotated[str | None, options.BELIEVED_MODEL] = None,
+    vehicle: options.VehicleFile = None,
     recording: Annotated[
         Path | None,
-        typer.Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
+        Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
     ] = None,
     level: Annotated[
-        float | None,
-        typer.Option(help="Command of the motor whose turn it is; by default 0.25."),
+        float | None, Option(help="Command of the motor whose turn it is; by default 0.25.")
     ] = None,
     rounds: Annotated[
-        int | None, typer.Option(help="How often each motor has its turn; by default 2.")
+        int | None, Option(help="How often each motor has its turn; by default 2.")
     ] = None,
     domain: Domain = None,
     interface: Interface = None,
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    topics: options.TopicsFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
     from airpuck.flight.preflight import judge_recording
@@ -245,7 +226,6 @@ def preflight(
         for name, value in {**pulses, "domain": domain, "interface": interface}.items():
             if value is not None:
                 raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
-    check_destinations(json=json_file)
     craft = read_model_or_vehicle(model, vehicle)
     if recording is not None:
         found = judge_recording(craft, read_flight(recording, topics))
@@ -264,15 +244,14 @@ def watch(
     model: Belief,
     domain: Domain = None,
     interface: Interface = None,
-    topics: TopicsFile = None,
+    topics: options.TopicsFile = None,
     duration: Duration = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    check_destinations(json=json_file)
     live = live_settings(domain, interface, topics, duration, quiet)
     silent = quiet or is_stdout(json_file)
     show = (lambda line: None) if silent else (lambda line: print(line, flush=True))
@@ -282,24 +261,20 @@ def watch(
 @app.command(rich_help_panel=_PANEL)
 def view(
     model: Belief,
-    port: Annotated[
-        int, typer.Option(metavar="N", help="Port of the page.", min=1, max=65535)
-    ] = 8080,
+    port: Annotated[int, Option(metavar="N", help="Port of the page.", min=1, max=65535)] = 8080,
     host: Annotated[
-        str,
-        typer.Option(metavar="ADDRESS", help="Who may see it; by default this machine alone."),
+        str, Option(metavar="ADDRESS", help="Who may see it; by default this machine alone.")
     ] = "127.0.0.1",
     domain: Domain = None,
     interface: Interface = None,
-    topics: TopicsFile = None,
+    topics: options.TopicsFile = None,
     duration: Duration = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
     from airpuck.live.view import view_live
 
-    check_destinations(json=json_file)
     live = live_settings(domain, interface, topics, duration, quiet)
     write_json(json_file, view_live(read_belief(model), live, host=host, port=port))
 

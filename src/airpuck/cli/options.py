@@ -2,66 +2,97 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
+from typer.core import TyperOption
+
+from airpuck.boundary.errors import InputError
+from airpuck.cli.output import is_stdout
+
+
+def writable(context: Any, parameter: TyperOption, path: Path | None) -> Path | None:
+    """Refuse a place that cannot be written to, or is another option's, before the work is done."""
+    if path is None or is_stdout(path):
+        return path
+    taken: dict[Path, str] = context.meta.setdefault("airpuck.written", {})
+    option, whole = parameter.opts[0], path.absolute()
+    if whole in taken:
+        raise InputError(f"is the place of {taken[whole]}, too", file=path, field=option)
+    taken[whole] = option
+    existing = next(folder for folder in (whole, *whole.parents) if folder.exists())
+    if existing == whole and existing.is_file():
+        existing = whole.parent
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror}); choose another place"
+        raise InputError(problem, file=path, field=option) from None
+    return path
+
+
+def output(metavar: str, help: str, *names: str) -> Any:
+    """Return an option for a file or folder to write; by default -o."""
+    names = names or ("-o", "--output")
+    return Option(*names, metavar=metavar, help=help, callback=writable)
+
 
 Json = Annotated[
     Path | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write the figures as JSON; - for standard output."
-    ),
+    output("FILE", "Write the figures as JSON; - for standard output.", "--json"),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but results.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but results.")]
 VehicleFile = Annotated[
     Path | None,
-    typer.Option("--vehicle", metavar="FILE", help="Vehicle file; by default the paper's craft."),
+    Option("--vehicle", metavar="FILE", help="Vehicle file; by default the paper's craft."),
 ]
 TopicsFile = Annotated[
     Path | None,
-    typer.Option("--topics", metavar="FILE", help="TOML file with the names of a bag's topics."),
+    Option("--topics", metavar="FILE", help="TOML file with the names of a bag's topics."),
 ]
 Span = Annotated[
     tuple[float, float] | None,
-    typer.Option("--span", metavar="A B", help="Part to use, as fractions of the length."),
+    Option("--span", metavar="A B", help="Part to use, as fractions of the length."),
 ]
 TuningFile = Annotated[
     Path | None,
-    typer.Option("--tuning", metavar="FILE", help="Controller tuning; by default the packaged."),
+    Option("--tuning", metavar="FILE", help="Controller tuning; by default the packaged."),
 ]
-PageFolder = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="DIR", help="Write a page of figures, too."),
-]
+PageFolder = Annotated[Path | None, output("DIR", "Write a page of figures, too.")]
+NewBag = Annotated[Path, output("BAG", "Folder to record to; new.")]
 RecordingPath = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="RECORDING",
         help="A bag folder, .mcap, folder of CSV files, data.pt, or preprocessed .npz.",
     ),
 ]
+#: Of a controller's model, and of a model that a craft in flight is compared with.
+CONTROLLERS_MODEL = Option(
+    "--model", metavar="MODEL", help="What the controller believes the craft to be."
+)
+BELIEVED_MODEL = Option("--model", metavar="MODEL", help="What the craft is believed to be.")
 ModelName = Annotated[
-    str,
-    typer.Argument(
-        metavar="MODEL", help="A model.toml, the authors' params.json, or paper:M0 … M4."
-    ),
+    str, Argument(metavar="MODEL", help="A model.toml, the authors' params.json, or paper:M0 … M4.")
 ]
 TwinFile = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--twin", metavar="FILE", help="Table, sensors, radio, faults; by default the packaged."
     ),
 ]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of everything random.", min=0)]
+Seed = Annotated[int, Option(metavar="N", help="Seed of everything random.", min=0)]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],
-    typer.Option(
+    Option(
         "--protocol",
         help="paper; paper-long: encoders may look further back; causal: nothing measured later.",
     ),
 ]
 EncoderName = Annotated[
     Literal["paper", "actuation"],
-    typer.Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),
+    Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),
 ]

@@ -5,13 +5,10 @@ from __future__ import annotations
 import json
 import math
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from airpuck.boundary.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,31 +16,6 @@ if TYPE_CHECKING:
 
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.identification.method import Iteration
-
-
-def check_destinations(**paths: Path | None) -> None:
-    """Refuse places that cannot be written to, before the work is done; keys are options."""
-    taken: dict[Path, str] = {}
-    for option, path in paths.items():
-        if path is None or is_stdout(path):
-            continue
-        option = "-o" if option == "output" else f"--{option}"
-        whole = path.absolute()
-        if whole in taken:
-            raise InputError(f"is the place of {taken[whole]}, too", file=path, field=option)
-        taken[whole] = option
-        existing = next(folder for folder in (whole, *whole.parents) if folder.exists())
-        if existing == whole and existing.is_file():
-            existing = whole.parent
-        try:
-            with tempfile.TemporaryFile(dir=existing):
-                pass
-        except OSError as error:
-            raise InputError(
-                f"cannot be written ({error.strerror}); choose another place",
-                file=path,
-                field=option,
-            ) from None
 
 
 def say(quiet: bool) -> Any:

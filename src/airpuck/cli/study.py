@@ -5,27 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 import airpuck
+from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.options import Json, Quiet
-from airpuck.cli.output import check_destinations, report, say
+from airpuck.cli.output import report, say
 
 PANEL = "The paper's study"
 
 #: Called --out at first; scripts may still use that.
-Out = Annotated[
-    Path, typer.Option("-o", "--output", "--out", metavar="DIR", help="Folder to write to.")
-]
+Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--output", "--out")]
 
 
 @app.command(rich_help_panel=PANEL)
 def fetch(
     everything: Annotated[
-        bool, typer.Option("--all", help="All recordings, not only the study's.")
+        bool, Option("--all", help="All recordings, not only the study's.")
     ] = False,
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Download and verify the public dataset (or verify $AIRPUCK_DATA)."""
     show = say(quiet)
@@ -38,14 +36,13 @@ def fetch(
 @app.command(rich_help_panel=PANEL)
 def reproduce(
     data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the public dataset.")
+        Path | None, Option(metavar="DIR", help="Folder of the public dataset.")
     ] = None,
     output: Out = Path("out"),
-    json_file: Json = None,
-    quiet: Quiet = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Reproduce the paper's tables and figures, published against ours."""
-    check_destinations(output=output, json=json_file)
     result = airpuck.reproduce(data, output, progress=say(quiet))
     report(result.to_json(), json_file, output / "index.html")
 
@@ -53,10 +50,9 @@ def reproduce(
 @app.command(rich_help_panel=PANEL)
 def demo(
     output: Out = Path("demo"),
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.demo import demo
 
-    check_destinations(output=output)
     print(demo(output, progress=say(quiet)))

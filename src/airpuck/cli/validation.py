@@ -6,26 +6,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts
 from airpuck.cli.inputs import about, load, read_craft
-from airpuck.cli.options import (
-    EncoderName,
-    Json,
-    ModelName,
-    PageFolder,
-    ProtocolName,
-    Quiet,
-    RecordingPath,
-    Span,
-    TopicsFile,
-    VehicleFile,
-)
-from airpuck.cli.output import check_destinations, error_table, report, table, warn
+from airpuck.cli.output import error_table, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,14 +29,14 @@ _MODEL_FILES = (".toml", ".json")
 
 @app.command(rich_help_panel=PANEL)
 def evaluate(
-    model: ModelName,
-    recording: RecordingPath,
-    span: Span = None,
-    protocol: ProtocolName = "paper",
-    encoder: EncoderName = "paper",
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    model: options.ModelName,
+    recording: options.RecordingPath,
+    span: options.Span = None,
+    protocol: options.ProtocolName = "paper",
+    encoder: options.EncoderName = "paper",
+    topics: options.TopicsFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.evaluation.evaluate import PROTOCOLS
@@ -60,10 +49,10 @@ def evaluate(
 
 @app.command(rich_help_panel=PANEL)
 def check(
-    recording: RecordingPath,
-    vehicle: VehicleFile = None,
-    topics: TopicsFile = None,
-    json_file: Json = None,
+    recording: options.RecordingPath,
+    vehicle: options.VehicleFile = None,
+    topics: options.TopicsFile = None,
+    json_file: options.Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
     craft = read_craft(vehicle) or airpuck.default_vehicle()
@@ -85,24 +74,23 @@ def check(
 
 @app.command(rich_help_panel=PANEL)
 def faults(
-    recording: RecordingPath,
+    recording: options.RecordingPath,
     model: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="MODEL", help="Of the healthy craft; by default M3, fitted to the recording."
         ),
     ] = None,
-    output: PageFolder = None,
-    span: Span = None,
-    vehicle: VehicleFile = None,
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    output: options.PageFolder = None,
+    span: options.Span = None,
+    vehicle: options.VehicleFile = None,
+    topics: options.TopicsFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
     if model is not None and vehicle is not None:
         raise InputError("is the model's; leave out one of both", field="--vehicle")
-    check_destinations(output=output, json=json_file)
     healthy = None if model is None else airpuck.read_model(model)
     craft = healthy.vehicle if healthy else read_craft(vehicle)
     trajectory = load(recording, craft, topics, span=span, quiet=quiet)
@@ -141,7 +129,7 @@ def faults(
 
 
 @app.command(rich_help_panel=PANEL)
-def present(model: ModelName, json_file: Json = None) -> None:
+def present(model: options.ModelName, json_file: options.Json = None) -> None:
     """Present a model: structure, parameters with errors, what follows, how it was learned."""
     presentation = airpuck.present(airpuck.read_model(model))
     report(presentation.to_json(), json_file, *_presented(presentation))
@@ -151,17 +139,17 @@ def present(model: ModelName, json_file: Json = None) -> None:
 def compare(
     models: Annotated[
         list[str],
-        typer.Argument(
+        Argument(
             metavar="MODEL... RECORDING",
             help="Models, then the recording; two models alone: what drifted.",
         ),
     ],
-    span: Span = None,
-    protocol: ProtocolName = "paper",
-    encoder: EncoderName = "paper",
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    span: options.Span = None,
+    protocol: options.ProtocolName = "paper",
+    encoder: options.EncoderName = "paper",
+    topics: options.TopicsFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Compare models on one recording; of two learned models, say what drifted."""
     from airpuck.evaluation.evaluate import PROTOCOLS
@@ -198,20 +186,19 @@ def compare(
 
 @app.command(rich_help_panel=PANEL)
 def resid(
-    model: ModelName,
-    recording: RecordingPath,
-    span: Span = None,
-    output: PageFolder = None,
-    lags: Annotated[int, typer.Option(help="Largest lag, in samples.", min=5)] = 25,
-    topics: TopicsFile = None,
-    json_file: Json = None,
-    quiet: Quiet = False,
+    model: options.ModelName,
+    recording: options.RecordingPath,
+    span: options.Span = None,
+    output: options.PageFolder = None,
+    lags: Annotated[int, Option(help="Largest lag, in samples.", min=5)] = 25,
+    topics: options.TopicsFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and what commands still explain."""
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
 
-    check_destinations(output=output, json=json_file)
     judged = airpuck.read_model(model)
     trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
     with about(recording):
