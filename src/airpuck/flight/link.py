@@ -32,6 +32,7 @@ class Link(Protocol):
     @property
     def now(self) -> float:
         """The present, on the controller's clock [s]."""
+        ...
 
     def wait_until(self, time: float) -> list[Measurement]:
         """Let time pass.
@@ -46,6 +47,7 @@ class Link(Protocol):
         list of Measurement
             Those that have arrived since the last call, in the order of their arrival.
         """
+        ...
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
         """Send a command now.

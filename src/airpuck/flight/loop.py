@@ -22,6 +22,7 @@ class Pilot(Protocol):
     @property
     def reference(self) -> Reference:
         """The reference that the craft tracks."""
+        ...
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Take note of a pose; see `TrackingController.pose`."""
@@ -34,6 +35,7 @@ class Pilot(Protocol):
 
     def step(self, time: float) -> Step:
         """Compute the command to send now; see `TrackingController.step`."""
+        ...
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         """Take note of the command that was sent; see `TrackingController.sent`."""
