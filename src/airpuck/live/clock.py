@@ -182,16 +182,13 @@ class LoopTiming:
     def warning(self) -> str | None:
         """Return what is worse than it should be, in words; None if nothing is."""
         jitter, latency = self.jitter.percentile(99), self.latency.percentile(99)
-        problems = [
-            words
-            for late, words in (
-                (jitter > JITTER_P99, f"period jitter {1e3 * jitter:.1f} ms"),
-                (latency > LATENCY_P99, f"latency {1e3 * latency:.1f} ms"),
-                (self.missed > 0, f"{self.missed} missed deadlines"),
-            )
-            if late
-        ]
-        return f"the loop is late: {', '.join(problems)} (99th percentiles)" if problems else None
+        late = {
+            f"period jitter {1e3 * jitter:.1f} ms": jitter > JITTER_P99,
+            f"latency {1e3 * latency:.1f} ms": latency > LATENCY_P99,
+            f"{self.missed} missed deadlines": self.missed > 0,
+        }
+        problems = ", ".join(words for words, is_late in late.items() if is_late)
+        return f"the loop is late: {problems} (99th percentiles)" if problems else None
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""

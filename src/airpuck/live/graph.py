@@ -150,12 +150,9 @@ class Graph:
         self._topics: dict[str, tuple[str, Any]] = {}
         # Cyclone deletes a writer that nobody refers to.
         self._writers: list[Any] = []
-        self._participants = builtin.BuiltinDataReader(
-            self._participant, builtin.BuiltinTopicDcpsParticipant
-        )
-        self._publications = builtin.BuiltinDataReader(
-            self._participant, builtin.BuiltinTopicDcpsPublication
-        )
+        read = builtin.BuiltinDataReader
+        self._participants = read(self._participant, builtin.BuiltinTopicDcpsParticipant)
+        self._publications = read(self._participant, builtin.BuiltinTopicDcpsPublication)
         self._endpoints: dict[UUID, Endpoint] = {}
         self._owners: dict[UUID, str] = {}
 
@@ -178,9 +175,8 @@ class Graph:
         """
         from cyclonedds.pub import DataWriter
 
-        writer = DataWriter(
-            self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
-        )
+        made = self._topic(topic, msgtype, types)
+        writer = DataWriter(self._participant, made, qos=_qos(quality))
         self._writers.append(writer)
         return Publisher(writer, self._kinds[msgtype])
 
@@ -213,13 +209,10 @@ class Graph:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        reader = DataReader(
-            self._participant, self._topic(topic, msgtype, types), qos=_qos(quality)
-        )
-        condition = None
+        made = self._topic(topic, msgtype, types)
+        reader, condition = DataReader(self._participant, made, qos=_qos(quality)), None
         if wakes:
-            anything = ViewState.Any | InstanceState.Any | SampleState.Any
-            condition = ReadCondition(reader, anything)
+            condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.Any)
             self._waitset.attach(condition)
         return Subscription(reader, self._kinds[msgtype], condition)
 

@@ -74,13 +74,8 @@ class Scene:
         self._trail: deque[np.ndarray] = deque(maxlen=_TRAIL_POINTS)
         # The trail fades into the table.
         fade = np.linspace(_TABLE, _TRAIL, _TRAIL_POINTS).astype(np.uint8)
-        self._line = scene.add_line_segments(
-            "/trail",
-            _segments(np.zeros((_TRAIL_POINTS, 3))),
-            _segments(fade),
-            thickness=3.0,
-            thickness_units="screen",
-        )
+        start = np.zeros((_TRAIL_POINTS, 3))
+        self._line = _add_line(scene, "/trail", start, _segments(fade), thickness=3.0)
         self._marker = _SetPointMarker(scene, model.vehicle.radius_m, wish)
 
     def add_pose(self, pose: Float[np.ndarray, " 3"]) -> None:
@@ -110,9 +105,8 @@ class Scene:
         forces = np.zeros(vehicle.n_propellers)
         if command is not None:
             forces = thrust(self._model.dynamics.thrust, np.clip(command, 0.0, 1.0))
-        begin = np.column_stack(
-            [vehicle.positions, np.full(len(forces), _THICK + _PROPELLER_HEIGHT)]
-        )
+        height = np.full(len(forces), _THICK + _PROPELLER_HEIGHT)
+        begin = np.column_stack([vehicle.positions, height])
         # An arrow of no length has no direction.
         lengths = np.maximum(_PER_NEWTON * forces, 1e-3)[:, None]
         along = np.column_stack([vehicle.directions, np.zeros(len(forces))])
@@ -148,32 +142,14 @@ class _SetPointMarker:
         self._grip = np.zeros(2)
         self._frame = scene.add_frame("/setpoint", show_axes=False, visible=False)
         ring, knob = _RING * radius, _KNOB * radius
-        disc = scene.add_cylinder(
-            "/setpoint/disc",
-            ring,
-            _RING_HEIGHT,
-            _SET_POINT,
-            position=(0, 0, _RING_HEIGHT / 2),
-            opacity=0.4,
-        )
+        disc = scene.add_cylinder("/setpoint/disc", ring, _RING_HEIGHT, _SET_POINT, opacity=0.4)
+        disc.position = (0, 0, _RING_HEIGHT / 2)
         angle = np.linspace(0, 2 * np.pi, 49)
-        scene.add_line_segments(
-            "/setpoint/edge",
-            _segments(
-                np.column_stack(
-                    [ring * np.cos(angle), ring * np.sin(angle), np.full(len(angle), _RING_HEIGHT)]
-                )
-            ),
-            _SET_POINT_EDGE,
-            thickness=2.0,
-            thickness_units="screen",
-        )
-        scene.add_box(
-            "/setpoint/stalk",
-            _SET_POINT_EDGE,
-            (knob - ring, 0.006, _RING_HEIGHT),
-            position=((knob + ring) / 2, 0, _RING_HEIGHT),
-        )
+        height = np.full(len(angle), _RING_HEIGHT)
+        edge = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+        _add_line(scene, "/setpoint/edge", edge, _SET_POINT_EDGE, thickness=2.0)
+        size, middle = (knob - ring, 0.006, _RING_HEIGHT), ((knob + ring) / 2, 0, _RING_HEIGHT)
+        scene.add_box("/setpoint/stalk", _SET_POINT_EDGE, size, position=middle)
         ball = scene.add_icosphere("/setpoint/knob", _BALL, _SET_POINT, position=(knob, 0, _BALL))
         disc.on_drag(self._move)
         ball.on_drag(self._turn)
@@ -225,6 +201,19 @@ def _segments(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1 2 3"]:
     return np.stack([points[:-1], points[1:]], axis=1)
 
 
+def _add_line(
+    scene: viser.SceneApi,
+    name: str,
+    points: Float[np.ndarray, "N 3"],
+    colors: Any,
+    thickness: float,
+) -> viser.LineSegmentsHandle:
+    """Draw a line through points, as thick on the screen from near and from far."""
+    return scene.add_line_segments(
+        name, _segments(points), colors, thickness=thickness, thickness_units="screen"
+    )
+
+
 def _draw_table(scene: viser.SceneApi, table: Table) -> None:
     """Draw table, rails and the origin's axes."""
     length, width = table.length_m, table.width_m
@@ -232,14 +221,9 @@ def _draw_table(scene: viser.SceneApi, table: Table) -> None:
     x, y = (length + _RAIL_WIDTH) / 2, (width + _RAIL_WIDTH) / 2
     short = (_RAIL_WIDTH, width, _RAIL_HEIGHT)
     long = (length + 2 * _RAIL_WIDTH, _RAIL_WIDTH, _RAIL_HEIGHT)
-    rails = (
-        ("left", -x, 0, short),
-        ("right", x, 0, short),
-        ("near", 0, -y, long),
-        ("far", 0, y, long),
-    )
-    for name, rail_x, rail_y, size in rails:
-        scene.add_box(f"/rails/{name}", _RAIL, size, position=(rail_x, rail_y, _RAIL_HEIGHT / 2))
+    for sign, beside, along in ((-1, "left", "near"), (1, "right", "far")):
+        scene.add_box(f"/rails/{beside}", _RAIL, short, position=(sign * x, 0, _RAIL_HEIGHT / 2))
+        scene.add_box(f"/rails/{along}", _RAIL, long, position=(0, sign * y, _RAIL_HEIGHT / 2))
     scene.add_frame("/origin", axes_length=0.1, axes_radius=0.003)
     for axis, at in (("x", (0.12, 0, 0)), ("y", (0, 0.12, 0))):
         scene.add_label(f"/origin/{axis}", axis, position=at, anchor="center-center")
@@ -251,26 +235,17 @@ def _draw_craft(
     """Draw a disc with nose, propellers and arrows of thrust; return its frame and its arrows."""
     frame, radius = scene.add_frame("/craft", show_axes=False, visible=False), vehicle.radius_m
     scene.add_cylinder("/craft/disc", radius, _THICK, _CRAFT, position=(0, 0, _THICK / 2))
-    scene.add_box(
-        "/craft/nose",
-        _NOSE,
-        (0.4 * radius, 0.008, 0.006),
-        position=(0.8 * radius, 0, _THICK + 0.003),
-    )
+    size, middle = (0.4 * radius, 0.008, 0.006), (0.8 * radius, 0, _THICK + 0.003)
+    scene.add_box("/craft/nose", _NOSE, size, position=middle)
     pairs = {i: k for k, pair in enumerate(vehicle.pair_indices) for i in pair}
     # Propellers without a partner have colours of their own.
     numbers = [pairs.get(i, len(vehicle.pair_indices) + i) for i in range(vehicle.n_propellers)]
     colors = [_PAIRS[k % len(_PAIRS)] for k in numbers]
-    for name, (x, y), color in zip(
-        vehicle.propeller_names, vehicle.positions.tolist(), colors, strict=True
-    ):
-        scene.add_cylinder(
-            f"/craft/{name}",
-            _PROPELLER,
-            _PROPELLER_HEIGHT,
-            color,
-            position=(x, y, _THICK + _PROPELLER_HEIGHT / 2),
-        )
+    height = _THICK + _PROPELLER_HEIGHT / 2
+    drawn = zip(vehicle.propeller_names, vehicle.positions.tolist(), colors, strict=True)
+    for name, (x, y), color in drawn:
+        place = (x, y, height)
+        scene.add_cylinder(f"/craft/{name}", _PROPELLER, _PROPELLER_HEIGHT, color, position=place)
     arrows = scene.add_arrows(
         "/craft/thrusts",
         np.zeros((vehicle.n_propellers, 2, 3)),
