@@ -39,9 +39,9 @@ def test_set_points_outside_the_fence_are_refused():
 
 def test_a_set_point_is_moved_by_others_but_not_outside():
     followed = FollowedSetPoint(FENCE)
-    assert not followed.placed
+    assert followed.point is None
     assert followed.move(np.array([0.3, 0.2, 1.0])) is None
-    assert followed.placed
+    assert followed.point is not None
     assert followed.move(np.array([1.1, 0.2, 1.0, 0, 0, 0])) == (
         "a set point outside the geofence, (1.10, 0.20)"
     )

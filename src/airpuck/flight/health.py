@@ -24,8 +24,8 @@ from airpuck.physics.thrust import thrust
 
 #: How far ahead is predicted, and how late packets come [s].
 HORIZON, _JITTER = 0.2, 0.007
-#: Time between predictions, as a share of the horizon.
-_APART = 0.5
+#: Predictions under way at a time: the next one begins after this part of the horizon.
+_OVERLAP = 2.0
 #: The filter's view is used when it has watched for this long [s].
 _SETTLED = 0.3
 #: Without a pose or a command for this long, the motors' speeds are unknown [s].
@@ -194,7 +194,7 @@ class HealthMonitor:
             return
         newest = self._begun[-1][0] if self._begun else -math.inf
         ends = bool(self._begun) and time - self._begun[0][0] >= HORIZON
-        begins = time - self._since >= _SETTLED and time - newest >= _APART * HORIZON
+        begins = time - self._since >= _SETTLED and time - newest >= HORIZON / _OVERLAP
         if ends or begins:
             estimate = self._filter.predict(time)
             if ends:
@@ -207,13 +207,9 @@ class HealthMonitor:
     def health(self) -> Health:
         """Return how well the model fits, from the predictions that are remembered."""
         names, radius = self.model.vehicle.propeller_names, self.model.radius_of_gyration
+        judged, memory = self._judged, self._memory
         found = deviations(
-            self._judged,
-            len(names),
-            self._memory,
-            overlap=1 / _APART,
-            jitter=_JITTER,
-            radius=radius,
+            judged, len(names), memory, overlap=_OVERLAP, jitter=_JITTER, radius=radius
         )
         return Health(names, self._since is not None, found)
 

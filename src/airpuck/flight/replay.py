@@ -39,11 +39,8 @@ class Gains:
 
     def matrix(self) -> Float[np.ndarray, "3 6"]:
         """Return K of v = -K x, for the state x, y, γ, vx, vy, ω."""
-        of_pose, of_rates = (
-            (self.position, self.position, self.yaw),
-            (self.speed, self.speed, self.spin),
-        )
-        return np.hstack([np.diag(of_pose), np.diag(of_rates)])
+        of_pose = np.diag([self.position, self.position, self.yaw])
+        return np.hstack([of_pose, np.diag([self.speed, self.speed, self.spin])])
 
     @classmethod
     def of(cls, matrix: Float[np.ndarray, "3 6"]) -> Gains:

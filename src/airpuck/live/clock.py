@@ -60,10 +60,10 @@ class Clock:
 class Every:
     """A period that a loop asks about."""
 
-    def __init__(self, period: float, due: float = 0.0) -> None:
+    def __init__(self, period: float) -> None:
         self._period = period
         #: When the next one begins [s].
-        self.due = due
+        self.due = 0.0
 
     def begins(self, now: float) -> bool:
         """Return whether a new period begins now [s]; then the next is one period later."""

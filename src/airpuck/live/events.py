@@ -71,19 +71,13 @@ class EventLog:
         self.flush()
         message = self._heartbeat.message()
         _set_to_now(message.header.stamp)
-        pairs = [
+        status = self._heartbeat.message("diagnostic_msgs/msg/DiagnosticStatus")
+        status.level, status.name, status.message = _HEARTBEAT_LEVELS[level], self._name, text
+        status.values = [
             self._heartbeat.message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
             for key, value in values.items()
         ]
-        message.status = [
-            self._heartbeat.message(
-                "diagnostic_msgs/msg/DiagnosticStatus",
-                level=_HEARTBEAT_LEVELS[level],
-                name=self._name,
-                message=text,
-                values=pairs,
-            )
-        ]
+        message.status = [status]
         self._heartbeats.send(self._heartbeat.encode(message))
 
     def _publish(self, level: Level, text: str, kind: str) -> None:

@@ -95,8 +95,9 @@ def fly_live(
         prioritize(first=True)
         # Another one may have begun meanwhile.
         process.refuse_second("command", vehicle.propeller_names, "controller")
-        with keyboard() as pressed:
-            return _Flight(process, pilot, vehicle, limits, period, pressed).run(over)
+        flight = _Flight(process, pilot, vehicle, limits, period)
+        with keyboard() as flight.pressed:
+            return flight.run(over)
 
 
 def preflight_live(
@@ -160,17 +161,13 @@ class GraphLink:
 class _Flight:
     """One flight: the guard, the link, and what others hear of it."""
 
+    #: Reads the keys that were pressed; None without a terminal.
+    pressed: Callable[[], str] | None = None
+
     def __init__(
-        self,
-        process: Process,
-        pilot: Pilot,
-        vehicle: Vehicle,
-        limits: Limits,
-        period: float,
-        pressed: Callable[[], str] | None,
+        self, process: Process, pilot: Pilot, vehicle: Vehicle, limits: Limits, period: float
     ) -> None:
-        self._process, self._period, self._pressed = process, period, pressed
-        self._reference = pilot.reference
+        self._process, self._period, self._reference = process, period, pilot.reference
         follows = isinstance(self._reference, FollowedSetPoint)
         self._wishes = Inbox(process, "reference") if follows else None
         self._link = GraphLink(process, vehicle.propeller_names, announces=not follows)
@@ -187,7 +184,7 @@ class _Flight:
         """Fly; return the figures for ``--json``."""
         process, link = self._process, self._link
         usage = f"; any key stops the motors, {_GO} lets them run, {_QUIT} ends"
-        process.start(usage if self._pressed else "")
+        process.start(usage if self.pressed else "")
         # What takes long the first time is done before the motors may run; the poses that have
         # come meanwhile are old.
         self._give_way()
@@ -227,7 +224,7 @@ class _Flight:
         if isinstance(self._reference, PlannedSetPoints) and step.flies:
             self._reference.begin(action.time)
         self._follow_wishes()
-        for key in self._pressed() if self._pressed else "":
+        for key in self.pressed() if self.pressed else "":
             self._obey(key)
         self._give_way()
         if self._process.beat.begins(done):
@@ -238,7 +235,7 @@ class _Flight:
         followed = self._reference
         if self._wishes is None or not isinstance(followed, FollowedSetPoint):
             return
-        if not followed.placed and self._guard.position is not None:
+        if followed.point is None and self._guard.position is not None:
             followed.move(self._guard.position)
         for _, wish in self._wishes.take():
             refusal = followed.move(wish)

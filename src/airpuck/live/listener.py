@@ -68,10 +68,9 @@ class Listener:
             self._subscribe()
         self._graph.wait(min(seconds, _LOOK))
         for name, topic in self._topics.items():
-            taken, earlier = topic.subscription.take(), topic.waiting
-            if earlier:
-                # While there were two subscriptions, both received.
-                taken, topic.waiting = earlier + [one for one in taken if one not in earlier], []
+            earlier, topic.waiting = topic.waiting, []
+            # While there were two subscriptions, both received.
+            taken = earlier + [one for one in topic.subscription.take() if one not in earlier]
             # Read after taking: nothing is received before it was sent, however slow the caller.
             received = time.time_ns()
             for sample in taken:

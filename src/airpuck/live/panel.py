@@ -51,21 +51,18 @@ class Panel:
         gui.set_panel_label("airpuck")
         with gui.add_folder("Set point"):
             self._hint = gui.add_html("")
-            limits = (
-                ("x [m]", reach[0], 0.05),
-                ("y [m]", reach[1], 0.05),
-                ("yaw [rad]", math.pi, 0.1),
-            )
+            limits = {
+                "x [m]": (reach[0], 0.05),
+                "y [m]": (reach[1], 0.05),
+                "yaw [rad]": (math.pi, 0.1),
+            }
             self._numbers = [
                 gui.add_number(label, 0.0, min=-limit, max=limit, step=step)
-                for label, limit, step in limits
+                for label, (limit, step) in limits.items()
             ]
-        with gui.add_folder("Flight"):
-            self._flight = gui.add_html("")
-        with gui.add_folder("Model and craft"):
-            self._health = gui.add_html("")
-        with gui.add_folder("Events"):
-            self._events = gui.add_html("")
+        self._flight, self._health, self._events = (
+            _folder(gui, label) for label in ("Flight", "Model and craft", "Events")
+        )
         self._shown = [0.0, 0.0, 0.0]
 
         async def entered(event: Any) -> None:
@@ -100,6 +97,12 @@ class Panel:
         newest = list(observer.events)[: -_SHOWN - 1 : -1]
         lines = [_event_html(event, now - came) for came, event in newest]
         self._events.content = "".join(lines) or paragraph("none yet")
+
+
+def _folder(gui: viser.GuiApi, label: str) -> viser.GuiHtmlHandle:
+    """Add a folder of text."""
+    with gui.add_folder(label):
+        return gui.add_html("")
 
 
 class Gauge(NamedTuple):

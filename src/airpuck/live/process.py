@@ -8,9 +8,9 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +22,9 @@ from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, STATE, Endpoint, Graph, Quality
 from airpuck.recording.message import StreamCodec
 from airpuck.recording.stream import Topics
+
+if TYPE_CHECKING:
+    from airpuck.control.tracking import Numbers
 
 #: Estimates and references are sent again when lost; of other streams only the newest counts.
 _QUALITY = {"estimate": STATE, "reference": STATE}
@@ -248,16 +251,13 @@ class Outbox:
     def __init__(self, process: Process, stream: str, motors: tuple[str, ...] = ()) -> None:
         self._clock = process.clock
         topic, self._codec, quality = _wire(process, stream, motors)
-        self._publisher = process.graph.publisher(
-            topic, self._codec.msgtype, self._codec.types, quality
-        )
-        self._last: Sequence[float] | Float[np.ndarray, " k"] | None = None
+        types = self._codec.types
+        self._publisher = process.graph.publisher(topic, self._codec.msgtype, types, quality)
+        self._last: Numbers | None = None
         #: When the last message was sent [s].
         self.sent = -math.inf
 
-    def send(
-        self, values: Sequence[float] | Float[np.ndarray, " k"], moment: float | None = None
-    ) -> None:
+    def send(self, values: Numbers, moment: float | None = None) -> None:
         """Send numbers of some moment on our clock [s], by default now."""
         moment = self._clock.now if moment is None else moment
         self._publisher.send(self._codec.encode(self._clock.stamp_ns(moment), values))

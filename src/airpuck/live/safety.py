@@ -53,10 +53,10 @@ class Guard:
         self._last = (time, pose) if np.isfinite(pose).all() else None
         if fault is not None:
             self.fault(fault)
-            return
-        self._heard = time
-        if self._good_since is None:
-            self._good_since = time
+        else:
+            self._heard = time
+            if self._good_since is None:
+                self._good_since = time
 
     def fault(self, reason: str) -> None:
         """Note a fault; poses must be good for a while before motors run again."""
@@ -81,12 +81,9 @@ class Guard:
         """Return why motors must idle at a time [s]; None if they may run."""
         if self._stopped:
             return next(iter(self._stopped.values()))
-        if self._good_since is None:
-            return self._reason
-        if time - self._heard > self.limits.pose_timeout:
+        if self._good_since is not None and time - self._heard > self.limits.pose_timeout:
             self.fault(f"no pose for {1e3 * self.limits.pose_timeout:.0f} ms")
-            return self._reason
-        if time - self._good_since < self.limits.settle:
+        if self._good_since is None or time - self._good_since < self.limits.settle:
             return self._reason
         return None
 
@@ -161,10 +158,8 @@ class GuardedPilot:
 
     def _log_change(self, reason: str | None) -> None:
         """Log the reason why motors idle, or that they run, when it changes."""
-        if reason == self._logged:
-            return
-        self._logged = reason
-        if reason is None:
+        if reason is None and self._logged is not None:
             self._log("info", "flying")
-        else:
+        elif reason is not None and reason != self._logged:
             self._log("error", f"motors idle: {reason}")
+        self._logged = reason

@@ -64,16 +64,12 @@ class FollowedSetPoint:
 
     def __init__(self, geofence: tuple[float, float]) -> None:
         self._geofence = geofence
-        self._point: SetPoint | None = None
-
-    @property
-    def placed(self) -> bool:
-        """Whether it has been moved to its first place."""
-        return self._point is not None
+        #: None before it has been moved to its first place.
+        self.point: SetPoint | None = None
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the set point in force now; see `Reference.at`."""
-        return (self._point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
+        return (self.point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
 
     def move(self, pose: Float[np.ndarray, " k"]) -> str | None:
         """Move it to x, y, yaw, at rest; return why not, if it may not go there."""
@@ -82,5 +78,5 @@ class FollowedSetPoint:
         x, y, yaw = pose[:3].tolist()
         if abs(x) > self._geofence[0] or abs(y) > self._geofence[1]:
             return f"a set point outside the geofence, ({x:.2f}, {y:.2f})"
-        self._point = SetPoint(x, y, yaw)
+        self.point = SetPoint(x, y, yaw)
         return None

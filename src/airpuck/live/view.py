@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import socket
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
@@ -158,12 +159,8 @@ def _served(host: str, port: int) -> Iterator[Any]:
 
 def _check_free(host: str, port: int) -> None:
     """Refuse an address that cannot be served at; viser would take another port."""
-    import socket
-
     try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((host, port))
+        socket.create_server((host, port)).close()
     except OSError as error:
         raise InputError(
             f"cannot serve at {host}:{port} ({error.strerror}); give another --port", field="--port"

@@ -75,7 +75,11 @@ class Observer:
                     poses.append(values)
                 self.newest[stream], self.heard[stream] = values, now
                 self._counts[stream] += 1
-        self._listen(now)
+        self.events.extend((now, event) for event in self._take_events())
+        for message in self._take_beats():
+            for status in message.status:
+                figures = {pair.key: pair.value for pair in status.values}
+                self.beats[status.name] = now, status.message, figures
         elapsed = now - self._counted
         if elapsed >= _COUNTED:
             self.rates = {stream: count / elapsed for stream, count in self._counts.items()}
@@ -86,14 +90,6 @@ class Observer:
     def age(self, stream: str) -> float:
         """Return how long ago a stream's newest numbers came [s]."""
         return self.clock.now - self.heard.get(stream, -math.inf)
-
-    def _listen(self, now: float) -> None:
-        """Take in events and heartbeats."""
-        self.events.extend((now, event) for event in self._take_events())
-        for message in self._take_beats():
-            for status in message.status:
-                figures = {pair.key: pair.value for pair in status.values}
-                self.beats[status.name] = now, status.message, figures
 
 
 def _messages(
