@@ -116,12 +116,8 @@ def campaign(
         If the spec is wrong, Dask is not installed, or the scheduler is not there.
     """
     entries, folder = read_spec(spec), Path(output)
-    results = {entry.key: read_result(folder, entry.key) for entry in entries}
-    results = {
-        key: result
-        for key, result in results.items()
-        if result is not None and not (retry and result.failure is not None)
-    }
+    found = {entry.key: read_result(folder, entry.key) for entry in entries}
+    results = {k: r for k, r in found.items() if r and (r.failure is None or not retry)}
     missing = [entry for entry in entries if entry.key not in results]
     failed = sum(result.failure is not None for result in results.values())
     progress(len(results), len(entries), failed)
@@ -131,9 +127,9 @@ def campaign(
         results[entry.key] = result
         failed += result.failure is not None
         progress(len(results), len(entries), failed)
-    found = Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
-    found.write_table(folder / "results.csv")
-    return found
+    done = Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
+    done.write_table(folder / "results.csv")
+    return done
 
 
 def read_result(folder: Path, key: str) -> Result | None:
@@ -172,12 +168,10 @@ def _summary(setting: dict[str, Any], results: list[Result]) -> dict[str, Any]:
 def statistics(values: list[float]) -> dict[str, float]:
     """Describe the finite values of a sample."""
     sample = np.array([value for value in values if math.isfinite(value)])
-    count, mean, sd, quantiles = len(sample), math.nan, math.nan, [math.nan] * 5
-    if count:
-        mean = sample.mean()
-        quantiles = np.quantile(sample, (0, 0.05, 0.5, 0.95, 1))
-    if count > 1:
-        sd = sample.std(ddof=1)
+    count = len(sample)
+    mean = sample.mean() if count else math.nan
+    sd = sample.std(ddof=1) if count > 1 else math.nan
+    quantiles = np.quantile(sample, (0, 0.05, 0.5, 0.95, 1)) if count else [math.nan] * 5
     return dict(zip(_STATISTICS, map(float, (count, mean, sd, *quantiles)), strict=True))
 
 

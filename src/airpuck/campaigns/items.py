@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -42,14 +42,17 @@ from airpuck.twin.tracking_study import DWELL, Tracked, tracking_study
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
 #: Figures by name.
 Row = dict[str, Figure]
-Packaged = TypeVar("Packaged", TwinSettings, Tuning)
 
 
-def _laid_over_packaged(table: Any, packaged: Packaged) -> Packaged:
+def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
     """Complete a spec's table, which names only what differs from the packaged file."""
-    if not isinstance(table, Mapping):
-        raise ValueError("must be a table")
-    return checked(laid_over(packaged.model_dump(mode="json"), table), type(packaged))
+
+    def complete(table: Any) -> Section:
+        if not isinstance(table, Mapping):
+            raise ValueError("must be a table")
+        return checked(laid_over(packaged().model_dump(mode="json"), table), type(packaged()))
+
+    return pydantic.BeforeValidator(complete)
 
 
 def _known_rung(name: str) -> str:
@@ -61,13 +64,8 @@ def _known_rung(name: str) -> str:
     return name
 
 
-TwinTable = Annotated[
-    TwinSettings,
-    pydantic.BeforeValidator(lambda table: _laid_over_packaged(table, default_twin_settings())),
-]
-TuningTable = Annotated[
-    Tuning, pydantic.BeforeValidator(lambda table: _laid_over_packaged(table, default_tuning()))
-]
+TwinTable = Annotated[TwinSettings, _laid_over(default_twin_settings)]
+TuningTable = Annotated[Tuning, _laid_over(default_tuning)]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
@@ -113,25 +111,53 @@ def fingerprint(name: str) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-class Tracking(Item):
+class Flight(Item):
+    """Base of items that fly a twin."""
+
+    SOURCES: ClassVar = ("truth",)
+
+    #: What the twin is.
+    truth: str = "paper:M3"
+    truth_spread: Spread = 0.0
+    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+
+    def craft(self) -> Model:
+        """Return what the twin is."""
+        return varied(read_model(self.truth), self.truth_spread, self.seed)
+
+
+class Identification(Item):
+    """Base of items that identify a model."""
+
+    #: What is identified.
+    model: RungName = "M3"
+    #: Samples from one window to the next.
+    stride: Count = 7
+    #: Whether windows that are predicted badly count less.
+    robust: bool = False
+
+    def loss(self) -> Loss:
+        """Return what the fit minimises."""
+        return Loss(stride=self.stride, robust=self.robust)
+
+
+class Tracking(Flight):
     """One flight of the twin to the paper's set points, in closed loop."""
 
     SOURCES: ClassVar = ("model", "truth")
 
-    #: What the controller believes, and what the twin is.
-    model: str = "paper:M4"
     truth: str = "paper:M4"
-    truth_spread: Spread = 0.0
+    #: What the controller believes.
+    model: str = "paper:M4"
     #: Time at each set point.
     dwell_s: Annotated[float, pydantic.Field(ge=0.1, le=1000)] = DWELL
     #: As flown in the paper; "full" also compensates the delay and rejects disturbances.
     controller: Literal["paper", "full"] = "paper"
-    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
 
     def run(self) -> list[Row]:
         """Fly; see `Item.run`."""
-        truth = varied(read_model(self.truth), self.truth_spread, self.seed)
+        truth = self.craft()
         (flown,) = tracking_study(
             [read_model(self.model)],
             truth,
@@ -146,29 +172,17 @@ class Tracking(Item):
         return [{**flight_figures(flown), "clearance_m": float(clearance.min())}]
 
 
-class Recovery(Item):
+class Recovery(Flight, Identification):
     """One excitation flight of the twin, identified, and compared with the truth."""
 
-    SOURCES: ClassVar = ("truth",)
-
-    #: What the twin is; its centre of mass is fixed to the body.
-    truth: str = "paper:M3"
-    truth_spread: Spread = 0.0
-    #: What is identified.
-    model: RungName = "M3"
     duration_s: Positive = 90.0
     amplitude: Amplitude = 1.0
     hold_s: Positive = 0.2
-    #: Samples from one window to the next.
-    stride: Count = 7
-    #: Whether windows that are predicted badly count less.
-    robust: bool = False
-    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     def run(self) -> list[Row]:
         """Fly, identify, compare; see `Item.run`."""
-        truth = varied(read_model(self.truth), self.truth_spread, self.seed)
-        truth = replace(truth, frame="body", indexing="start")
+        # The offset of the centre of mass is fixed to the body, as in what is identified.
+        truth = replace(self.craft(), frame="body", indexing="start")
         recording = excite(
             truth,
             self.duration_s,
@@ -178,8 +192,7 @@ class Recovery(Item):
             settings=self.twin,
         )
         data, craft = preprocess(recording, truth.vehicle), truth.vehicle
-        loss = Loss(stride=self.stride, robust=self.robust)
-        fit = identify(data, self.model, vehicle=craft, loss=loss)
+        fit = identify(data, self.model, vehicle=craft, loss=self.loss())
         delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
@@ -221,13 +234,12 @@ class Fleet(Item):
         return [named("apart", displacement) for displacement in apart[-1].T]
 
 
-class Fitting(Item):
+class Fitting(Identification):
     """One fit to recordings; or `resamplings` of them, to data drawn with replacement."""
 
     SOURCES: ClassVar = ("recordings", "validation", "vehicle")
 
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
-    model: RungName = "M3"
     #: A recording to judge the fit on, by the paper's protocol.
     validation: str | None = None
     #: Vehicle file; by default the paper's craft.
@@ -238,14 +250,10 @@ class Fitting(Item):
     start_spread: Spread = 0.0
     #: Fits to blocks of time drawn with replacement, from the fit to all data.
     resamplings: Natural = 0
-    #: Samples from one window to the next.
-    stride: Count = 7
     #: Of the thrust polynomials.
     degree: Annotated[int, pydantic.Field(ge=1, le=9)] | None = None
     #: Where the offset of the centre of mass is constant.
     frame: Literal["body", "world"] = "body"
-    #: Whether windows that are predicted badly count less; not with resampled data.
-    robust: bool = False
 
     @pydantic.model_validator(mode="after")
     def _resamples_plain_fits(self) -> Fitting:
@@ -279,19 +287,12 @@ class Fitting(Item):
         rung = named_rung(self.model, degree=self.degree, frame=self.frame)
         start = None
         if self.start_spread:
-            nominal = rung.initial(craft)
-            nominal = replace(nominal, transport_delay=mean_delay(trajectories, craft))
+            delay = mean_delay(trajectories, craft)
+            nominal = replace(rung.initial(craft), transport_delay=delay)
             elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
-            start = nominal.with_vector(
-                np.where(rung.mask(nominal), elsewhere, nominal.to_vector())
-            )
-        return identify(
-            trajectories,
-            rung,
-            vehicle=craft,
-            initial=start,
-            loss=Loss(stride=self.stride, robust=self.robust),
-        )
+            learned = rung.mask(nominal)
+            start = nominal.with_vector(np.where(learned, elsewhere, nominal.to_vector()))
+        return identify(trajectories, rung, vehicle=craft, initial=start, loss=self.loss())
 
     def _resampled(self) -> list[Row]:
         """Fit to resampled data, each time from the fit to all."""
@@ -301,6 +302,9 @@ class Fitting(Item):
         model = fit.model
         estimates = resampled_estimates(fit, self.resamplings, seed=self.seed)
         return [_labelled(model, model.parameters.with_vector(e)) for e in estimates]
+
+
+KINDS = {"tracking": Tracking, "recovery": Recovery, "fit": Fitting, "fleet": Fleet}
 
 
 # Items of one campaign share recordings, and resamplings the fit that they begin at. A worker may
@@ -391,8 +395,7 @@ def recovery_errors(model: Model, truth: Model) -> Row:
 
 def _progress(fit: Fit) -> Row:
     """Say how a fit ended."""
-    ended = {"iterations": float(fit.iterations), "converged": float(fit.converged)}
-    return {"loss": fit.loss, **ended}
+    return {name: float(getattr(fit, name)) for name in ("loss", "iterations", "converged")}
 
 
 def _labelled(model: Model, parameters: Parameters) -> Row:

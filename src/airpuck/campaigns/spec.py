@@ -16,14 +16,8 @@ import pydantic
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
-from airpuck.campaigns.items import Fitting, Fleet, Item, Natural, Recovery, Tracking, fingerprint
+from airpuck.campaigns.items import KINDS, Count, Item, Natural, fingerprint
 
-KINDS: dict[str, type[Item]] = {
-    "tracking": Tracking,
-    "recovery": Recovery,
-    "fit": Fitting,
-    "fleet": Fleet,
-}
 #: More items than this are taken for a mistake.
 _MOST = 1_000_000
 
@@ -33,10 +27,7 @@ class Spec(Section):
 
     kind: Literal["tracking", "recovery", "fit", "fleet"]
     #: How many, from 0 on, or which.
-    seeds: (
-        Annotated[int, pydantic.Field(ge=1)]
-        | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)]
-    ) = 1
+    seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1
     #: Fields that all items share.
     base: dict[str, Any] = pydantic.Field(default_factory=dict)
     #: Fields, each with a list of values: every combination is a setting.

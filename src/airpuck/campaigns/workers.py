@@ -123,10 +123,10 @@ def _result(future: Any) -> Result:
     if future.status != "error":
         raise InputError("the scheduler went away; run again for the rest", field="--scheduler")
     error = future.exception()
+    why = _one_line(error)
     if isinstance(error, KilledWorker):
         why = f"its worker died {DEADLY} times (out of memory, a crash, a kill)"
-        return Result(rows=(), failure=why)
-    return Result(rows=(), failure=_one_line(error))
+    return Result(rows=(), failure=why)
 
 
 @contextlib.contextmanager
@@ -139,13 +139,8 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         raise InputError(
             "campaigns need Dask: install airpuck with its extra, pip install 'airpuck[campaign]'"
         ) from None
-    local = {
-        "n_workers": workers,
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": None,
-        "silence_logs": logging.CRITICAL,
-    }
+    local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    local |= {"dashboard_address": None, "silence_logs": logging.CRITICAL}
     with config.set(_SETTINGS):
         if scheduler is None:
             with Client(**local) as client:
