@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +16,7 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.output import report, table, write_json
+from airpuck.cli.output import report, show_counts, table, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,7 +45,7 @@ def campaign(
     if scheduler is not None and workers is not None:
         raise InputError("a running cluster has its own; give one of the two", field="--workers")
     try:
-        with _progress(quiet) as progress:
+        with show_counts("", "{} of {} items done, {} failed", quiet) as progress:
             found = airpuck.campaign(
                 spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
             )
@@ -58,31 +57,6 @@ def campaign(
     report(figures, json_file, *_summary(found), output / "results.csv")
     if len(found.failures) == len(found.entries):
         raise InputError(f"every item failed; the first: {found.failures[0][1]}", file=spec)
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[int, int, int], None]]:
-    """Show a bar on a terminal, a line for every tenth of the items elsewhere."""
-    if quiet:
-        yield lambda done, of, failed: None
-    elif not sys.stderr.isatty():
-        yield _print_tenths
-    else:
-        from rich.console import Console
-        from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
-
-        columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("")
-            yield lambda done, of, failed: bar.update(
-                task, completed=done, total=of, description=f"{failed} failed" if failed else ""
-            )
-
-
-def _print_tenths(done: int, of: int, failed: int) -> None:
-    """Print a line whenever another tenth of the items is done."""
-    if done == 0 or 10 * done // of > 10 * (done - 1) // of:
-        print(f"{done} of {of} items done, {failed} failed", file=sys.stderr, flush=True)
 
 
 def _summary(found: Campaign) -> Iterator[str | Table]:

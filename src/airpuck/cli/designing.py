@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +12,7 @@ import airpuck
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_controls, read_twin
-from airpuck.cli.output import report, table, warn
+from airpuck.cli.output import report, show_counts, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,7 +65,7 @@ def design(
     craft = airpuck.read_model(model)
     if after:
         craft = _fitted(craft, after, topics, quiet)
-    with _progress("trial flights", quiet) as progress:
+    with show_counts("trial flights", "", quiet) as progress:
         found = airpuck.design(
             craft,
             duration=duration,
@@ -81,7 +78,7 @@ def design(
         )
     figures, checked = found.to_json(), None
     if check is not None:
-        with _progress("flights to check", quiet) as progress:
+        with show_counts("flights to check", "", quiet) as progress:
             usual, checked = check_design(found, check, progress=progress)
         figures["check"] = {"usual": usual.to_json(), "proposal": checked.to_json()}
     if output is not None:
@@ -109,20 +106,6 @@ def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bo
     )
     warn(fit.warnings, quiet)
     return fit.model
-
-
-@contextmanager
-def _progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar on a terminal; elsewhere nothing."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda _done, _total: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def summary(found: Design) -> list[str]:

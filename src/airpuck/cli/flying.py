@@ -10,16 +10,8 @@ from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.cli import options
+from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.inputs import (
-    published_flights,
-    read_belief,
-    read_controls,
-    read_craft,
-    read_flight,
-    read_twin,
-)
 from airpuck.cli.output import report
 
 if TYPE_CHECKING:
@@ -33,8 +25,7 @@ PANEL = "Control and flight"
 @app.command(rich_help_panel=PANEL)
 def replay(
     flight: Annotated[
-        Path,
-        Argument(metavar="FLIGHT", help="A recording with poses, commands and references."),
+        Path, Argument(metavar="FLIGHT", help="A recording with poses, commands and references.")
     ],
     model: Annotated[str, options.CONTROLLERS_MODEL],
     fit_gains: Annotated[
@@ -49,9 +40,9 @@ def replay(
     """Feed a recorded flight to the controller; compare its commands with those sent."""
     from airpuck.control.tuning import default_tuning
 
-    craft, settings = read_belief(model), read_controls(tuning) or default_tuning()
+    craft, settings = inputs.read_belief(model), inputs.read_controls(tuning) or default_tuning()
     result = airpuck.replay(
-        read_flight(flight, topics),
+        inputs.read_flight(flight, topics),
         craft,
         tuning=settings,
         fit_gains=fit_gains,
@@ -95,7 +86,7 @@ def excite(
     from airpuck.model.model_file import nominal_model
     from airpuck.twin.experiments import fly_excitation
 
-    craft = read_craft(vehicle)
+    craft = inputs.read_craft(vehicle)
     if craft is not None and model is not None:
         raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
     truth = airpuck.read_model(model or "paper:M3") if craft is None else nominal_model(craft)
@@ -106,7 +97,7 @@ def excite(
     planned = ExcitationPlan() if plan is None else read_excitation_plan(plan)
     planned = planned.model_copy(update={k: v for k, v in given.items() if v is not None})
     excited = fly_excitation(
-        truth, planned, seed, settings=read_twin(twin), tuning=read_controls(tuning)
+        truth, planned, seed, settings=inputs.read_twin(twin), tuning=inputs.read_controls(tuning)
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     streams = excited.recording.streams
@@ -161,21 +152,21 @@ def track(
         raise InputError("must be between 0.1 and 1000 s", field="--dwell")
     paths: list[Path | None] = list(flights or ())
     if not paths and dwell is None and controller == "paper":
-        paths = published_flights(names)
+        paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
-    controls = read_controls(tuning)
+    controls = inputs.read_controls(tuning)
     if estimator is not None:
         controls = (controls or default_tuning()).with_estimator(estimator)
     plant = airpuck.read_model(truth)
     tracked = airpuck.tracking_study(
-        [read_belief(name) for name in names],
+        [inputs.read_belief(name) for name in names],
         plant,
-        flights=[None if path is None else read_flight(path, None) for path in paths],
+        flights=[None if path is None else inputs.read_flight(path, None) for path in paths],
         dwell=dwell or DWELL,
         seed=seed,
         full_controller=controller == "full",
-        settings=read_twin(twin),
+        settings=inputs.read_twin(twin),
         tuning=controls,
     )
     page = None
@@ -208,9 +199,9 @@ def animate(
     from airpuck.report.animation_frames import TABLE
 
     page = airpuck.animate(
-        read_flight(recording, topics),
+        inputs.read_flight(recording, topics),
         output,
-        vehicle=read_craft(vehicle),
+        vehicle=inputs.read_craft(vehicle),
         span=span or (0.0, 1.0),
         speed=speed,
         frames_per_second=fps,

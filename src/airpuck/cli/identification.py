@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,13 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_craft
-from airpuck.cli.output import (
-    is_stdout,
-    report,
-    show_progress,
-    table,
-    warn,
-)
+from airpuck.cli.output import is_stdout, print_tenths, report, show_progress, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -166,8 +159,8 @@ def identify(
             progress=progress,
         )
         if bootstrap is not None:
-            shown = _show_resampling(quiet, bootstrap)
-            fit = resample(fit, bootstrap, seed=seed, progress=shown)
+            show = print_tenths("" if quiet else "resampled {} of {}")
+            fit = resample(fit, bootstrap, seed=seed, progress=lambda done: show(done, bootstrap))
     fit.model.save(output)
     if report_folder is not None:
         from airpuck.report.fit_report import fit_report
@@ -175,16 +168,6 @@ def identify(
         fit_report(fit, [], trajectories[0], report_folder)
     warn(fit.warnings, quiet)
     report(fit.to_json(), json_file, *_fit_summary(fit), output, quiet=quiet)
-
-
-def _show_resampling(quiet: bool, total: int) -> Callable[[int], None]:
-    """Return a function that prints how many of the resampled fits are done."""
-
-    def show(done: int) -> None:
-        if not quiet and (done == total or done % max(1, total // 10) == 0):
-            print(f"resampled {done} of {total}", file=sys.stderr, flush=True)
-
-    return show
 
 
 def _fit_summary(fit: Fit) -> Iterator[str | Table]:

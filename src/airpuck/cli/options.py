@@ -41,8 +41,7 @@ def output(metavar: str, help: str, *names: str) -> Any:
 
 
 Json = Annotated[
-    Path | None,
-    output("FILE", "Write the figures as JSON; - for standard output.", "--json"),
+    Path | None, output("FILE", "Write the figures as JSON; - for standard output.", "--json")
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but results.")]
 VehicleFile = Annotated[

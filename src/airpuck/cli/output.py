@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,6 +97,33 @@ def _without_nan(figures: Any) -> Any:
     if isinstance(figures, (list, tuple)):
         return [_without_nan(value) for value in figures]
     return None if isinstance(figures, float) and not math.isfinite(figures) else figures
+
+
+@contextmanager
+def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., None]]:
+    """Show how many are done, of all, and failed: a bar on a terminal, elsewhere the words."""
+    if quiet or not sys.stderr.isatty():
+        yield print_tenths("" if quiet else words)
+        return
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total, failed=0: bar.update(
+            task, completed=done, total=total, description=f"{failed} failed" if failed else what
+        )
+
+
+def print_tenths(words: str) -> Callable[..., None]:
+    """Return a function that fills words with counts, and prints them when a tenth is done."""
+
+    def show(done: int, total: int, *more: int) -> None:
+        if words and 10 * done // total > 10 * (done - 1) // total:
+            print(words.format(done, total, *more), file=sys.stderr, flush=True)
+
+    return show
 
 
 @contextmanager

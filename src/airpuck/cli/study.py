@@ -48,10 +48,7 @@ def reproduce(
 
 
 @app.command(rich_help_panel=PANEL)
-def demo(
-    output: Out = Path("demo"),
-    quiet: options.Quiet = False,
-) -> None:
+def demo(output: Out = Path("demo"), quiet: options.Quiet = False) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.demo import demo
 

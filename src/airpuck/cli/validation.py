@@ -19,6 +19,7 @@ from airpuck.cli.output import error_table, report, table, warn
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from airpuck.data.trajectory import Span
     from airpuck.evaluation.drift import Drift
     from airpuck.evaluation.fit_measures import FitMeasures
     from airpuck.evaluation.presentation import Presentation
@@ -113,15 +114,7 @@ def faults(
         "usable": usable,
         "spans": [{key: getattr(s, name) for key, name in names.items()} for s in spans],
     }
-    rows = [
-        [
-            f"{s.start:.3f}",
-            f"{s.stop:.3f}",
-            s.cause,
-            "measured" if s.confidence == 1 else f"{min(s.confidence, 0.99):.2f}",
-        ]
-        for s in spans
-    ]
+    rows = [[f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)] for s in spans]
     headings = ("from s", "to s", "cause", "confidence")
     shown = table(headings, rows, left=("cause",)) if spans else None
     share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without any fault"
@@ -223,6 +216,11 @@ def resid(
     report({**figures, "name": model}, json_file, *lines, _fit_table([model], [fit]), page)
 
 
+def _confidence(span: Span) -> str:
+    """Return how sure the cause of a span is."""
+    return "measured" if span.confidence == 1 else f"{min(span.confidence, 0.99):.2f}"
+
+
 def _presented(presentation: Presentation) -> Iterator[str | Table]:
     """Yield what is shown of a model."""
     yield from presentation.structure
@@ -262,7 +260,5 @@ def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
 def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
     """Say what changed from one model to the other."""
     sentences = [*found.verdicts, *(f"note: {note}" for note in found.notes)]
-    return [
-        f"from {names[0]} to {names[1]}, {len(found.changes)} quantities:",
-        *(f"  {sentence}" for sentence in sentences),
-    ]
+    header = f"from {names[0]} to {names[1]}, {len(found.changes)} quantities:"
+    return [header, *(f"  {sentence}" for sentence in sentences)]
