@@ -68,14 +68,14 @@ def animate(
     suffix = target.suffix.lower()
     if suffix not in (".gif", ".html"):
         raise InputError("is neither .gif nor .html; an animation is one of them", file=path)
-    _check_positive(speed, "speed")
-    _check_positive(frames_per_second, "frames per second")
+    numbers = [("speed", speed), ("frames per second", frames_per_second)]
+    for field, number in [*numbers, *(("table", side) for side in table)]:
+        if not (math.isfinite(number) and number > 0):
+            raise InputError(f"{number:g} is not a positive number", field=field)
     if suffix == ".gif" and frames_per_second > _FASTEST_GIF:
         raise InputError(
             f"a GIF shows {_FASTEST_GIF} frames per second at most", field="frames per second"
         )
-    for side in table:
-        _check_positive(side, "table")
     scene = read_scene(recording, vehicle or default_vehicle(), span, table)
     n_frames = (scene.stop - scene.start) / speed * frames_per_second
     if suffix == ".gif" and n_frames > _MOST_FRAMES:
@@ -94,9 +94,3 @@ def animate(
 
             write_animation_page(scene, temporary, speed=speed)
     return target
-
-
-def _check_positive(number: float, field: str) -> None:
-    """Refuse what is no positive number."""
-    if not (math.isfinite(number) and number > 0):
-        raise InputError(f"{number:g} is not a positive number", field=field)

@@ -13,7 +13,7 @@ from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle, match_columns
 from airpuck.physics.angle import wrapped
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.clock import Aligned, align_clocks
+from airpuck.preprocessing.clock import align_clocks
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
     GAP_PERIODS,
@@ -112,8 +112,8 @@ def read_scene(
         )
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
-    aligned = _aligned(pose, command)
-    time, poses = _poses(pose, aligned, recording.source)
+    aligned = align_clocks(pose, command)
+    time, poses = _poses(pose, aligned.pose_time, recording.source)
     command_time, commands = _usable(command, aligned.command_time, "command")
     check_commands(_with_values(command, commands), command_time, recording.source)
     reference_time, reference = _references(recording, pose, aligned.epoch)
@@ -145,24 +145,11 @@ def read_scene(
     )
 
 
-def _aligned(pose: Stream, other: Stream) -> Aligned:
-    """Put two streams on one time axis, however short they are."""
-    repeated = []
-    for stream in (pose, other):
-        # align_clocks looks at the quarters of a stream, and a flight may have a single set point.
-        stamp, received = np.tile(stream.stamp_ns, 4), np.tile(stream.received_ns, 4)
-        values = np.tile(stream.values, (4, 1))
-        repeated.append(Stream(stamp, received, values, stream.columns))
-    four = align_clocks(*repeated)
-    once = four.pose_time[: len(pose)], four.command_time[: len(other)]
-    return replace(four, pose_time=once[0], command_time=once[1])
-
-
 def _poses(
-    pose: Stream, aligned: Aligned, source: str
+    pose: Stream, time: Float[np.ndarray, " K"], source: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Return times and poses that were measured, with continuous yaw; frozen ones are left out."""
-    time, values = _usable(pose, aligned.pose_time, "pose")
+    time, values = _usable(pose, time, "pose")
     if len(time) < 2:
         raise InputError("has fewer than two finite poses; there is nothing to show", file=source)
     check_poses(_with_values(pose, values), time, source)
@@ -181,8 +168,6 @@ def _usable(
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M k"]]:
     """Return the finite samples in strictly increasing time."""
     finite = np.isfinite(stream.values).all(axis=1)
-    if not finite.any():
-        return time[:0], stream.values[:0]
     cleaned = drop_disorder(time[finite], stream.values[finite], kind)
     return cleaned.time, cleaned.values
 
@@ -200,7 +185,7 @@ def _references(
     stream = recording.streams.get("reference")
     if stream is None or len(stream) == 0:
         return np.zeros(0), np.zeros((0, 3))
-    aligned = _aligned(pose, stream)
+    aligned = align_clocks(pose, stream)
     time, values = _usable(stream, aligned.command_time + (aligned.epoch - epoch), "reference")
     return time, values[:, :3]
 
@@ -321,7 +306,7 @@ def thrust_arrows(
 ) -> Float[np.ndarray, "F n 2 2"]:
     """Compute where the arrows of the commanded thrusts start and end [m]."""
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    turn = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+    turn = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), -1, 0)
     start = pose[:, None, :2] + np.einsum("fij,nj->fni", turn, vehicle.positions)
     force = thrust(vehicle.nominal_thrust, command.T).T[..., None]
     push = np.einsum("fij,nj->fni", turn, vehicle.directions)
@@ -338,19 +323,9 @@ def arrow_shapes(arrows: Float[np.ndarray, "n 2 2"], radius: float) -> Float[np.
     neck = length - HEAD_LENGTH * size
     zero = np.zeros_like(length)
     shaft, head = SHAFT * size, HEAD_WIDTH * size
-    corners = (
-        (zero, shaft),
-        (neck, shaft),
-        (neck, head),
-        (length, zero),
-        (neck, -head),
-        (neck, -shaft),
-        (zero, -shaft),
-    )
-    points = [
-        arrows[:, 0] + forward[:, None] * unit + side[:, None] * left for forward, side in corners
-    ]
-    return np.stack(points, axis=1)
+    forward = np.stack([zero, neck, neck, length, neck, neck, zero], axis=1)[..., None]
+    aside = np.stack([shaft, shaft, head, zero, -head, -shaft, -shaft], axis=1)[..., None]
+    return arrows[:, :1] + forward * unit[:, None] + aside * left[:, None]
 
 
 def heading_mark(vehicle: Vehicle) -> Float[np.ndarray, "3 2"]:

@@ -27,7 +27,7 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
     """Draw the relative standard errors of every quantity: now, usual, proposed, checked."""
     figure = style.new_figure(style.PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
-    rows = -np.arange(len(found.quantities.labels), dtype=float)
+    rows = style.label_rows(axes, found.quantities.labels)
     # Flights that were flown alone are compared with predictions of what they give alone.
     usual, proposal = (
         100 * (one.relative if checked is None else one.relative_alone)
@@ -44,18 +44,14 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
     handles += axes.plot(usual, rows, color=style.GREY, mfc="white", label=label, **dots)
     handles += axes.plot(proposal, rows, color=style.BLUE, label="proposal, predicted", **dots)
     if checked is not None:
-        flown = 100 * checked.errors.T
-        marks = axes.plot(flown, rows, ls="", marker="|", color=style.VERMILLION, ms=9, mew=1.3)
-        marks[0].set_label(f"proposal, obtained in {len(checked.errors)} flights")
-        handles.append(marks[0])
+        marks: dict[str, Any] = {"ls": "", "marker": "|", "ms": 9, "mew": 1.3}
+        axes.plot(100 * checked.errors.T, rows, color=style.VERMILLION, **marks)
+        label = f"proposal, obtained in {len(checked.errors)} flights"
+        handles.append(style.key(label, style.VERMILLION, **marks))
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     axes.grid(visible=True, axis="x", which="minor")
-    axes.set_yticks(rows, found.quantities.labels)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(visible=False, axis="y")
-    axes.set_ylim(rows[-1] - 0.6, 0.6)
     axes.set_xlabel(
         f"standard error after {found.proposal.plan.duration_s:g} s [% of what it matters against]"
     )

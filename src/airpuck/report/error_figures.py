@@ -20,19 +20,24 @@ from airpuck.report import style
 WORST = 0.08
 
 
-def worst_windows(errors: Float[np.ndarray, " W"], share: float = WORST) -> Bool[np.ndarray, " W"]:
-    """Mark the windows with the largest errors."""
-    count = max(round(share * len(errors)), 1)
-    marked = np.zeros(len(errors), dtype=bool)
-    marked[np.argsort(-np.abs(errors), kind="stable")[:count]] = True
+def worst_windows(errors: Float[np.ndarray, "*channels W"]) -> Bool[np.ndarray, "*channels W"]:
+    """Mark the windows with the largest errors of each channel."""
+    count = max(round(WORST * errors.shape[-1]), 1)
+    marked = np.zeros(errors.shape, dtype=bool)
+    worst = np.argsort(-np.abs(errors), axis=-1, kind="stable")[..., :count]
+    np.put_along_axis(marked, worst, True, axis=-1)
     return marked
 
 
-def share_of_squares(errors: Float[np.ndarray, " W"], share: float = WORST) -> float:
-    """Compute which share of the summed squared error the worst windows hold."""
+def squares_held(
+    errors: Float[np.ndarray, "*channels W"], marked: Bool[np.ndarray, "*channels_or_none W"]
+) -> str:
+    """Write what percentage of each channel's summed squared error the marked windows hold."""
     squares = errors**2
-    total = float(squares.sum())
-    return float(squares[worst_windows(errors, share)].sum()) / total if total > 0 else share
+    # A model that predicts without any error has no squares to share out.
+    total = np.maximum(squares.sum(axis=-1), 1e-300)
+    shares = np.atleast_1d(100 * (squares * marked).sum(axis=-1) / total)
+    return " / ".join(f"{share:.0f}" for share in shares)
 
 
 def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray, " W"]:
@@ -125,9 +130,8 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
         errors = evaluation.at_horizon[channel]
         for fault in faults:
             axes.axvspan(fault.start, fault.stop, color=style.LIGHT, lw=0)
-        style.draw_window_errors(
-            axes, evaluation.start, factor * np.abs(errors), worst_windows(errors)
-        )
+        worst = worst_windows(errors)
+        style.draw_window_errors(axes, evaluation.start, factor * np.abs(errors), worst)
         median, rmse = factor * evaluation.median_abs[channel], factor * evaluation.rmse[channel]
         axes.axhline(median, color=style.BLACK, lw=0.9)
         axes.axhline(rmse, color=style.BLACK, lw=0.9, ls=style.DASHED)
@@ -135,7 +139,7 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
         axes.margins(x=0.01)
         axes.set_title(
             f"median {median:.3g} {unit}, RMSE {rmse:.3g} {unit}; the worst {100 * WORST:.0f} % of "
-            f"windows hold {100 * share_of_squares(errors):.0f} % of the squared error",
+            f"windows hold {squares_held(errors, worst)} % of the squared error",
             loc="left",
             fontsize=8.5,
             fontweight="normal",
@@ -160,16 +164,8 @@ def _name_faults(axes: Axes, faults: Sequence[Span]) -> None:
     height, free_from = 0.98, -np.inf
     for fault in faults:
         height = 0.84 if fault.stop < free_from and height > 0.9 else 0.98
-        axes.annotate(
-            fault.cause,
-            (fault.stop, height),
-            xycoords=axes.get_xaxis_transform(),
-            xytext=(3, 0),
-            textcoords="offset points",
-            ha="left",
-            va="top",
-            fontsize=7,
-            color=style.GREY,
-        )
+        look = {"va": "top", "fontsize": 7, "color": style.GREY}
+        place = axes.get_xaxis_transform()
+        style.note(axes, fault.cause, (fault.stop, height), (3, 0), xycoords=place, **look)
         # About how far a text of this size reaches, as a part of the time axis.
         free_from = fault.stop + 0.0085 * len(fault.cause) * np.ptp(axes.get_xlim())

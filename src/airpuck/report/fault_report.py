@@ -15,7 +15,7 @@ from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
 from airpuck.faults.find import CONTACT, NOT_ARMED
 from airpuck.model.model_file import Model
 from airpuck.report import style
-from airpuck.report.error_figures import touched_by
+from airpuck.report.error_figures import squares_held, touched_by
 from airpuck.report.page import Picture, Section, Table, write_page
 
 _COLORS = {
@@ -33,14 +33,11 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
-    squares = evaluation.at_horizon**2
-    # A model that predicts without any error has no squares to share out.
-    held = 100 * squares[:, touched].sum(axis=1) / np.maximum(squares.sum(axis=1), 1e-300)
     words = (
         f"Faults found with {model.name}, with the probability of their causes, and the errors of "
         f"its predictions after {evaluation.horizon_step * evaluation.sample_period:.2f} s. The "
         f"{touched.sum()} of {len(touched)} windows whose predictions meet a fault hold "
-        f"{' / '.join(f'{share:.0f}' for share in held)} % of the squared error of x / y / yaw."
+        f"{squares_held(evaluation.at_horizon, touched)} % of the squared error of x / y / yaw."
     )
     extent = float(trajectory.time[0]), float(trajectory.time[-1])
     figure = fault_timeline_figure(spans, evaluation, extent)
@@ -98,10 +95,8 @@ def fault_timeline_figure(
             alpha=_FAINTEST + (1 - _FAINTEST) * span.confidence,
         )
         if span.confidence < 1:
-            place = {"xytext": (3, 0), "textcoords": "offset points", "va": "center"}
-            top.annotate(
-                confidence(span), (span.stop, row), fontsize=6.5, color=style.GREY, **place
-            )
+            look = {"va": "center", "fontsize": 6.5, "color": style.GREY}
+            style.note(top, confidence(span), (span.stop, row), (3, 0), **look)
         for panel in panels[1:]:
             panel.axvspan(span.start, span.stop, color=style.LIGHT, lw=0)
     top.set_yticks(range(len(causes)), causes)

@@ -240,17 +240,13 @@ def _draw_ratios(
     axes: Axes, labels: Sequence[str], ratios: Mapping[str, Float[np.ndarray, " K"]]
 ) -> None:
     """Draw ratios as differences in percent: a line of dots for each label, a colour per model."""
-    rows = -np.arange(len(labels), dtype=float)
+    rows = style.label_rows(axes, labels)
     spread = np.linspace(0.26, -0.26, max(len(ratios), 2))
     for offset, (name, ratio) in zip(spread, ratios.items(), strict=False):
         axes.plot(100 * (ratio - 1), rows + offset, "o", color=style.rung_color(name), ms=4.5)
     for row in rows[:-1]:
         axes.axhline(row - 0.5, color="#e6e6e6", lw=0.6)
     axes.axvline(0, color=style.BLACK, lw=0.8)
-    axes.grid(visible=False, axis="y")
-    axes.set_yticks(rows, labels)
-    axes.tick_params(axis="y", length=0)
-    axes.set_ylim(rows[-1] - 0.5, 0.5)
 
 
 @style.styled

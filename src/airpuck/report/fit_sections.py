@@ -23,8 +23,9 @@ from airpuck.report.error_figures import (
     error_distribution_figure,
     error_timeline_figure,
     horizon_figure,
-    share_of_squares,
+    squares_held,
     touched_by,
+    worst_windows,
 )
 from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
 from airpuck.report.page import Picture, Section, Table, Text, packaged_text
@@ -173,7 +174,7 @@ def _prediction_section(study: FitStudy, table: Table | None = None) -> Section:
 def _timeline_section(study: FitStudy) -> Section:
     """Show where in time the errors of the best fitted model are."""
     best = study.best
-    shares = " / ".join(f"{100 * share_of_squares(errors):.0f}" for errors in best.at_horizon)
+    shares = squares_held(best.at_horizon, worst_windows(best.at_horizon))
     caption = (
         f"Absolute error of each window of {best.model} (fitted). The worst {100 * WORST:.0f} % of "
         f"the windows, chosen for each channel, hold {shares} % of the squared error of "
@@ -181,13 +182,11 @@ def _timeline_section(study: FitStudy) -> Section:
     )
     if study.faults:
         touched = touched_by(best, study.faults)
-        squares = best.at_horizon**2
-        held = 100 * squares[:, touched].sum(axis=1) / squares.sum(axis=1)
         caption += (
             "Shaded: known faults of this recording, where the craft accelerates far less than any "
             "model expects from the commands, because motors are off, the radio link is out or a "
             f"motor does not spin up. The {touched.sum()} of {len(touched)} windows that touch "
-            f"them hold {' / '.join(f'{share:.0f}' for share in held)} % of it; none is left out. "
+            f"them hold {squares_held(best.at_horizon, touched)} % of it; none is left out. "
         )
     figure = error_timeline_figure(best, study.faults)
     picture = Picture("error_timeline", figure, caption + protocol_words(best))

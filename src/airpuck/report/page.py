@@ -5,10 +5,10 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -20,7 +20,6 @@ from airpuck.report.style import png
 class Picture:
     """A figure and what to see in it."""
 
-    kind: ClassVar[str] = "picture"
     #: Name of its file, without the suffix.
     name: str
     #: A figure, which becomes a PNG, or the text of an SVG.
@@ -33,7 +32,6 @@ class Picture:
 class Table:
     """A table."""
 
-    kind: ClassVar[str] = "table"
     #: Plain text.
     caption: str
     #: One for each column.
@@ -50,7 +48,6 @@ class Table:
 class Text:
     """Paragraphs, or a list."""
 
-    kind: ClassVar[str] = "text"
     #: Plain text.
     paragraphs: Sequence[str]
     #: Whether they are the items of a list.
@@ -66,7 +63,7 @@ class Section:
     #: Its heading.
     title: str
     #: Its content.
-    blocks: Sequence[Picture | Table | Text] = field(default_factory=tuple)
+    blocks: Sequence[Picture | Table | Text]
 
 
 def write_page(

@@ -10,18 +10,12 @@ import numpy as np
 from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
 from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
 from airpuck.model.model_file import Model
+from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import named_rung
 from airpuck.report.page import Table
 
-#: Quantities and their headings, in the order of the paper's table:models.
-_LADDER = {
-    "thrust": "thrust a, b, c [N]",
-    "inertia": "I [kg m²]",
-    "motor_time_constant": "τ [s]",
-    "angle_offset": "α [rad]",
-    "center_of_mass": "r [m]",
-    "configuration_matrix": "Π",
-}
+#: Quantities in the order of the paper's table:models.
+_LADDER = [quantity for quantity in QUANTITIES if quantity.rungs]
 
 
 class Cell(NamedTuple):
@@ -62,22 +56,22 @@ def ladder_table(models: Sequence[Model]) -> Table:
     for model in models:
         rung, cells = named_rung(model.name), []
         for quantity in _LADDER:
-            if quantity in rung.free:
+            if quantity.name in rung.free:
                 cells.append(Cell("free", True))
-            elif rung.direct and quantity in UNUSED_WHERE_DIRECT:
+            elif rung.direct and quantity.in_matrix:
                 cells.append(Cell())
-            elif quantity == "configuration_matrix":
+            elif quantity.name == "configuration_matrix":
                 cells.append(Cell("from the others"))
             else:
-                value = np.ravel(getattr(model.parameters, quantity))
+                value = np.ravel(getattr(model.parameters, quantity.name))
                 cells.append(Cell(", ".join(f"{x:.3g}" for x in value)))
         rows.append(Row(model.name, rung.summary, cells))
-    return parameter_table(
+    caption = (
         "Table 1 of the paper: free and fixed parameters, from the rungs of the package. A dash: "
-        "not used. Π “from the others”: by first principles.",
-        ["model", "", *_LADDER.values()],
-        rows,
+        "not used. Π “from the others”: by first principles."
     )
+    headings = [q.symbol if "," in q.unit else f"{q.symbol} [{q.unit}]" for q in _LADDER]
+    return parameter_table(caption, ["model", "", *headings], rows)
 
 
 def main_rows(models: Sequence[Model]) -> list[Row]:
@@ -93,15 +87,15 @@ def main_rows(models: Sequence[Model]) -> list[Row]:
 
 def coefficient_rows(models: Sequence[Model]) -> list[Row]:
     """Tabulate every thrust coefficient as learned, without any change of scale."""
-    by_power = []
-    for power in range(max(np.shape(model.parameters.thrust)[1] for model in models)):
-        labels = [f"{chr(ord('a') + power)} {name}" for name in models[0].vehicle.propeller_names]
+    degree = max(np.shape(model.parameters.thrust)[1] for model in models)
+    letters = "abcdefghijklmnopqrstuvwxyz"[:degree]
+    labels = [f"{a} {name}" for name in models[0].vehicle.propeller_names for a in letters]
 
-        def coefficients(model: Model, power: int = power) -> Any:
-            return model.parameters.thrust[:, power : power + 1].sum(axis=1)  # 0 beyond the degree
+    def coefficients(model: Model) -> Any:
+        thrust = model.parameters.thrust
+        return np.pad(thrust, ((0, 0), (0, degree - thrust.shape[1])))
 
-        by_power.append(_rows(models, labels, "N", "thrust", coefficients, ".4f"))
-    return [row for rows in zip(*by_power, strict=True) for row in rows]
+    return _rows(models, labels, "N", "thrust", coefficients, ".4f")
 
 
 def effect_rows(models: Sequence[Model]) -> list[Row]:
@@ -128,10 +122,7 @@ def _rows(
 ) -> list[Row]:
     """Tabulate values that a parameter makes: a row for each of them, a cell for each model."""
     columns = [_cells(model, len(labels), quantity, values, form) for model in models]
-    return [
-        Row(label, unit, list(cells))
-        for label, cells in zip(labels, zip(*columns, strict=True), strict=True)
-    ]
+    return [Row(label, unit, cells) for label, *cells in zip(labels, *columns, strict=True)]
 
 
 def _cells(

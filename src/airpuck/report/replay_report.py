@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -135,17 +136,15 @@ def command_figure(replay: Replay) -> Figure:
 def flight_figure(replay: Replay) -> Figure:
     """Draw what the craft did beside what it was asked to do."""
     figure = style.new_figure(style.PAGE_WIDTH, 4.4)
-    panels = figure.subplots(3, 1, sharex=True)
+    panels = style.pose_panels(figure)
     pose, asked = replay.pose.copy(), replay.reference.copy()
     # The yaw is drawn continuous, and a set point in the turn that is nearest to the craft.
     known = np.isfinite(pose[:, 2])
     pose[known, 2] = np.unwrap(pose[known, 2])
     asked[known, 2] = (pose[:, 2] - wrapped(np, pose[:, 2] - asked[:, 2]))[known]
-    for i, (axes, (name, unit)) in enumerate(zip(panels, style.POSE, strict=True)):
+    for i, axes in enumerate(panels):
         axes.plot(replay.time, asked[:, i], color=style.BLACK, linewidth=1.0, linestyle="--")
         axes.plot(replay.time, pose[:, i], color=style.BLUE)
-        axes.set_ylabel(f"{name} [{unit}]")
-    panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(replay.time[0], replay.time[-1])
     craft = style.key("the craft, as the controller saw it", style.BLUE)
     style.top_legend(figure, [craft, style.key("set point", linewidth=1.0, linestyle="--")])
@@ -161,28 +160,18 @@ def rotation_error_figure(fastest: float, period: float) -> Figure:
     periods = sorted({0.002, 0.005, 0.01, 0.02, 0.05, period})
     for shade, h in zip(np.linspace(0.25, 1.0, len(periods)), periods, strict=True):
         error = 100 * rotation_error(spin, np.full_like(spin, h))
-        flown = h == period
-        color, alpha, width = (
-            (style.VERMILLION, 1.0, 2.2) if flown else (style.BLUE, float(shade), 1.2)
-        )
-        axes.loglog(spin, error, color=color, alpha=alpha, linewidth=width)
-        place = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
-        axes.annotate(f"{1e3 * h:g} ms", (spin[-1], error[-1]), fontsize=8, **place)
+        flown: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 2.2}
+        other: dict[str, Any] = {"color": style.BLUE, "linewidth": 1.2, "alpha": shade}
+        axes.loglog(spin, error, **flown if h == period else other)
+        style.note(axes, f"{1e3 * h:g} ms", (spin[-1], error[-1]), (4, 0), va="center", fontsize=8)
     if fastest > 0:
         at = 100 * float(rotation_error(np.array(fastest), np.array(period)))
         axes.plot([fastest], [at], "o", color=style.ORANGE, markeredgecolor=style.BLACK, zorder=5)
-        axes.annotate(
-            f"fastest spin flown: {fastest:.1f} rad/s, {at:.1f} %",
-            (fastest, at),
-            xytext=(8, -12),
-            textcoords="offset points",
-            ha="left",
-            va="top",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
-        )
-    axes.set_xlabel("spin |ω| [rad/s]")
+        words = f"fastest spin flown: {fastest:.1f} rad/s, {at:.1f} %"
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        style.note(axes, words, (fastest, at), (8, -12), va="top", bbox=box)
+    axes.set(xlim=(spin[0], 75), xlabel="spin |ω| [rad/s]")
     axes.set_ylabel("relative error of the\nvelocity gained in a period [%]")
-    axes.set_xlim(spin[0], 75)
     axes.set_title("Neglected turning within a sample time", loc="left")
     return figure
 

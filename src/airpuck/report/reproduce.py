@@ -19,7 +19,7 @@ from airpuck.evaluation.evaluate import Evaluation, compare
 from airpuck.identification.fit import identify
 from airpuck.identification.problem import Preparation
 from airpuck.model.model_file import published_model
-from airpuck.report.error_figures import WORST, share_of_squares
+from airpuck.report.error_figures import WORST, squares_held, worst_windows
 from airpuck.report.fit_sections import (
     FitStudy,
     craft_section,
@@ -58,6 +58,7 @@ PRINTED = {
     "M4": ("10.8", "9.6", "0.387"),
 }
 
+#: What every number rests on, and where the paper's text and numbers disagree.
 _CONVENTIONS = (
     "Protocol “paper”: the validation recording is cut into windows that do not overlap, of "
     "E + T = 20 + 50 samples at 240 Hz. The encoder looks at the first 20, the model predicts the "
@@ -189,10 +190,8 @@ def _experiments(data: str | os.PathLike[str] | None) -> tuple[Trajectory, Traje
             file=folder,
             field="data",
         )
-    training, validation = (
-        read_authors_experiment(folder / "experiments" / name / "data.pt")
-        for name in (TRAINING, VALIDATION)
-    )
+    files = (folder / "experiments" / name / "data.pt" for name in (TRAINING, VALIDATION))
+    training, validation = map(read_authors_experiment, files)
     return training, validation
 
 
@@ -203,7 +202,7 @@ def _write_report(out: Path, study: FitStudy, validation: Trajectory, wall_s: fl
         craft_section(study.models[0].vehicle),
         _learning_section(study),
         *study_sections(study, _table_2(study)),
-        _conventions_section(),
+        Section("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),)),
         sources_section(study.training, validation),
     ]
     return write_page(
@@ -231,7 +230,7 @@ def _summary_section(study: FitStudy, wall_s: float) -> Section:
     steps = [fit.iterations for fit in study.fits]
     best = study.best
     medians, rmse = (" / ".join(errors_as_text(e)) for e in (best.median_abs, best.rmse))
-    share = " / ".join(f"{100 * share_of_squares(errors):.0f}" for errors in best.at_horizon)
+    share = squares_held(best.at_horizon, worst_windows(best.at_horizon))
     findings = (
         f"The published parameters give {agree} of the {3 * len(PRINTED)} numbers of the paper's "
         "Table 2 as printed.",
@@ -285,11 +284,6 @@ def _table_2(study: FitStudy) -> Table:
         rows,
         [("", 1), *((name, 3) for name in groups)],
     )
-
-
-def _conventions_section() -> Section:
-    """State what every number rests on, and where the paper's text and numbers disagree."""
-    return Section("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),))
 
 
 def _percent(ratio: float) -> str:

@@ -145,6 +145,15 @@ def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axe
     return list(grid[:count])
 
 
+def pose_panels(figure: Figure) -> list[Axes]:
+    """Add a panel for each channel of the pose over time, one below the other."""
+    axes = panels(figure, 3, 1, sharex=True)
+    for one, (name, unit) in zip(axes, POSE, strict=True):
+        one.set_ylabel(f"{name} [{unit}]")
+    axes[-1].set_xlabel("time [s]")
+    return axes
+
+
 def motor_panels(figure: Figure, motors: Sequence[str]) -> list[Axes]:
     """Add a panel for the commands of each motor over time, two in a row."""
     axes = panels(figure, len(motors), 2, sharex=True, sharey=True)
@@ -153,6 +162,23 @@ def motor_panels(figure: Figure, motors: Sequence[str]) -> list[Axes]:
         one.set(ylim=(-0.03, 1.05), xlabel="time [s]", ylabel="command [–]")
         one.label_outer()
     return axes
+
+
+def label_rows(axes: Axes, labels: Sequence[str]) -> Float[np.ndarray, " rows"]:
+    """Give each label a row, the first on top; return their heights."""
+    rows = -np.arange(len(labels), dtype=float)
+    axes.set_yticks(rows, labels)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylim(rows[-1] - 0.5, 0.5)
+    return rows
+
+
+def note(
+    axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any
+) -> None:
+    """Write a text some points away from a place."""
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **look)
 
 
 def draw_window_errors(

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from airpuck.flight.track import SetPointResult, Track
+from airpuck.flight.track import SetPointResult
 from airpuck.report import style
 from airpuck.report.page import Picture, Section, Table, write_page
 from airpuck.twin.tracking_study import Tracked
@@ -42,10 +41,7 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
         "A model that explains the craft brings it to its set points; a poor one leaves an offset, "
         "unless disturbances are rejected."
     )
-    blocks: list[Picture | Table] = [
-        Picture("tracking", tracking_figure(flights), caption),
-        results,
-    ]
+    blocks = [Picture("tracking", tracking_figure(flights), caption), results]
     apart = [
         [f.model, *(f"{1e3 * error:.1f}" for error in f.rmse[:2]), f"{f.rmse[2]:.3f}"]
         for f in flights
@@ -87,9 +83,13 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     set point that differs from the start (`Track.origin`).
     """
     figure = style.new_figure(style.PAGE_WIDTH, 5.0)
-    panels = figure.subplots(3, 1, sharex=True)
+    panels = style.pose_panels(figure)
     handles = [style.key("set point", linewidth=0.9, linestyle=":")]
-    _draw_set_points(panels, flights[0].twin, flights[0].origin)
+    track, origin = flights[0].twin, flights[0].origin
+    times = np.append(track.set_points.times, track.time[-1]) - origin
+    poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
+    for axes, values in zip(panels, poses.T, strict=True):
+        axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
     for flight in flights:
         color = style.rung_color(flight.model)
         tracks = [(flight.twin, "twin", {"linewidth": 1.5})]
@@ -100,20 +100,9 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
             for axes, values in zip(panels, track.pose.T, strict=True):
                 axes.plot(track.time - flight.origin, values, color=color, **line)
             handles.append(style.key(f"{flight.model}, {kind}", color, **line))
-    for axes, (name, unit) in zip(panels, style.POSE, strict=True):
-        axes.set_ylabel(f"{name} [{unit}]")
     panels[-1].set_xlim(0.0, max(float(f.twin.time[-1]) - f.origin for f in flights))
-    panels[-1].set_xlabel("time [s]")
     style.top_legend(figure, handles)
     return figure
-
-
-def _draw_set_points(panels: Any, track: Track, origin: float) -> None:
-    """Draw the steps of the set points."""
-    times = np.append(track.set_points.times, track.time[-1]) - origin
-    poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
-    for axes, values in zip(panels, poses.T, strict=True):
-        axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
 
 
 @style.styled
