@@ -26,9 +26,6 @@ from airpuck.recording.stream import Recording, Stream
 
 #: Length and width of the authors' air-hockey table; its centre is the origin [m].
 TABLE = (Table().length_m, Table().width_m)
-#: Colours that only animations need: the table, and what the craft was asked to do.
-FLOOR, HOLES, GRID, RAIL = "#f4f7fa", "#cbd6e0", "#dfe6ed", "#a5b2bf"
-ASKED = "#a93f7c"
 #: An arrow of the largest thrust is as long as this many radii of the craft.
 _LONGEST_ARROW = 4.5
 #: Half width of an arrow's shaft, half width and length of its head, in radii of the craft.
@@ -115,7 +112,7 @@ def read_scene(
     aligned = align_clocks(pose, command)
     time, poses = _poses(pose, aligned.pose_time, recording.source)
     command_time, commands = _usable(command, aligned.command_time, "command")
-    check_commands(_with_values(command, commands), command_time, recording.source)
+    check_commands(commands, command_time, recording.source)
     reference_time, reference = _references(recording, pose, aligned.epoch)
 
     start, stop = (float(time[0] + share * (time[-1] - time[0])) for share in span)
@@ -136,7 +133,7 @@ def read_scene(
         pose=poses[shown],
         pause=_longest_pause(time),
         command_time=command_time[in_force],
-        command=commands[in_force][:, order],
+        command=commands.values[in_force][:, order],
         command_pause=COMMAND_GAP_PERIODS * _period(command_time),
         reference_time=reference_time[asked],
         reference=reference[asked],
@@ -149,33 +146,28 @@ def _poses(
     pose: Stream, time: Float[np.ndarray, " K"], source: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Return times and poses that were measured, with continuous yaw; frozen ones are left out."""
-    time, values = _usable(pose, time, "pose")
+    time, usable = _usable(pose, time, "pose")
     if len(time) < 2:
         raise InputError("has fewer than two finite poses; there is nothing to show", file=source)
-    check_poses(_with_values(pose, values), time, source)
+    check_poses(usable, time, source)
     fresh = np.ones(len(time), dtype=bool)
-    for span in find_frozen(time, values):
+    for span in find_frozen(time, usable.values):
         if span.stop - span.start > _longest_pause(time):
             fresh[(time > span.start) & (time <= span.stop)] = False
     fresh[-1] = True  # the flight is as long as it was, even where its end is frozen
-    time, values = time[fresh], values[fresh].copy()
+    time, values = time[fresh], usable.values[fresh]
     values[:, 2] = np.unwrap(values[:, 2])
     return time, values
 
 
 def _usable(
     stream: Stream, time: Float[np.ndarray, " N"], kind: str
-) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M k"]]:
-    """Return the finite samples in strictly increasing time."""
+) -> tuple[Float[np.ndarray, " M"], Stream]:
+    """Return the finite samples in strictly increasing time; their stamps mean nothing."""
     finite = np.isfinite(stream.values).all(axis=1)
     cleaned = drop_disorder(time[finite], stream.values[finite], kind)
-    return cleaned.time, cleaned.values
-
-
-def _with_values(stream: Stream, values: Float[np.ndarray, "M k"]) -> Stream:
-    """Return a stream with other values; its stamps mean nothing."""
-    stamps = np.zeros(len(values), dtype=np.int64)
-    return Stream(stamps, stamps, values, stream.columns)
+    stamps = np.zeros(len(cleaned.time), dtype=np.int64)
+    return cleaned.time, Stream(stamps, stamps, cleaned.values, stream.columns)
 
 
 def _references(
@@ -186,8 +178,8 @@ def _references(
     if stream is None or len(stream) == 0:
         return np.zeros(0), np.zeros((0, 3))
     aligned = align_clocks(pose, stream)
-    time, values = _usable(stream, aligned.command_time + (aligned.epoch - epoch), "reference")
-    return time, values[:, :3]
+    time, usable = _usable(stream, aligned.command_time + (aligned.epoch - epoch), "reference")
+    return time, usable.values[:, :3]
 
 
 def _in_force(time: Float[np.ndarray, " K"], start: float, stop: float) -> slice:

@@ -23,11 +23,6 @@ from PIL import GifImagePlugin, Image
 from airpuck.craft.vehicle import Vehicle
 from airpuck.report import style
 from airpuck.report.animation_frames import (
-    ASKED,
-    FLOOR,
-    GRID,
-    HOLES,
-    RAIL,
     TRAIL,
     Frames,
     Scene,
@@ -112,7 +107,7 @@ class _Stage:
 
     def __init__(self, scene: Scene, frames: Frames, speed: float) -> None:
         self.scene, self.frames = scene, frames
-        self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, ASKED]
+        self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
         self.figure = _scenery(scene, speed)
         self.arrows = thrust_arrows(scene.vehicle, frames.pose, frames.command)
         canvas = self.figure.canvas
@@ -134,19 +129,15 @@ class _Stage:
             _draw(axes, Line2D([now, now], [0, 1], color=style.BLACK, lw=0.9, **high))
             if axes is not motors:
                 seen = self.frames.pose[k, i] if self.frames.known[k] else np.nan
-                for value, color in ((self.frames.reference[k, i], ASKED), (seen, style.BLACK)):
+                asked = self.frames.reference[k, i]
+                for value, color in ((asked, style.ASKED), (seen, style.BLACK)):
                     dot = Line2D([now], [value], marker="o", ms=5, mec="white", mew=0.7)
                     dot.set(color=color, clip_on=False)
                     _draw(axes, dot)
-        clock = {
-            "clip_on": False,
-            "ha": "right",
-            "va": "center",
-            "fontsize": 15,
-            "fontweight": "bold",
-        }
-        place = (1 - 0.18 / _WIDTH, 1 - 0.23 / self.figure.get_figheight())
-        _draw(legend, Text(*place, f"{now:.2f} s", transform=self.figure.transFigure, **clock))
+        clock = Text(1 - 0.18 / _WIDTH, 1 - 0.23 / self.figure.get_figheight(), f"{now:.2f} s")
+        clock.set(ha="right", va="center", fontsize=15, fontweight="bold")
+        clock.set(transform=self.figure.transFigure, clip_on=False)
+        _draw(legend, clock)
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
 
 
@@ -161,22 +152,21 @@ def _moving_on_table(
     scene: Scene, frames: Frames, arrows: Float[np.ndarray, "n 2 2"], k: int
 ) -> Iterator[Artist]:
     """Give what moves on the table, from the back to the front."""
-    vehicle, pose, seen = scene.vehicle, frames.pose[k], bool(frames.known[k])
+    vehicle, pose = scene.vehicle, frames.pose[k]
     lines, age = trail(scene, float(frames.time[k]), TRAIL)
     colors, widths = _faded(0.1 + 0.9 * age), 2.4 - 1.4 * age
     yield LineCollection(list(lines), colors=colors, linewidths=widths, capstyle="round")
     if np.isfinite(frames.reference[k]).all():
-        yield from _craft(vehicle, frames.reference[k], ASKED, ls=(0, (3, 1.6)))
-    if seen:
-        yield from _craft(vehicle, pose, style.BLACK)
-    else:
+        yield from _craft(vehicle, frames.reference[k], style.ASKED, ls=(0, (3, 1.6)))
+    if not frames.known[k]:  # nobody knows where its propellers push
         yield from _craft(vehicle, pose, style.GREY, ls=(0, (2, 2)))
         above = pose[1] + 1.15 * vehicle.radius_m
         yield Text(pose[0], above, "no pose", color=style.GREY, fontsize=8, ha="center")
-    if seen:  # where the craft is not seen, nobody knows where its propellers push
-        shapes = list(arrow_shapes(arrows, vehicle.radius_m))
-        tints = style.propeller_colors(vehicle)
-        yield PolyCollection(shapes, facecolors=tints, edgecolors="white", linewidths=0.5)
+        return
+    yield from _craft(vehicle, pose, style.BLACK)
+    shapes = list(arrow_shapes(arrows, vehicle.radius_m))
+    tints = style.propeller_colors(vehicle)
+    yield PolyCollection(shapes, facecolors=tints, edgecolors="white", linewidths=0.5)
 
 
 def _craft(
@@ -185,23 +175,21 @@ def _craft(
     """Give the shapes of the craft at a pose; only the outline where it was asked to be."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[cos, sin], [-sin, cos]])
-    asked = color == ASKED
-    middle = (float(pose[0]), float(pose[1]))
-    face = "none" if asked else "white"
-    yield Circle(middle, vehicle.radius_m, fc=face, ec=color, lw=1.5, **outline)
-    mark = ASKED if asked else style.BLACK
+    face, mark = ("none", color) if color == style.ASKED else ("white", style.BLACK)
+    yield Circle(tuple(pose[:2]), vehicle.radius_m, fc=face, ec=color, lw=1.5, **outline)
     yield Polygon(heading_mark(vehicle) @ turn + pose[:2], facecolor=mark, edgecolor="none")
-    if not asked:
-        places = vehicle.positions @ turn + pose[:2]
-        for place, tint in zip(places, style.propeller_colors(vehicle), strict=True):
-            inside = (*to_rgb(tint), 0.25)
-            yield Circle(tuple(place), style.propeller_size(vehicle), fc=inside, ec=tint, lw=0.8)
+    if color == style.ASKED:
+        return
+    places = vehicle.positions @ turn + pose[:2]
+    for place, tint in zip(places, style.propeller_colors(vehicle), strict=True):
+        inside = (*to_rgb(tint), 0.25)
+        yield Circle(tuple(place), style.propeller_size(vehicle), fc=inside, ec=tint, lw=0.8)
 
 
 def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
     """Mix black with the floor's colour; opaque, so that overlapping ends do not show."""
     share = np.clip(share, 0, 1)[:, None]
-    return (1 - share) * np.array(to_rgb(style.BLACK)) + share * np.array(to_rgb(FLOOR))
+    return (1 - share) * np.array(to_rgb(style.BLACK)) + share * np.array(to_rgb(style.FLOOR))
 
 
 @style.styled
@@ -251,8 +239,8 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
     across, up = _multiples(x0, x1, step), _multiples(y0, y1, step)
     axes.set_xticks(across)
     axes.set_yticks(up)
-    axes.vlines(across, y0, y1, color=GRID, lw=0.8, zorder=0.5)
-    axes.hlines(up, x0, x1, color=GRID, lw=0.8, zorder=0.5)
+    axes.vlines(across, y0, y1, color=style.GRID, lw=0.8, zorder=0.5)
+    axes.hlines(up, x0, x1, color=style.GRID, lw=0.8, zorder=0.5)
     # Names of the axes stand between the last two numbers.
     below, beside = axes.get_xaxis_transform(), axes.get_yaxis_transform()
     small: dict[str, Any] = {"fontsize": 8, "ha": "center"}
@@ -260,23 +248,16 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
     middle = up[-1] - step / 2
     axes.text(-0.024, middle, "y [m]", transform=beside, va="center", rotation=90, **small)
     dots = np.meshgrid(_multiples(x0, x1, step / 5), _multiples(y0, y1, step / 5))
-    axes.plot(*(dot.ravel() for dot in dots), ".", color=HOLES, ms=2.6, mew=0, zorder=0.6)
+    axes.plot(*(dot.ravel() for dot in dots), ".", color=style.HOLES, ms=2.6, mew=0, zorder=0.6)
     if scene.table is None:
-        axes.set_facecolor(FLOOR)
+        axes.set_facecolor(style.FLOOR)
         return
     length, width = scene.table
-    rails = FancyBboxPatch(
-        (-length / 2, -width / 2),
-        length,
-        width,
-        boxstyle=f"round,pad={0.6 * _RAIL},rounding_size={1.4 * _RAIL}",
-        facecolor=FLOOR,
-        edgecolor=RAIL,
-        lw=4.5,
-        zorder=0.1,
-    )
+    shape = f"round,pad={0.6 * _RAIL},rounding_size={1.4 * _RAIL}"
+    rails = FancyBboxPatch((-length / 2, -width / 2), length, width, boxstyle=shape)
+    rails.set(facecolor=style.FLOOR, edgecolor=style.RAIL, lw=4.5, zorder=0.1)
     axes.add_patch(rails)
-    axes.plot(0, 0, "+", color=RAIL, ms=9, mew=1.2, zorder=0.7)
+    axes.plot(0, 0, "+", color=style.RAIL, ms=9, mew=1.2, zorder=0.7)
 
 
 def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " ticks"]:
@@ -301,7 +282,9 @@ def _draw_panels(panels: list[Axes], scene: Scene) -> None:
         axes.locator_params(axis="both", nbins=5, steps=[1, 2, 5, 10])
         if i < 3:
             axes.plot(time, pose[:, i], color=style.BLACK, lw=1.4)
-            axes.plot(scene.time, asked[:, i], color=ASKED, lw=1.3, ls=(0, (4, 1.5)), zorder=1.5)
+            axes.plot(
+                scene.time, asked[:, i], color=style.ASKED, lw=1.3, ls=(0, (4, 1.5)), zorder=1.5
+            )
     _draw_motors(panels[-1], scene)
 
 
@@ -335,7 +318,7 @@ def _draw_legend(axes: Axes, scene: Scene, scale: float) -> None:
     words: dict[str, Any] = {"fontsize": 8.5, "va": "center_baseline"}
     axes.text(0.48, 0, f"path of the last {TRAIL:g} s", **words)
     if len(scene.reference):
-        ring = Circle((2.3, 0), 0.1, fill=False, edgecolor=ASKED, lw=1.5, ls=(0, (3, 1.6)))
+        ring = Circle((2.3, 0), 0.1, fill=False, edgecolor=style.ASKED, lw=1.5, ls=(0, (3, 1.6)))
         axes.add_patch(ring)
         axes.text(2.48, 0, "set point", **words)
     key = round_thrust(scene.vehicle)

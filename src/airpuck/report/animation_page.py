@@ -12,14 +12,10 @@ from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
 from airpuck.craft.vehicle import Vehicle
+from airpuck.report import style
 from airpuck.report.animation_frames import (
-    ASKED,
-    FLOOR,
-    GRID,
     HEAD_LENGTH,
     HEAD_WIDTH,
-    HOLES,
-    RAIL,
     SHAFT,
     TRAIL,
     Scene,
@@ -30,7 +26,6 @@ from airpuck.report.animation_frames import (
     thinned,
 )
 from airpuck.report.page import packaged_text, render
-from airpuck.report.style import BLACK, GREY, POSE, propeller_colors, propeller_size
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
@@ -56,7 +51,7 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         trail=TRAIL,
         key=round_thrust(scene.vehicle),
         has_reference=len(scene.reference) > 0,
-        states=POSE,
+        states=style.POSE,
         table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
         # Within a script only "<" could end it; in a string of JSON this is the same letter.
         flight=markupsafe.Markup(flight.replace("<", "\\u003c")),
@@ -65,15 +60,15 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
 
 
 _COLORS: dict[str, Any] = {
-    "ink": BLACK,
-    "grey": GREY,
-    "asked": ASKED,
-    "floor": FLOOR,
-    "holes": HOLES,
-    "grid": GRID,
-    "rail": RAIL,
-    "inkRgb": [round(255 * part) for part in to_rgb(BLACK)],
-    "floorRgb": [round(255 * part) for part in to_rgb(FLOOR)],
+    "ink": style.BLACK,
+    "grey": style.GREY,
+    "asked": style.ASKED,
+    "floor": style.FLOOR,
+    "holes": style.HOLES,
+    "grid": style.GRID,
+    "rail": style.RAIL,
+    "inkRgb": [round(255 * part) for part in to_rgb(style.BLACK)],
+    "floorRgb": [round(255 * part) for part in to_rgb(style.FLOOR)],
 }
 
 
@@ -124,8 +119,8 @@ def _craft(vehicle: Vehicle) -> dict[str, Any]:
         "directions": vehicle.directions.tolist(),
         "thrust": vehicle.nominal_thrust.tolist(),
         "names": short_names(vehicle.propeller_names),
-        "colors": propeller_colors(vehicle),
-        "propeller": propeller_size(vehicle),
+        "colors": style.propeller_colors(vehicle),
+        "propeller": style.propeller_size(vehicle),
         "mark": heading_mark(vehicle).tolist(),
         "key": round_thrust(vehicle),
         "arrow": {

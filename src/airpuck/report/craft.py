@@ -39,18 +39,14 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     inside = radii.min() - 1e3 * style.propeller_size(vehicle)
     axis = min(0.3 * disc, 0.65 * max(inside, 0.2 * disc))
     for (x, y), name in (((axis, 0), "$x^b$"), ((0, axis), "$y^b$")):
-        _draw_arrow(axes, (0, 0), (x, y), style.BLACK, 1.4)
+        style.draw_arrow(axes, (0, 0), (x, y), lw=1.4, arrowstyle="-|>", mutation_scale=10.6)
         axes.text(1.28 * x, 1.25 * y, name, fontsize=10, ha="center", va="center")
     axes.plot(0, 0, "o", color=style.BLACK, ms=3)
     reach = 1.5 * max(disc, float(radii.max()))
-    axes.set(
-        xlim=(-reach, reach),
-        ylim=(-reach, reach),
-        xlabel="$x^b$, forward [mm]",
-        ylabel="$y^b$, left [mm]",
-        title=f"{vehicle.name}: {vehicle.n_propellers} propellers, "
-        f"{1e3 * vehicle.mass_kg:.4g} g, seen from above",
-    )
+    axes.set(xlim=(-reach, reach), xlabel="$x^b$, forward [mm]")
+    axes.set(ylim=(-reach, reach), ylabel="$y^b$, left [mm]")
+    what = f"{vehicle.n_propellers} propellers, {1e3 * vehicle.mass_kg:.4g} g, seen from above"
+    axes.set_title(f"{vehicle.name}: {what}")
     return figure
 
 
@@ -66,21 +62,17 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
     ):
         axes.add_patch(Circle((x, y), size, facecolor=color, alpha=0.22, edgecolor="none"))
         axes.add_patch(Circle((x, y), size, fill=False, edgecolor=color, lw=1.0))
-        _draw_arrow(axes, (x, y), (x + length * dx, y + length * dy), color, 2.0)
+        tip = (x + length * dx, y + length * dy)
+        look = {"arrowstyle": "-|>", "mutation_scale": 13, "lw": 2.0, "color": color}
+        style.draw_arrow(axes, (x, y), tip, **look)
         axes.plot(x, y, "o", color=color, ms=3.5)
         moment = x * dy - y * dx
         turn = "" if abs(moment) < 1e-3 * disc else (" ↺" if moment > 0 else " ↻")
         radius = max(np.hypot(x, y), 1e-9)
         out = (max(1.06 * disc, radius + 1.3 * size)) / radius
-        axes.text(
-            x * out,
-            y * out,
-            name + turn,
-            color=color,
-            fontsize=9,
-            ha="left" if x > 0.1 * disc else "right" if x < -0.1 * disc else "center",
-            va="bottom" if y > 0.35 * disc else "top" if y < -0.35 * disc else "center",
-        )
+        ha = "left" if x > 0.1 * disc else "right" if x < -0.1 * disc else "center"
+        va = "bottom" if y > 0.35 * disc else "top" if y < -0.35 * disc else "center"
+        axes.text(x * out, y * out, name + turn, color=color, fontsize=9, ha=ha, va=va)
 
 
 def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
@@ -91,33 +83,27 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
         d = 1e3 * float(radii.mean())
         axes.add_patch(Circle((0, 0), d, fill=False, edgecolor=style.GREY, lw=0.7, ls=(0, (4, 3))))
         notes.append(f"$d$ = {d:.2f} mm")
-    half = _half_angles(vehicle)
+    pairs = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2)
+    angles = np.arctan2(vehicle.positions[:, 1], vehicle.positions[:, 0])[pairs]
+    half = np.abs(wrapped(np, angles[:, 1] - angles[:, 0])) / 2
     if len(half) and np.ptp(half) < _SAME_ANGLE and half[0] < _WIDEST_HALF_ANGLE:
         delta = float(half.mean())
-        _draw_half_angle(axes, vehicle, delta)
+        _draw_half_angle(axes, angles, delta, 1e3 * float(radii.min()))
         notes.append(f"δ = {np.degrees(delta):.1f}°")
     if notes:
         axes.text(0.02, 0.98, "\n".join(notes), transform=axes.transAxes, va="top", ha="left")
-    axes.text(
-        0.98,
-        0.02,
-        "arrow: force on the craft; ↺ ↻: which way it turns it",
-        transform=axes.transAxes,
-        va="bottom",
-        ha="right",
-        fontsize=8,
-        color=style.GREY,
-    )
+    words = "arrow: force on the craft; ↺ ↻: which way it turns it"
+    small = {"fontsize": 8, "color": style.GREY, "transform": axes.transAxes}
+    axes.text(0.98, 0.02, words, va="bottom", ha="right", **small)
 
 
-def _draw_half_angle(axes: Axes, vehicle: Vehicle, delta: float) -> None:
-    """Draw the half-angle δ of the pair that lies farthest from the drawn axes."""
-    angles = np.arctan2(vehicle.positions[:, 1], vehicle.positions[:, 0])
-    pairs = np.array(vehicle.pair_indices)
-    middles = np.angle(np.exp(1j * angles[pairs]).sum(axis=1))
+def _draw_half_angle(
+    axes: Axes, angles: Float[np.ndarray, "pairs 2"], delta: float, near: float
+) -> None:
+    """Draw the half-angle δ of the pair that lies farthest from the drawn axes, `near` mm out."""
+    middles = np.angle(np.exp(1j * angles).sum(axis=1))
     from_axes = np.minimum(np.abs(middles), np.abs(middles - np.pi / 2))
     middle = float(middles[from_axes.argmax()])
-    near = 1e3 * float(np.hypot(*vehicle.positions.T).min())
     for angle in (middle - delta, middle, middle + delta):
         x, y = near * np.cos(angle), near * np.sin(angle)
         axes.plot([0, x], [0, y], color=style.GREY, lw=0.8, ls=(0, (1, 2)))
@@ -126,19 +112,3 @@ def _draw_half_angle(axes: Axes, vehicle: Vehicle, delta: float) -> None:
         axes.add_patch(Arc((0, 0), 1.1 * near, 1.1 * near, **span, color=style.GREY))
         x, y = 0.66 * near * np.cos(low + delta / 2), 0.66 * near * np.sin(low + delta / 2)
         axes.text(x, y, "δ", ha="center", va="center")
-
-
-def _half_angles(vehicle: Vehicle) -> Float[np.ndarray, " pairs"]:
-    """Return half the angle between the two propellers of each pair, seen from the centre [rad]."""
-    angles = np.arctan2(vehicle.positions[:, 1], vehicle.positions[:, 0])
-    pairs = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2)
-    apart = angles[pairs[:, 1]] - angles[pairs[:, 0]]
-    return np.abs(wrapped(np, apart)) / 2
-
-
-def _draw_arrow(
-    axes: Axes, start: tuple[float, float], end: tuple[float, float], color: str, width: float
-) -> None:
-    """Draw an arrow from one point to another."""
-    head = {"arrowstyle": "-|>", "mutation_scale": 5 + 4 * width, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, start, arrowprops={**head, "color": color, "lw": width}, zorder=5)

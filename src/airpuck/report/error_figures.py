@@ -137,13 +137,11 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
         axes.axhline(rmse, color=style.BLACK, lw=0.9, ls=style.DASHED)
         axes.set_ylabel(f"error of {name} [{unit}]")
         axes.margins(x=0.01)
-        axes.set_title(
+        title = (
             f"median {median:.3g} {unit}, RMSE {rmse:.3g} {unit}; the worst {100 * WORST:.0f} % of "
-            f"windows hold {squares_held(errors, worst)} % of the squared error",
-            loc="left",
-            fontsize=8.5,
-            fontweight="normal",
+            f"windows hold {squares_held(errors, worst)} % of the squared error"
         )
+        axes.set_title(title, loc="left", fontsize=8.5, fontweight="normal")
     panels[-1].set_xlabel("start of the prediction [s]")
     handles: list[Artist] = [
         style.key("windows", style.BLUE, marker="."),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -63,10 +64,8 @@ def loss_history_figure(
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-    handles = [
-        style.key(fit.model.name, style.rung_color(fit.model.name), marker="o", ms=4)
-        for fit in fits
-    ]
+    names = [fit.model.name for fit in fits]
+    handles = [style.key(name, style.rung_color(name), marker="o", ms=4) for name in names]
     if reference:
         handles.append(style.key(reference_label, lw=0.9, ls=style.DASHED))
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
@@ -93,25 +92,21 @@ def thrust_figure(
     figure = style.new_figure(style.PAGE_WIDTH if columns > 2 else 6.4, 0.6 + 2.25 * rows)
     grid = style.panels(figure, len(order), columns, sharex=True, sharey=True)
     speed = np.linspace(0, 1, 201)
-    bands = [_band(model, speed) for model in models]
-    highest = 0.0
+    broad, dashed = {"lw": 3.0, "alpha": 0.45, "zorder": 2}, {"lw": 1.1, "ls": style.DASHED}
+    curves = [(model, _curves(model, speed), broad) for model in models]
+    curves += [(model, _curves(model, speed), {**dashed, "zorder": 3}) for model in reference]
+    bands = [(m, _band(m, speed)) for m in models if m.uncertainty is not None]
     for axes, motor in zip(grid, order, strict=True):
-        for model, band in zip(models, bands, strict=True):
-            color, curve = style.rung_color(model.name), _curves(model, speed)[motor]
-            highest = max(highest, float(curve.max()))
-            axes.plot(speed, curve, color=color, lw=3.0, alpha=0.45, zorder=2)
-            if band is not None:
-                axes.fill_between(speed, *band[:, motor], color=color, alpha=0.18, lw=0, zorder=1.5)
-        for model in reference:
-            curve = _curves(model, speed)[motor]
-            highest = max(highest, float(curve.max()))
-            axes.plot(
-                speed, curve, color=style.rung_color(model.name), lw=1.1, ls=style.DASHED, zorder=3
-            )
+        for model, curve, line in curves:
+            axes.plot(speed, curve[motor], color=style.rung_color(model.name), **line)
+        for model, band in bands:
+            look = {"color": style.rung_color(model.name), "alpha": 0.18, "lw": 0, "zorder": 1.5}
+            axes.fill_between(speed, *band[:, motor], **look)
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
     # A band that knows nothing must not flatten the curves.
-    widest = [np.nanmax(band[1], initial=0.0) for band in bands if band is not None]
-    highest = max([highest, *(min(top, 1.3 * highest) for top in widest)])
+    highest = max(float(curve.max()) for _, curve, _ in curves)
+    widest = max((np.nanmax(band[1], initial=0.0) for _, band in bands), default=0.0)
+    highest = max(highest, min(widest, 1.3 * highest))
     for number, (axes, motor) in enumerate(zip(grid, order, strict=True)):
         axes.set(xlim=(0, 1), ylim=(0, 1.08 * highest))
         axes.set(xlabel="motor speed φ, command u [–]", ylabel="thrust [N]")
@@ -122,11 +117,11 @@ def thrust_figure(
     handles: list[Artist] = [
         style.key(_label(model), style.rung_color(model.name), lw=3, alpha=0.6) for model in models
     ]
-    if any(band is not None for band in bands):
+    if bands:
         color = style.rung_color(models[0].name) if len(models) == 1 else style.SKY
         handles.append(Patch(color=color, alpha=0.25, lw=0, label="95 % interval"))
     if reference:
-        handles.append(style.key(reference_label, lw=1.1, ls=style.DASHED))
+        handles.append(style.key(reference_label, **dashed))
     if trajectory is not None:
         handles.append(Patch(color=style.LIGHT, label="commands in training"))
     style.top_legend(figure, handles)
@@ -139,10 +134,9 @@ def _curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "
     return thrust(coefficients, np.broadcast_to(speed, (len(coefficients), len(speed))))
 
 
-def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"] | None:
-    """Return the ends of the 95 % intervals of all thrust curves; None where there are none."""
-    if model.uncertainty is None:
-        return None
+def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"]:
+    """Return the ends of the 95 % intervals of all thrust curves of a model that knows them."""
+    assert model.uncertainty is not None
     reach = model.uncertainty.quantile * model.standard_error(lambda m: _curves(m, speed))
     middle = _curves(model, speed)
     return np.stack([middle - reach, middle + reach])
@@ -181,14 +175,7 @@ def _draw_commands(axes: Axes, commands: Float[np.ndarray, " N"], *, last: bool)
             scale.text(left + 1.2 * _BIN, 0.97 * _TOP, f"{value:.0f} %", va="top", **small)
     low, high = float(commands.min()), float(commands.max())
     axes.set_title(f"u from {low:.2g} to {high:.2g}", loc="right", fontweight="normal", **small)
-    bracket = {
-        "arrowstyle": "|-|",
-        "mutation_scale": 3,
-        "color": style.BLACK,
-        "shrinkA": 0,
-        "shrinkB": 0,
-    }
-    scale.annotate("", (low, 0.0), (high, 0.0), arrowprops=bracket, annotation_clip=False)
+    style.draw_arrow(scale, (low, 0.0), (high, 0.0), arrowstyle="|-|", mutation_scale=3)
 
 
 @style.styled
@@ -213,19 +200,14 @@ def parameter_figure(
         _draw_ratios(axes, names, ratios)
         axes.set_title(f"{quantity} acceleration at φ = 1", loc="left")
     angular.set_yticklabels([])
-    ratios = {
-        m.name: np.array(
-            [_ratio(m, reference[m.name], q) for q in ("inertia", "motor_time_constant")]
-        )
-        for m in models
-    }
+    learned = ("inertia", "motor_time_constant")
+    ratios = {m.name: np.array([_ratio(m, reference[m.name], q) for q in learned]) for m in models}
     _draw_ratios(scalars, ("inertia I", "lag τ"), ratios)
     scalars.set_title("where learned", loc="left")
     for axes in (linear, angular, scalars):
         axes.set_xlabel(f"fitted against {reference_label} [%]")
-    style.top_legend(
-        figure, [style.key(m.name, style.rung_color(m.name), ls="", marker="o") for m in models]
-    )
+    handles = [style.key(m.name, style.rung_color(m.name), ls="", marker="o") for m in models]
+    style.top_legend(figure, handles)
     return figure
 
 
@@ -258,16 +240,13 @@ def packet_delay_figure(
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
     mean = 1e3 * model.transport_delay
     delay, reach = mean + 1e3 * delays.deviation, 2e3 * delays.standard_error
-    left.errorbar(
-        sent[delays.packet], delay, reach, ls="", marker="o", ms=2.6, lw=0.7, color=style.BLUE
-    )
-    handles = [
-        left.axhline(mean, color=style.GREY, lw=1.0, label="mean, as learned with the model")
-    ]
+    dots = {"ls": "", "marker": "o", "ms": 2.6, "lw": 0.7}
+    left.errorbar(sent[delays.packet], delay, reach, color=style.BLUE, **dots)
+    label = "mean, as learned with the model"
+    handles = [left.axhline(mean, color=style.GREY, lw=1.0, label=label)]
     left.set(xlabel="time [s]", ylabel="delay of a packet [ms]")
-    count, edges, _ = right.hist(
-        delay, _DELAY_BINS, orientation="horizontal", color=style.BLUE, alpha=0.55
-    )
+    bars: dict[str, Any] = {"orientation": "horizontal", "alpha": 0.55}
+    count, edges, _ = right.hist(delay, _DELAY_BINS, color=style.BLUE, **bars)
     right.axhline(mean, color=style.GREY, lw=1.0)
     right.set(xlabel="packets", xlim=(0, 1.08 * count.max()))
     jitter = model.delay_jitter

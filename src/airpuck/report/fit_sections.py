@@ -15,7 +15,6 @@ from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import Evaluation, hold_for, prediction_errors
 from airpuck.identification.fit_result import Fit
-from airpuck.identification.objective import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import Model
 from airpuck.report.craft import craft_figure
 from airpuck.report.error_figures import (
@@ -76,18 +75,11 @@ class FitStudy:
             model, settings = self.reference.get(fit.model.name), fit.model.fit
             if model is None:
                 continue
-            encoder = PaperEncoder(settings.get("encoder_length", 20), model.indexing)
-            windows = hold_for(
-                model,
-                make_windows(
-                    self.training,
-                    encoder.length,
-                    settings.get("prediction_length", 50),
-                    settings.get("stride", 7),
-                ),
-            )
+            encoder = PaperEncoder(settings["encoder_length"], model.indexing)
+            lengths = encoder.length, settings["prediction_length"], settings["stride"]
+            windows = hold_for(model, make_windows(self.training, *lengths))
             errors = prediction_errors(model.dynamics, windows, encoder)
-            weights = np.array(settings.get("weights", PUBLISHED_WEIGHTS))[:, None]
+            weights = np.array(settings["weights"])[:, None]
             losses[fit.model.name] = float(np.mean((weights * errors) ** 2))
         return losses
 
@@ -222,29 +214,27 @@ def _optimiser_section(study: FitStudy) -> Section:
     losses, label = study.reference_losses, study.reference_label
     rows = []
     for fit in study.fits:
-        reference = losses.get(fit.model.name)
-        rows.append(
-            [
-                fit.model.name,
-                str(int(fit.model.free.sum())),
-                str(fit.windows),
-                str(fit.iterations),
-                f"{1e5 * fit.history[0].loss:.3f}",
-                f"{1e5 * fit.loss:.3f}",
-                *([] if not losses else ["" if reference is None else f"{1e5 * reference:.3f}"]),
-                f"{fit.wall_s:.1f}",
-                "yes" if fit.converged else fit.message,
-                "; ".join(fit.warnings) or "none",
-            ]
-        )
+        row = {
+            "model": fit.model.name,
+            "free": f"{fit.model.free.sum()}",
+            "windows": f"{fit.windows}",
+            "iterations": f"{fit.iterations}",
+            "loss at start": f"{1e5 * fit.history[0].loss:.3f}",
+            "loss": f"{1e5 * fit.loss:.3f}",
+        }
+        if losses:
+            reference = losses.get(fit.model.name)
+            row[f"loss, {label}"] = "" if reference is None else f"{1e5 * reference:.3f}"
+        row["time s"] = f"{fit.wall_s:.1f}"
+        row["converged"] = "yes" if fit.converged else fit.message
+        row["warnings"] = "; ".join(fit.warnings) or "none"
+        rows.append(row)
     settings = study.fits[0].model.fit
-    weights = ", ".join(f"{weight:g}" for weight in settings.get("weights", ()))
-    headings = ["model", "free", "windows", "iterations", "loss at start", "loss"]
-    headings += [f"loss, {label}"] * bool(losses) + ["time s", "converged", "warnings"]
+    weights = ", ".join(f"{weight:g}" for weight in settings["weights"])
     table = (
         f"Losses in 10⁻⁵. Loss: mean of the squared errors, weighted by ({weights}) per m, m and "
-        f"rad, over windows, {settings.get('prediction_length')} steps and the channels x, y, γ, "
-        f"without any regulariser; a training window every {settings.get('stride')} samples. Time "
+        f"rad, over windows, {settings['prediction_length']} steps and the channels x, y, γ, "
+        f"without any regulariser; a training window every {settings['stride']} samples. Time "
         "includes compiling."
     )
     history = f"Loss over the iterations (method: {settings.get('method')})."
@@ -254,7 +244,8 @@ def _optimiser_section(study: FitStudy) -> Section:
             "encoder and frame."
         )
     figure = loss_history_figure(study.fits, losses, reference_label=label)
-    blocks = (Table(table, headings, rows), Picture("loss_history", figure, history))
+    cells = [list(row.values()) for row in rows]
+    blocks = (Table(table, list(rows[0]), cells), Picture("loss_history", figure, history))
     return Section("optimiser", "How the fits were found", blocks)
 
 
@@ -323,13 +314,12 @@ def _error_table(study: FitStudy) -> Table:
 
 def _median_table(study: FitStudy) -> Table:
     """Tabulate median errors, the reference's beside the fits'."""
-    reference = {e.model: errors_as_text(e.median_abs) for e in study.reference_evaluations}
     caption = "Median absolute error: the typical window. " + protocol_words(study.fitted[0])
-    fitted = {e.model: errors_as_text(e.median_abs) for e in study.fitted}
-    if not reference:
-        rows = [[name, *errors] for name, errors in fitted.items()]
+    rows = [[e.model, *errors_as_text(e.median_abs)] for e in study.fitted]
+    if not study.reference_evaluations:
         return Table(caption, ["model", *_CHANNELS], rows)
-    rows = [[name, *reference.get(name, ("", "", "")), *row] for name, row in fitted.items()]
+    reference = {e.model: errors_as_text(e.median_abs) for e in study.reference_evaluations}
+    rows = [[name, *reference.get(name, ("", "", "")), *errors] for name, *errors in rows]
     groups = [("", 1), (f"{study.reference_label} parameters", 3), ("fitted here", 3)]
     return Table(caption, ["model", *_CHANNELS, *_CHANNELS], rows, groups)
 
@@ -338,18 +328,16 @@ def sources_section(*trajectories: Trajectory) -> Section:
     """List what the numbers come from."""
     from airpuck import __version__
 
-    rows = []
-    for trajectory in trajectories:
-        spans = [f"{s.start:.2f}–{s.stop:.2f} s: {s.cause}" for s in trajectory.excluded]
-        rows.append(
-            [
-                Path(trajectory.source).parent.name or trajectory.source,
-                str(len(trajectory)),
-                f"{trajectory.duration:.2f}",
-                " ".join(trajectory.hashes.values()) or "none",
-                "; ".join(spans) or "nothing",
-            ]
-        )
+    rows = [
+        [
+            Path(t.source).parent.name or t.source,
+            str(len(t)),
+            f"{t.duration:.2f}",
+            " ".join(t.hashes.values()) or "none",
+            "; ".join(f"{s.start:.2f}–{s.stop:.2f} s: {s.cause}" for s in t.excluded) or "nothing",
+        ]
+        for t in trajectories
+    ]
     caption = f"Recordings behind these numbers; computed by airpuck {__version__}."
     headings = ["recording", "samples", "seconds", "SHA-256", "left out"]
     return Section("sources", "Sources", (Table(caption, headings, rows),))

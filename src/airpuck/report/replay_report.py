@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from airpuck.control.discretization import rotation_error
+from airpuck.data.trajectory import runs
 from airpuck.flight.replay import Replay
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
@@ -108,12 +109,9 @@ def command_figure(replay: Replay) -> Figure:
     """Draw the recorded and the computed command of every motor over time."""
     n = len(replay.motors)
     figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.35 * ((n + 1) // 2))
-    medians = np.median(np.abs(replay.difference), axis=0)
     titles = [
-        f"{name}: r = {correlation:.3f}, median |Δ| {median:.4f}"
-        for name, correlation, median in zip(
-            replay.motors, replay.correlation, medians, strict=True
-        )
+        f"{m['name']}: r = {m['correlation']:.3f}, median |Δ| {m['median_abs']:.4f}"
+        for m in replay.to_json()["motors"]
     ]
     outside = _outside(replay)
     for i, axes in enumerate(style.motor_panels(figure, titles)):
@@ -178,9 +176,5 @@ def rotation_error_figure(fastest: float, period: float) -> Figure:
 
 def _outside(replay: Replay) -> list[tuple[float, float]]:
     """Return the spans of time that are not compared."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], replay.compared, [True]]).astype(int)))
-    last = len(replay.time) - 1
-    return [
-        (float(replay.time[a]), float(replay.time[min(b, last)]))
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    time = np.append(replay.time, replay.time[-1])
+    return [(float(time[a]), float(time[b])) for a, b in runs(~replay.compared)]

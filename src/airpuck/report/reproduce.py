@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,23 +96,22 @@ class Reproduction:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
-        published = {e.model: e for e in self.study.reference_evaluations}
-        fitted = {e.model: e for e in self.study.fitted}
+        judged = {"published": self.study.reference_evaluations, "fitted": self.study.fitted}
+        channels = ("x_mm", "y_mm", "yaw_rad")
         return {
-            "published": {name: e.to_json() for name, e in published.items()},
-            "fitted": {name: e.to_json() for name, e in fitted.items()},
+            **{kind: {e.model: e.to_json() for e in those} for kind, those in judged.items()},
             "fits": {fit.model.name: fit.to_json() for fit in self.study.fits},
-            "table_2": {"published": _errors(published), "fitted": _errors(fitted)},
+            "table_2": {
+                kind: {e.model: dict(zip(channels, _shown(e), strict=True)) for e in those}
+                for kind, those in judged.items()
+            },
             "wall_s": self.wall_s,
         }
 
 
-def _errors(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
-    """Return a column of Table 2 as plain numbers."""
-    return {
-        name: {"x_mm": 1e3 * x, "y_mm": 1e3 * y, "yaw_rad": yaw}
-        for name, (x, y, yaw) in ((name, e.rmse.tolist()) for name, e in evaluations.items())
-    }
+def _shown(evaluation: Evaluation) -> list[float]:
+    """Return root mean square errors in mm, mm and rad."""
+    return (evaluation.rmse * (1e3, 1e3, 1.0)).tolist()
 
 
 def reproduce(
@@ -223,7 +222,7 @@ def _summary_section(study: FitStudy, wall_s: float) -> Section:
         f"{error:{form}}" == printed
         for name, row in PRINTED.items()
         for error, form, printed in zip(
-            published[name].rmse * (1e3, 1e3, 1.0), (".1f", ".1f", ".3f"), row, strict=True
+            _shown(published[name]), (".1f", ".1f", ".3f"), row, strict=True
         )
     )
     ratio = np.array([e.rmse / published[e.model].rmse for e in study.fitted])

@@ -113,14 +113,12 @@ def _fit_table(fit: FitMeasures) -> Table:
 def _noise_table(tests: ResidualTests) -> Table:
     """Tabulate the noise that was found."""
     noise = tests.innovations.noise
-    rows = [
-        [name, *(f"{value:.3g}" for value in values), unit]
-        for name, values, unit in (
-            ("pose", noise.pose, "m, m, rad"),
-            ("white acceleration", noise.acceleration, "m/s²/√Hz, rad/s²/√Hz"),
-            ("drive of the disturbance", noise.disturbance, "m/s³/√Hz, rad/s³/√Hz"),
-        )
-    ]
+    kinds = (
+        ("pose", noise.pose, "m, m, rad"),
+        ("white acceleration", noise.acceleration, "m/s²/√Hz, rad/s²/√Hz"),
+        ("drive of the disturbance", noise.disturbance, "m/s³/√Hz, rad/s³/√Hz"),
+    )
+    rows = [[name, *(f"{v:.3g}" for v in values), unit] for name, values, unit in kinds]
     caption = "Noise of the largest likelihood: standard deviation of the poses, densities."
     return Table(caption, ["", "x", "y", "γ", "unit"], rows)
 
@@ -136,12 +134,10 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     figure = style.new_figure(style.PAGE_WIDTH, 5.2)
     rows = figure.subplots(2, len(tests.whiteness), squeeze=False)
     colors = style.propeller_colors(vehicle)
-    # The second propeller of a pair is dashed.
-    dashes = ["-" if colors.index(c) == i else (0, (3, 1.2)) for i, c in enumerate(colors)]
-    styles = {
-        name: {"color": color, "ls": dash}
-        for name, color, dash in zip(vehicle.propeller_names, colors, dashes, strict=True)
-    }
+    styles = {}
+    for i, (name, color) in enumerate(zip(vehicle.propeller_names, colors, strict=True)):
+        # The second propeller of a pair is dashed.
+        styles[name] = {"color": color, "ls": "-" if colors.index(color) == i else (0, (3, 1.2))}
     for above, below, white in zip(*rows, tests.whiteness, strict=True):
         lags = np.arange(1, len(white.autocorrelation) + 1)
         _draw_white_band(above, white.band)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Callable, Sequence
+from importlib import resources
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -26,6 +27,9 @@ from airpuck.craft.vehicle import Vehicle
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
 BLUE, ORANGE, GREEN, VERMILLION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 SKY, PURPLE = "#56b4e9", "#cc79a7"
+#: Colours that only animations need: the table, and what the craft was asked to do.
+FLOOR, HOLES, GRID, RAIL = "#f4f7fa", "#cbd6e0", "#dfe6ed", "#a5b2bf"
+ASKED = "#a93f7c"
 
 #: One colour for each rung of the model ladder, in every figure.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
@@ -44,35 +48,9 @@ POSE = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 #: Width of a figure that fills a page [in] and resolution of the PNG [1/in].
 PAGE_WIDTH, RESOLUTION = 8.6, 130
 
-_STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.labelsize": 9.0,
-    "axes.labelcolor": BLACK,
-    "axes.edgecolor": GREY,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.5,
-    "text.color": BLACK,
-    "xtick.color": BLACK,
-    "ytick.color": BLACK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.fontsize": 8.0,
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "mathtext.fontset": "dejavusans",
-}
+_STYLE = mpl.rc_params_from_file(
+    str(resources.files("airpuck") / "packaged" / "figures.mplstyle"), use_default_template=False
+)
 
 Arguments = ParamSpec("Arguments")
 
@@ -172,6 +150,14 @@ def label_rows(axes: Axes, labels: Sequence[str]) -> Float[np.ndarray, " rows"]:
     axes.grid(visible=False, axis="y")
     axes.set_ylim(rows[-1] - 0.5, 0.5)
     return rows
+
+
+def draw_arrow(
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], **look: Any
+) -> None:
+    """Draw an arrow from one point to another."""
+    look = {"shrinkA": 0, "shrinkB": 0, "color": BLACK, **look}
+    axes.annotate("", end, start, arrowprops=look, annotation_clip=False, zorder=5)
 
 
 def note(

@@ -5,14 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from airpuck.flight.track import SetPointResult
+from airpuck.flight.track import SetPointResult, Track
 from airpuck.report import style
 from airpuck.report.page import Picture, Section, Table, write_page
 from airpuck.twin.tracking_study import Tracked
+
+_LINES: dict[str, Any] = {
+    "twin": {"linewidth": 1.5},
+    "real flight": {"linewidth": 1.2, "linestyle": style.DASHED, "alpha": 0.8},
+}
+#: Lines of commands; the broader one is drawn below.
+_COMMANDS: dict[str, Any] = {
+    "twin": {"color": style.VERMILLION, "linewidth": 0.9, "zorder": 2.1},
+    "real flight": {"color": style.GREY, "linewidth": 2.0},
+}
 
 
 def tracking_report(flights: Sequence[Tracked], truth: str, out: str | os.PathLike[str]) -> Path:
@@ -24,12 +35,12 @@ def tracking_report(flights: Sequence[Tracked], truth: str, out: str | os.PathLi
 
 def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
     """Return what a page shows of a tracking study."""
-    rows = []
-    for flight in flights:
-        rows += [[f"{flight.model}, twin", *_row(result)] for result in flight.results]
-        if flight.real is not None:
-            real = flight.real.moves()
-            rows += [[f"{flight.model}, real flight", *_row(result)] for result in real]
+    rows = [
+        [f"{flight.model}, {kind}", *_row(result)]
+        for flight in flights
+        for kind, track in _tracks(flight).items()
+        for result in track.moves()
+    ]
     results = Table(
         "What became of each set point. Settled: within 20 mm and 0.05 rad. Steady-state error: "
         "mean over the last second, or the last quarter of a short dwell. Effort: mean of the sum "
@@ -55,6 +66,11 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
         for flight in flights
     ]
     return [Section("tracking", "Tracking", blocks), Section("inputs", "Commands", inputs)]
+
+
+def _tracks(flight: Tracked) -> dict[str, Track]:
+    """Name what was flown: on the twin, and in reality where it was."""
+    return {"twin": flight.twin} | ({"real flight": flight.real} if flight.real is not None else {})
 
 
 def _row(result: SetPointResult) -> list[str]:
@@ -92,11 +108,8 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
         axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
     for flight in flights:
         color = style.rung_color(flight.model)
-        tracks = [(flight.twin, "twin", {"linewidth": 1.5})]
-        if flight.real is not None:
-            dashed = {"linewidth": 1.2, "linestyle": style.DASHED, "alpha": 0.8}
-            tracks.append((flight.real, "real flight", dashed))
-        for track, kind, line in tracks:
+        for kind, track in _tracks(flight).items():
+            line = _LINES[kind]
             for axes, values in zip(panels, track.pose.T, strict=True):
                 axes.plot(track.time - flight.origin, values, color=color, **line)
             handles.append(style.key(f"{flight.model}, {kind}", color, **line))
@@ -110,16 +123,11 @@ def input_figure(flight: Tracked) -> Figure:
     """Draw the commands of one flight."""
     motors = flight.twin.motors
     figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
-    tracks = [(flight.twin, "twin", style.VERMILLION, 0.9)]
-    if flight.real is not None:
-        tracks.insert(0, (flight.real, "real flight", style.GREY, 2.0))
+    tracks = _tracks(flight)
     for i, axes in enumerate(style.motor_panels(figure, motors)):
-        for track, _, color, width in tracks:
+        for kind, track in tracks.items():
             time = track.command_time - flight.origin
-            axes.step(time, track.command[:, i], where="post", color=color, linewidth=width)
+            axes.step(time, track.command[:, i], where="post", **_COMMANDS[kind])
         axes.set_xlim(0.0, float(flight.twin.time[-1]) - flight.origin)
-    handles = [
-        style.key(name, color, linewidth=width) for _, name, color, width in reversed(tracks)
-    ]
-    style.top_legend(figure, handles)
+    style.top_legend(figure, [style.key(kind, **_COMMANDS[kind]) for kind in tracks])
     return figure
