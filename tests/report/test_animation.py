@@ -262,7 +262,7 @@ def test_an_interrupted_animation_leaves_the_old_file(tmp_path, monkeypatch):
     def interrupt(*_args, **_settings):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("airpuck.report.animation_gif.frames_at", interrupt)
+    monkeypatch.setattr("airpuck.report.animation_frames.frames_at", interrupt)
     path = tmp_path / "a.gif"
     path.write_text("old")
     with pytest.raises(KeyboardInterrupt):

@@ -73,9 +73,8 @@ def animate(
         if not (math.isfinite(number) and number > 0):
             raise InputError(f"{number:g} is not a positive number", field=field)
     if suffix == ".gif" and frames_per_second > _FASTEST_GIF:
-        raise InputError(
-            f"a GIF shows {_FASTEST_GIF} frames per second at most", field="frames per second"
-        )
+        words = f"a GIF shows {_FASTEST_GIF} frames per second at most"
+        raise InputError(words, field="frames per second")
     scene = read_scene(recording, vehicle or default_vehicle(), span, table)
     n_frames = (scene.stop - scene.start) / speed * frames_per_second
     if suffix == ".gif" and n_frames > _MOST_FRAMES:

@@ -21,22 +21,9 @@ from matplotlib.ticker import MaxNLocator
 from PIL import GifImagePlugin, Image
 
 from airpuck.craft.vehicle import Vehicle
+from airpuck.report import animation_frames as moments
 from airpuck.report import style
-from airpuck.report.animation_frames import (
-    TRAIL,
-    Frames,
-    Scene,
-    arrow_scale,
-    arrow_shapes,
-    frame_times,
-    frames_at,
-    heading_mark,
-    round_thrust,
-    short_names,
-    thinned,
-    thrust_arrows,
-    trail,
-)
+from airpuck.report.animation_frames import Frames, Scene
 
 #: Width of the picture, largest size of the table, and what is around it [in].
 _WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
@@ -47,14 +34,17 @@ _BELOW, _TICKS = _BOTTOM + _PANELS + 0.2, 0.25
 _RAIL = 0.035
 #: Colours of the GIF; one more number stands for a pixel that is as before.
 _COLORS = 255
+#: Marks where the craft is, and where it was asked to be, over time.
+_DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "clip_on": False}
 
 
 def write_animation_gif(
     scene: Scene, path: Path, *, speed: float, frames_per_second: float
 ) -> None:
     """Write a GIF."""
-    frames = frames_at(scene, frame_times(scene.start, scene.stop, speed, frames_per_second))
-    stage = _Stage(thinned(scene), frames, speed)
+    times = moments.frame_times(scene.start, scene.stop, speed, frames_per_second)
+    frames = moments.frames_at(scene, times)
+    stage = _Stage(moments.thinned(scene), frames, speed)
     count = len(frames.time)
     samples = [stage.picture(count * k // 6) for k in range(6)]
     pictures = (stage.picture(k) for k in range(count))
@@ -109,7 +99,7 @@ class _Stage:
         self.scene, self.frames = scene, frames
         self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
         self.figure = _scenery(scene, speed)
-        self.arrows = thrust_arrows(scene.vehicle, frames.pose, frames.command)
+        self.arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
         canvas = self.figure.canvas
         assert isinstance(canvas, FigureCanvasAgg)
         canvas.draw()
@@ -131,9 +121,7 @@ class _Stage:
                 seen = self.frames.pose[k, i] if self.frames.known[k] else np.nan
                 asked = self.frames.reference[k, i]
                 for value, color in ((asked, style.ASKED), (seen, style.BLACK)):
-                    dot = Line2D([now], [value], marker="o", ms=5, mec="white", mew=0.7)
-                    dot.set(color=color, clip_on=False)
-                    _draw(axes, dot)
+                    _draw(axes, Line2D([now], [value], color=color, **_DOT))
         clock = Text(1 - 0.18 / _WIDTH, 1 - 0.23 / self.figure.get_figheight(), f"{now:.2f} s")
         clock.set(ha="right", va="center", fontsize=15, fontweight="bold")
         clock.set(transform=self.figure.transFigure, clip_on=False)
@@ -153,7 +141,7 @@ def _moving_on_table(
 ) -> Iterator[Artist]:
     """Give what moves on the table, from the back to the front."""
     vehicle, pose = scene.vehicle, frames.pose[k]
-    lines, age = trail(scene, float(frames.time[k]), TRAIL)
+    lines, age = moments.trail(scene, float(frames.time[k]), moments.TRAIL)
     colors, widths = _faded(0.1 + 0.9 * age), 2.4 - 1.4 * age
     yield LineCollection(list(lines), colors=colors, linewidths=widths, capstyle="round")
     if np.isfinite(frames.reference[k]).all():
@@ -164,7 +152,7 @@ def _moving_on_table(
         yield Text(pose[0], above, "no pose", color=style.GREY, fontsize=8, ha="center")
         return
     yield from _craft(vehicle, pose, style.BLACK)
-    shapes = list(arrow_shapes(arrows, vehicle.radius_m))
+    shapes = list(moments.arrow_shapes(arrows, vehicle.radius_m))
     tints = style.propeller_colors(vehicle)
     yield PolyCollection(shapes, facecolors=tints, edgecolors="white", linewidths=0.5)
 
@@ -177,13 +165,13 @@ def _craft(
     turn = np.array([[cos, sin], [-sin, cos]])
     face, mark = ("none", color) if color == style.ASKED else ("white", style.BLACK)
     yield Circle(tuple(pose[:2]), vehicle.radius_m, fc=face, ec=color, lw=1.5, **outline)
-    yield Polygon(heading_mark(vehicle) @ turn + pose[:2], facecolor=mark, edgecolor="none")
+    yield Polygon(moments.heading_mark(vehicle) @ turn + pose[:2], facecolor=mark, edgecolor="none")
     if color == style.ASKED:
         return
     places = vehicle.positions @ turn + pose[:2]
     for place, tint in zip(places, style.propeller_colors(vehicle), strict=True):
-        inside = (*to_rgb(tint), 0.25)
-        yield Circle(tuple(place), style.propeller_size(vehicle), fc=inside, ec=tint, lw=0.8)
+        size = style.propeller_size(vehicle)
+        yield Circle(tuple(place), size, fc=(tint, 0.25), ec=tint, lw=0.8)
 
 
 def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
@@ -205,8 +193,7 @@ def _scenery(scene: Scene, speed: float) -> Figure:
     FigureCanvasAgg(figure)
 
     def place(left: float, bottom: float, width: float, height: float) -> Axes:
-        box = (left / _WIDTH, bottom / total, width / _WIDTH, height / total)
-        return figure.add_axes(box)
+        return figure.add_axes((left / _WIDTH, bottom / total, width / _WIDTH, height / total))
 
     left = _LEFT + (_WIDEST - scale * width) / 2
     bottom = total - _HEADER - scale * height
@@ -218,8 +205,7 @@ def _scenery(scene: Scene, speed: float) -> Figure:
     legend.set(xlim=(0, _WIDTH - left), ylim=(-_LEGEND / 2, _LEGEND / 2))
     _draw_legend(legend, scene, scale)
     y = 1 - 0.23 / total
-    title: dict[str, Any] = {"va": "center", "fontweight": "bold", "fontsize": 13}
-    name = figure.text(_LEFT / _WIDTH, y, scene.vehicle.name, **title)
+    name = figure.text(_LEFT / _WIDTH, y, scene.vehicle.name, va="center", weight="bold", size=13)
     after = name.get_window_extent().x1 / (_WIDTH * style.RESOLUTION) + 0.012
     pace = "" if speed == 1 else f"  ·  at {speed:g} × its speed"
     figure.text(after, y - 0.0015, scene.name + pace, fontsize=10, color=style.GREY, va="center")
@@ -230,15 +216,13 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
     """Draw the floor, the rails and a grid."""
     x0, x1, y0, y1 = scene.view
     axes.set(xlim=(x0 - _RAIL, x1 + _RAIL), ylim=(y0 - _RAIL, y1 + _RAIL))
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)
     axes.tick_params(length=0, pad=2)
     axes.grid(False)
     locator = MaxNLocator(5, steps=[1, 2, 5, 10])
     step = np.diff(locator.tick_values(0, max(x1 - x0, y1 - y0)))[0]
     across, up = _multiples(x0, x1, step), _multiples(y0, y1, step)
-    axes.set_xticks(across)
-    axes.set_yticks(up)
+    axes.set(xticks=across, yticks=up)
     axes.vlines(across, y0, y1, color=style.GRID, lw=0.8, zorder=0.5)
     axes.hlines(up, x0, x1, color=style.GRID, lw=0.8, zorder=0.5)
     # Names of the axes stand between the last two numbers.
@@ -272,7 +256,7 @@ def _draw_panels(panels: list[Axes], scene: Scene) -> None:
     rows = np.flatnonzero(~known) + 1
     time = np.insert(scene.time, rows, np.nan)
     pose = np.insert(scene.pose, rows, np.nan, axis=0)
-    asked = frames_at(scene, scene.time).reference
+    asked = moments.frames_at(scene, scene.time).reference
     titles = ("x [m]", "y [m]", "yaw [rad]", "motor commands [0 … 1]")
     for i, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         axes.set_xlim(scene.start, scene.stop)
@@ -298,7 +282,7 @@ def _draw_motors(axes: Axes, scene: Scene) -> None:
         axes.fill_between(edges, row, row + values, step="post", color=color, lw=0)
     axes.set_ylim(-0.1, n)
     axes.grid(False)
-    names = short_names(scene.vehicle.propeller_names)
+    names = moments.short_names(scene.vehicle.propeller_names)
     axes.set_yticks(np.arange(n)[::-1] + 0.4, names)
     # Many rows and long names take small letters.
     size = max(min(8.0, 50.0 / n, 48.0 / max(map(len, names))), 4.0)
@@ -316,15 +300,15 @@ def _draw_legend(axes: Axes, scene: Scene, scale: float) -> None:
     path.set(color=_faded(1 - 0.75 * share[1:]), linewidth=1 + 1.4 * share[1:])
     axes.add_collection(path)
     words: dict[str, Any] = {"fontsize": 8.5, "va": "center_baseline"}
-    axes.text(0.48, 0, f"path of the last {TRAIL:g} s", **words)
+    axes.text(0.48, 0, f"path of the last {moments.TRAIL:g} s", **words)
     if len(scene.reference):
         ring = Circle((2.3, 0), 0.1, fill=False, edgecolor=style.ASKED, lw=1.5, ls=(0, (3, 1.6)))
         axes.add_patch(ring)
         axes.text(2.48, 0, "set point", **words)
-    key = round_thrust(scene.vehicle)
-    length = scale * key * arrow_scale(scene.vehicle)
+    key = moments.round_thrust(scene.vehicle)
+    length = scale * key * moments.arrow_scale(scene.vehicle)
     start = 3.4 if len(scene.reference) else 2.2
     arrow = np.array([[[start, 0.0], [start + length, 0.0]]])
-    (shape,) = arrow_shapes(arrow, scale * scene.vehicle.radius_m)
+    (shape,) = moments.arrow_shapes(arrow, scale * scene.vehicle.radius_m)
     axes.add_patch(Polygon(shape, color=style.GREY, lw=0))
     axes.text(start + length + 0.07, 0, f"commanded thrust of {key:g} N", **words)

@@ -12,19 +12,9 @@ from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
 from airpuck.craft.vehicle import Vehicle
+from airpuck.report import animation_frames as moments
 from airpuck.report import style
-from airpuck.report.animation_frames import (
-    HEAD_LENGTH,
-    HEAD_WIDTH,
-    SHAFT,
-    TRAIL,
-    Scene,
-    arrow_scale,
-    heading_mark,
-    round_thrust,
-    short_names,
-    thinned,
-)
+from airpuck.report.animation_frames import Scene
 from airpuck.report.page import packaged_text, render
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
@@ -48,8 +38,8 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         motors_height=f"{2.4 + max(5.4, 1.1 * scene.vehicle.n_propellers):.2f}",
         paces=sorted({*_PACES, float(speed)}),
         speed=float(speed),
-        trail=TRAIL,
-        key=round_thrust(scene.vehicle),
+        trail=moments.TRAIL,
+        key=moments.round_thrust(scene.vehicle),
         has_reference=len(scene.reference) > 0,
         states=style.POSE,
         table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
@@ -74,7 +64,7 @@ _COLORS: dict[str, Any] = {
 
 def flight_data(scene: Scene) -> dict[str, Any]:
     """Return what the page's script draws, as JSON values."""
-    shown = thinned(scene)
+    shown = moments.thinned(scene)
     return {
         "start": round(scene.start, 6),
         "stop": round(scene.stop, 6),
@@ -89,7 +79,7 @@ def flight_data(scene: Scene) -> dict[str, Any]:
         "reference": _poses(scene.reference_time, scene.reference),
         "table": scene.table,
         "view": scene.view,
-        "trail": TRAIL,
+        "trail": moments.TRAIL,
         "craft": _craft(scene.vehicle),
         "colors": _COLORS,
     }
@@ -118,15 +108,15 @@ def _craft(vehicle: Vehicle) -> dict[str, Any]:
         "positions": vehicle.positions.tolist(),
         "directions": vehicle.directions.tolist(),
         "thrust": vehicle.nominal_thrust.tolist(),
-        "names": short_names(vehicle.propeller_names),
+        "names": moments.short_names(vehicle.propeller_names),
         "colors": style.propeller_colors(vehicle),
         "propeller": style.propeller_size(vehicle),
-        "mark": heading_mark(vehicle).tolist(),
-        "key": round_thrust(vehicle),
+        "mark": moments.heading_mark(vehicle).tolist(),
+        "key": moments.round_thrust(vehicle),
         "arrow": {
-            "scale": arrow_scale(vehicle),
-            "shaft": SHAFT,
-            "headWidth": HEAD_WIDTH,
-            "headLength": HEAD_LENGTH,
+            "scale": moments.arrow_scale(vehicle),
+            "shaft": moments.SHAFT,
+            "headWidth": moments.HEAD_WIDTH,
+            "headLength": moments.HEAD_LENGTH,
         },
     }

@@ -28,7 +28,6 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     """
     figure = style.new_figure(5.4, 5.2)
     axes = figure.add_subplot()
-    axes.set_aspect("equal")
     axes.grid(False)
     disc = 1e3 * vehicle.radius_m
     axes.add_patch(Circle((0, 0), disc, facecolor="#f5f5f5", edgecolor=style.GREY, lw=1.0))
@@ -44,7 +43,7 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     axes.plot(0, 0, "o", color=style.BLACK, ms=3)
     reach = 1.5 * max(disc, float(radii.max()))
     axes.set(xlim=(-reach, reach), xlabel="$x^b$, forward [mm]")
-    axes.set(ylim=(-reach, reach), ylabel="$y^b$, left [mm]")
+    axes.set(ylim=(-reach, reach), ylabel="$y^b$, left [mm]", aspect="equal")
     what = f"{vehicle.n_propellers} propellers, {1e3 * vehicle.mass_kg:.4g} g, seen from above"
     axes.set_title(f"{vehicle.name}: {what}")
     return figure
@@ -60,11 +59,10 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
     for name, (x, y), (dx, dy), color in zip(
         vehicle.propeller_names, positions, vehicle.directions, colors, strict=True
     ):
-        axes.add_patch(Circle((x, y), size, facecolor=color, alpha=0.22, edgecolor="none"))
-        axes.add_patch(Circle((x, y), size, fill=False, edgecolor=color, lw=1.0))
+        axes.add_patch(Circle((x, y), size, facecolor=(color, 0.22), edgecolor=color, lw=1.0))
         tip = (x + length * dx, y + length * dy)
-        look = {"arrowstyle": "-|>", "mutation_scale": 13, "lw": 2.0, "color": color}
-        style.draw_arrow(axes, (x, y), tip, **look)
+        look = {"arrowstyle": "-|>", "mutation_scale": 13}
+        style.draw_arrow(axes, (x, y), tip, lw=2.0, color=color, **look)
         axes.plot(x, y, "o", color=color, ms=3.5)
         moment = x * dy - y * dx
         turn = "" if abs(moment) < 1e-3 * disc else (" ↺" if moment > 0 else " ↻")
@@ -90,8 +88,7 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
         delta = float(half.mean())
         _draw_half_angle(axes, angles, delta, 1e3 * float(radii.min()))
         notes.append(f"δ = {np.degrees(delta):.1f}°")
-    if notes:
-        axes.text(0.02, 0.98, "\n".join(notes), transform=axes.transAxes, va="top", ha="left")
+    axes.text(0.02, 0.98, "\n".join(notes), transform=axes.transAxes, va="top", ha="left")
     words = "arrow: force on the craft; ↺ ↻: which way it turns it"
     small = {"fontsize": 8, "color": style.GREY, "transform": axes.transAxes}
     axes.text(0.98, 0.02, words, va="bottom", ha="right", **small)

@@ -54,6 +54,7 @@ def demo(
     from airpuck.identification.fit import identify
     from airpuck.preprocessing.pipeline import preprocess
     from airpuck.report.fit_report import fit_report
+    from airpuck.report.fit_sections import errors_as_text
     from airpuck.report.tracking_report import tracking_sections
     from airpuck.twin.experiments import excite
     from airpuck.twin.plant import build_plant
@@ -79,11 +80,8 @@ def demo(
         progress(f"identified {name} ({RUNGS[name].summary}) in {fits[-1].wall_s:.1f} s")
     evaluations = compare([fit.model for fit in fits], trajectories["validation"])
     for evaluation in evaluations:
-        x, y, yaw = evaluation.rmse
-        progress(
-            f"{evaluation.model}: after 0.2 s off by {1e3 * x:.2f} mm, {1e3 * y:.2f} mm, "
-            f"{yaw:.4f} rad"
-        )
+        x, y, yaw = errors_as_text(evaluation.rmse)
+        progress(f"{evaluation.model}: after 0.2 s off by {x} mm, {y} mm, {yaw} rad")
     pilots = [fit.model for fit in fits if fit.model.name in _PILOTS]
     progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
     flights = tracking_study(pilots, truth)

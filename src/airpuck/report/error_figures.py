@@ -51,10 +51,7 @@ def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray
 
 @style.styled
 def horizon_figure(
-    fitted: Sequence[Evaluation],
-    reference: Sequence[Evaluation] = (),
-    *,
-    reference_label: str = "published",
+    fitted: Sequence[Evaluation], reference: Sequence[Evaluation] = (), label: str = "published"
 ) -> Figure:
     """Draw the root mean square error over the time predicted.
 
@@ -64,9 +61,8 @@ def horizon_figure(
     figure = style.new_figure(style.PAGE_WIDTH, 3.5)
     broad = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
     dashed: dict[str, Any] = {"lw": 1.1, "ls": style.DASHED, "zorder": 3}
-    for channel, (axes, (name, unit, factor)) in enumerate(
-        zip(figure.subplots(1, 3), style.ERRORS, strict=True)
-    ):
+    panels = figure.subplots(1, 3)
+    for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         for evaluations, line in ((fitted, broad), (reference, dashed)):
             for one in evaluations:
                 time = one.sample_period * np.arange(1, len(one.errors) + 1)
@@ -82,7 +78,7 @@ def horizon_figure(
     handles = [style.key(name, style.rung_color(name), lw=3) for name in names]
     if reference:
         handles.append(style.key("broad: fitted here", lw=3, alpha=0.45))
-        handles.append(style.key(f"dashed: {reference_label}", lw=1.1, ls=style.DASHED))
+        handles.append(style.key(f"dashed: {label}", lw=1.1, ls=style.DASHED))
     style.top_legend(figure, handles)
     return figure
 
@@ -94,9 +90,8 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
     Dots mark the RMSE on each curve, which a few large errors put far to the right of the median.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.3)
-    for channel, (axes, (name, unit, factor)) in enumerate(
-        zip(figure.subplots(1, 3, sharey=True), style.ERRORS, strict=True)
-    ):
+    panels = figure.subplots(1, 3, sharey=True)
+    for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         lowest = []
         for evaluation in evaluations:
             size = np.sort(factor * np.abs(evaluation.at_horizon[channel]))
@@ -110,8 +105,7 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
         axes.set(xscale="log", xlabel=f"error of {name} [{unit}]", ylim=(0, 101))
         axes.set_xlim(left=max(min(lowest), 1e-12))
         axes.xaxis.set_major_formatter("{x:g}")
-        if channel == 0:
-            axes.set_ylabel("windows with a smaller error [%]")
+    panels[0].set_ylabel("windows with a smaller error [%]")
     handles = [style.key(one.model, style.rung_color(one.model)) for one in evaluations]
     style.top_legend(figure, [*handles, style.key("RMSE", ls="", marker="o", mec="white")])
     return figure

@@ -86,17 +86,11 @@ def fault_timeline_figure(
     for span in spans:
         row, color = causes.index(span.cause), fault_color(span.cause)
         # The edge keeps what is short visible.
-        top.broken_barh(
-            [(span.start, span.stop - span.start)],
-            (row - 0.35, 0.7),
-            facecolor=color,
-            edgecolor=color,
-            linewidth=1.5,
-            alpha=_FAINTEST + (1 - _FAINTEST) * span.confidence,
-        )
+        look = {"color": color, "lw": 1.5, "alpha": _FAINTEST + (1 - _FAINTEST) * span.confidence}
+        top.broken_barh([(span.start, span.stop - span.start)], (row - 0.35, 0.7), **look)
         if span.confidence < 1:
-            look = {"va": "center", "fontsize": 6.5, "color": style.GREY}
-            style.note(top, confidence(span), (span.stop, row), (3, 0), **look)
+            small = {"va": "center", "fontsize": 6.5, "color": style.GREY}
+            style.note(top, confidence(span), (span.stop, row), (3, 0), **small)
         for panel in panels[1:]:
             panel.axvspan(span.start, span.stop, color=style.LIGHT, lw=0)
     top.set_yticks(range(len(causes)), causes)

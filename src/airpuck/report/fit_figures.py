@@ -30,10 +30,7 @@ _DELAY_BINS = 24
 
 @style.styled
 def loss_history_figure(
-    fits: Sequence[Fit],
-    reference: Mapping[str, float] | None = None,
-    *,
-    reference_label: str = "published",
+    fits: Sequence[Fit], reference: Mapping[str, float] | None = None, label: str = "published"
 ) -> Figure:
     """Draw the loss of each fit over the iterations of its optimiser.
 
@@ -67,7 +64,7 @@ def loss_history_figure(
     names = [fit.model.name for fit in fits]
     handles = [style.key(name, style.rung_color(name), marker="o", ms=4) for name in names]
     if reference:
-        handles.append(style.key(reference_label, lw=0.9, ls=style.DASHED))
+        handles.append(style.key(label, lw=0.9, ls=style.DASHED))
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
     return figure
 
@@ -77,8 +74,7 @@ def thrust_figure(
     models: Sequence[Model],
     trajectory: Trajectory | None = None,
     reference: Sequence[Model] = (),
-    *,
-    reference_label: str = "published",
+    label: str = "published",
 ) -> Figure:
     """Draw the thrust of every motor over its speed, and which speeds were commanded.
 
@@ -121,7 +117,7 @@ def thrust_figure(
         color = style.rung_color(models[0].name) if len(models) == 1 else style.SKY
         handles.append(Patch(color=color, alpha=0.25, lw=0, label="95 % interval"))
     if reference:
-        handles.append(style.key(reference_label, **dashed))
+        handles.append(style.key(label, **dashed))
     if trajectory is not None:
         handles.append(Patch(color=style.LIGHT, label="commands in training"))
     style.top_legend(figure, handles)
@@ -180,7 +176,7 @@ def _draw_commands(axes: Axes, commands: Float[np.ndarray, " N"], *, last: bool)
 
 @style.styled
 def parameter_figure(
-    fitted: Sequence[Model], reference: Mapping[str, Model], *, reference_label: str = "published"
+    fitted: Sequence[Model], reference: Mapping[str, Model], label: str = "published"
 ) -> Figure:
     """Draw relative differences between fitted and reference parameters.
 
@@ -205,7 +201,7 @@ def parameter_figure(
     _draw_ratios(scalars, ("inertia I", "lag τ"), ratios)
     scalars.set_title("where learned", loc="left")
     for axes in (linear, angular, scalars):
-        axes.set_xlabel(f"fitted against {reference_label} [%]")
+        axes.set_xlabel(f"fitted against {label} [%]")
     handles = [style.key(m.name, style.rung_color(m.name), ls="", marker="o") for m in models]
     style.top_legend(figure, handles)
     return figure

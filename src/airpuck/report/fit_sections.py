@@ -153,7 +153,7 @@ def _prediction_section(study: FitStudy, table: Table | None = None) -> Section:
         "more it is ruled by a few, and the less it says about the typical window, at 50 %. "
     )
     shares = error_distribution_figure(study.fitted)
-    curves = horizon_figure(study.fitted, study.reference_evaluations, reference_label=label)
+    curves = horizon_figure(study.fitted, study.reference_evaluations, label)
     blocks = (
         table or _error_table(study),
         _median_table(study),
@@ -205,7 +205,7 @@ def _thrust_section(study: FitStudy) -> Section:
             "propeller's column of Π predict the same. It is fixed so that a propeller's column of "
             "Π has the length 1/m in x and y, as Newton's law demands."
         )
-    figure = thrust_figure(models, study.training, reference, reference_label=study.reference_label)
+    figure = thrust_figure(models, study.training, reference, study.reference_label)
     return Section("thrust", "Thrust curves", (Picture("thrust", figure, caption),))
 
 
@@ -243,7 +243,7 @@ def _optimiser_section(study: FitStudy) -> Section:
             f" Dashed: the {label} parameters on the same windows, with their own conventions of "
             "encoder and frame."
         )
-    figure = loss_history_figure(study.fits, losses, reference_label=label)
+    figure = loss_history_figure(study.fits, losses, label)
     cells = [list(row.values()) for row in rows]
     blocks = (Table(table, list(rows[0]), cells), Picture("loss_history", figure, history))
     return Section("optimiser", "How the fits were found", blocks)
@@ -276,7 +276,7 @@ def _parameter_section(study: FitStudy) -> Section:
             "time constant where they are learned. The accelerations are products of Π and thrust, "
             "which no choice of scale can change, so that M4 can be compared."
         )
-        figure = parameter_figure(study.models, study.reference, reference_label=label)
+        figure = parameter_figure(study.models, study.reference, label)
         blocks.append(Picture("parameters", figure, caption))
     if any(model.parameters.configuration_matrix is not None for model in models):
         caption = (
@@ -304,10 +304,8 @@ def _determined(fit: Fit) -> list[str]:
 
 def _error_table(study: FitStudy) -> Table:
     """Tabulate root mean square errors of all models."""
-    rows = [
-        [evaluation.model, *errors_as_text(evaluation.rmse)]
-        for evaluation in (*study.reference_evaluations, *study.fitted)
-    ]
+    both = (*study.reference_evaluations, *study.fitted)
+    rows = [[e.model, *errors_as_text(e.rmse)] for e in both]
     caption = "Root mean square error. " + protocol_words(study.fitted[0])
     return Table(caption, ["model", *_CHANNELS], rows)
 

@@ -217,15 +217,13 @@ def _write_report(out: Path, study: FitStudy, validation: Trajectory, wall_s: fl
 
 def _summary_section(study: FitStudy, wall_s: float) -> Section:
     """Summarise the findings in a few lines."""
-    published = {e.model: e for e in study.reference_evaluations}
+    published, forms = study.reference_evaluations, (".1f", ".1f", ".3f")
     agree = sum(
         f"{error:{form}}" == printed
-        for name, row in PRINTED.items()
-        for error, form, printed in zip(
-            _shown(published[name]), (".1f", ".1f", ".3f"), row, strict=True
-        )
+        for one in published
+        for error, form, printed in zip(_shown(one), forms, PRINTED[one.model], strict=True)
     )
-    ratio = np.array([e.rmse / published[e.model].rmse for e in study.fitted])
+    ratio = np.array([e.rmse for e in study.fitted]) / [e.rmse for e in published]
     steps = [fit.iterations for fit in study.fits]
     best = study.best
     medians, rmse = (" / ".join(errors_as_text(e)) for e in (best.median_abs, best.rmse))
@@ -261,19 +259,16 @@ def _learning_section(study: FitStudy) -> Section:
 
 def _table_2(study: FitStudy) -> Table:
     """Tabulate the paper's Table 2: published parameters against ours."""
-    published = {e.model: e for e in study.reference_evaluations}
-    rows = []
-    for evaluation in study.fitted:
-        other = published[evaluation.model]
-        rows.append(
-            [
-                evaluation.model,
-                *PRINTED[evaluation.model],
-                *errors_as_text(other.rmse),
-                *errors_as_text(evaluation.rmse),
-                *(_percent(ratio) for ratio in evaluation.rmse / other.rmse),
-            ]
-        )
+    rows = [
+        [
+            ours.model,
+            *PRINTED[ours.model],
+            *errors_as_text(theirs.rmse),
+            *errors_as_text(ours.rmse),
+            *map(_percent, ours.rmse / theirs.rmse),
+        ]
+        for ours, theirs in zip(study.fitted, study.reference_evaluations, strict=True)
+    ]
     groups = ["as printed", "published parameters, here", "fitted here", "fitted against published"]
     return Table(
         "Table 2 of the paper: root mean square prediction error on the validation recording. "
