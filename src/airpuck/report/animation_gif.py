@@ -60,7 +60,7 @@ def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Ima
     kept = np.rint(255 * np.array([to_rgb(color) for color in wanted]))
     for color in [*common, *others]:
         # Pillow looks colours up coarsely: none may stand near a commoner one, such as white.
-        if np.abs(kept - color).max(axis=1).min() > 6 and len(kept) < _COLORS:
+        if np.abs(kept - color).max(axis=1).min() > 10 and len(kept) < _COLORS:
             kept = np.vstack([kept, color])
     palette = Image.new("P", (1, 1))
     palette.putpalette(kept.astype(np.uint8).tobytes())
