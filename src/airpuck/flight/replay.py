@@ -25,6 +25,9 @@ from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.pipeline import clean_streams
 from airpuck.recording.stream import Recording
 
+#: Where the pose was not known, why.
+Estimates = list[Estimate | Status]
+
 
 @dataclass(frozen=True)
 class Gains:
@@ -204,7 +207,7 @@ def replay(
     if fit_gains:
         # A motor at its limit says nothing about gains.
         used = np.flatnonzero(compared & (sent.max(axis=1) < 0.98))
-        some: list[Estimate | Status] = [estimates[k] for k in used]
+        some: Estimates = [estimates[k] for k in used]
         gains = _fit_gains(controller, some, [targets[k] for k in used], sent[used])
     computed, status = _steer(controller, gains, estimates, targets)
     poses = [e.state[:3] if isinstance(e, Estimate) else np.full(3, np.nan) for e in estimates]
@@ -230,12 +233,12 @@ def _fly_through(
     poses: Float[np.ndarray, "N 3"],
     times: Float[np.ndarray, " K"],
     sent: Float[np.ndarray, "K n"],
-) -> list[Estimate | Status]:
+) -> Estimates:
     """Run the estimator through the flight; return estimates, or why there are none.
 
     The gains play no part in this.
     """
-    estimates: list[Estimate | Status] = []
+    estimates: Estimates = []
     following = 0
     for time, command in zip(times, sent, strict=True):
         while following < len(arrivals) and arrivals[following] <= time:
@@ -248,10 +251,7 @@ def _fly_through(
 
 
 def _steer(
-    controller: TrackingController,
-    gains: Gains,
-    estimates: list[Estimate | Status],
-    targets: list[Target],
+    controller: TrackingController, gains: Gains, estimates: Estimates, targets: list[Target]
 ) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
     """Compute all commands with the given gains."""
     controller.law = LQR(gains.matrix())
@@ -270,7 +270,7 @@ def _steer(
 
 def _fit_gains(
     controller: TrackingController,
-    estimates: list[Estimate | Status],
+    estimates: Estimates,
     targets: list[Target],
     sent: Float[np.ndarray, "K n"],
 ) -> Gains:
@@ -295,7 +295,7 @@ def _fit_gains(
 
 def _regression(
     controller: TrackingController,
-    estimates: list[Estimate | Status],
+    estimates: Estimates,
     targets: list[Target],
     sent: Float[np.ndarray, "K n"],
 ) -> tuple[tuple[Any, Any], tuple[Any, Any]]:

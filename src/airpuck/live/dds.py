@@ -17,13 +17,6 @@ _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 _HIGHEST_DOMAIN = 232
 #: A process that was killed is gone from the graph after this long [s].
 LEASE = 3
-_CONFIG = (
-    '<CycloneDDS><Domain id="any"><General>'
-    "<Interfaces><NetworkInterface name={interface}/></Interfaces>"
-    "<AllowMulticast>{multicast}</AllowMulticast></General>"
-    f"<Discovery><LeaseDuration>{LEASE}s</LeaseDuration>{{peers}}</Discovery>"
-    "</Domain></CycloneDDS>"
-)
 #: At most 40 processes of one domain on one machine look for each other by port.
 _LOCAL_PEERS = (
     "<ParticipantIndex>auto</ParticipantIndex>"
@@ -58,11 +51,13 @@ def domain_config(interface: str | None) -> str:
             field="--interface",
         )
     name = interface or loopback
-    local = name == loopback
-    return _CONFIG.format(
-        interface=quoteattr(name),
-        multicast="false" if local else "true",
-        peers=_LOCAL_PEERS if local else "",
+    multicast, peers = ("false", _LOCAL_PEERS) if name == loopback else ("true", "")
+    return (
+        '<CycloneDDS><Domain id="any"><General>'
+        f"<Interfaces><NetworkInterface name={quoteattr(name)}/></Interfaces>"
+        f"<AllowMulticast>{multicast}</AllowMulticast></General>"
+        f"<Discovery><LeaseDuration>{LEASE}s</LeaseDuration>{peers}</Discovery>"
+        "</Domain></CycloneDDS>"
     )
 
 

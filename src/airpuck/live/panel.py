@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +14,7 @@ from airpuck.flight.health import HORIZON, Health
 from airpuck.live.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
+from airpuck.live.scene import Wish
 from airpuck.live.watch import Observer
 
 if TYPE_CHECKING:
@@ -38,12 +39,7 @@ _FULL_ERROR = (0.016, 0.016, 0.5)
 class Panel:
     """Set point, gauges and events; `wish` takes the x, y [m], yaw [rad] that the user enters."""
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        reach: tuple[float, float],
-        wish: Callable[[float, float, float], Any],
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, reach: tuple[float, float], wish: Wish) -> None:
         gui = server.gui
         gui.configure_theme(
             control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False

@@ -14,6 +14,9 @@ from airpuck.control.reference import Reference
 from airpuck.control.tracking import Numbers, Step
 from airpuck.flight.loop import Pilot
 
+#: Takes the level and the text of an event.
+_Log = Callable[[Literal["info", "error"], str], object]
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -115,11 +118,7 @@ class GuardedPilot:
     """
 
     def __init__(
-        self,
-        pilot: Pilot,
-        guard: Guard,
-        idle: Float[np.ndarray, " n"],
-        log: Callable[[Literal["info", "error"], str], object],
+        self, pilot: Pilot, guard: Guard, idle: Float[np.ndarray, " n"], log: _Log
     ) -> None:
         self.pilot, self.guard = pilot, guard
         self.imu, self.mouse, self.sent = pilot.imu, pilot.mouse, pilot.sent

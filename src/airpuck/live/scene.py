@@ -18,6 +18,8 @@ from airpuck.physics.thrust import thrust
 if TYPE_CHECKING:
     import viser
 
+#: Takes the x, y [m] and yaw [rad] that the user wishes for.
+Wish = Callable[[float, float, float], Any]
 #: Colours that the colour-blind can tell apart (Okabe and Ito), one for each pair of propellers.
 _PAIRS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0))
 _TABLE, _RAIL = (236, 239, 241), (84, 98, 111)
@@ -53,17 +55,9 @@ class Scene:
         Takes x, y [m], yaw [rad] that the user drags the set point to.
     """
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        model: Model,
-        table: Table,
-        wish: Callable[[float, float, float], Any],
-    ) -> None:
-        self._model, scene = model, server.scene
-        server.initial_camera.position = EYE
-        server.initial_camera.look_at = LOOKS_AT
-        server.initial_camera.fov = FIELD_OF_VIEW
+    def __init__(self, server: viser.ViserServer, model: Model, table: Table, wish: Wish) -> None:
+        self._model, scene, camera = model, server.scene, server.initial_camera
+        camera.position, camera.look_at, camera.fov = EYE, LOOKS_AT, FIELD_OF_VIEW
         # viser's default surroundings would be fetched from elsewhere.
         scene.configure_environment_map(None)
         # Shadows would cost a browser without a graphics card most of its time.
@@ -133,9 +127,7 @@ class _SetPointMarker:
     It stays where it is until `show` moves it: the wish may not be granted.
     """
 
-    def __init__(
-        self, scene: viser.SceneApi, radius: float, wish: Callable[[float, float, float], Any]
-    ) -> None:
+    def __init__(self, scene: viser.SceneApi, radius: float, wish: Wish) -> None:
         self._wish = wish
         self._pose = np.zeros(3)
         #: From the point that is dragged to the middle of the ring.
@@ -246,12 +238,8 @@ def _draw_craft(
     for name, (x, y), color in drawn:
         place = (x, y, height)
         scene.add_cylinder(f"/craft/{name}", _PROPELLER, _PROPELLER_HEIGHT, color, position=place)
+    points, shades = np.zeros((len(colors), 2, 3)), np.array(colors, np.uint8)
     arrows = scene.add_arrows(
-        "/craft/thrusts",
-        np.zeros((vehicle.n_propellers, 2, 3)),
-        np.array(colors, np.uint8),
-        shaft_radius=0.006,
-        head_radius=0.014,
-        head_length=0.024,
+        "/craft/thrusts", points, shades, shaft_radius=0.006, head_radius=0.014, head_length=0.024
     )
     return frame, arrows
