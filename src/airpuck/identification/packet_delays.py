@@ -21,6 +21,7 @@ from airpuck.estimate.motor_regression import (
 )
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
+from airpuck.physics.rigid_body import acceleration
 
 #: Samples before the expected arrival and in all: the motors' answer, at 240 Hz within 0.1 s.
 _LEAD, _LENGTH = 8, 32
@@ -92,17 +93,17 @@ def delay_response(
     trajectory: Trajectory,
     model: Model,
     delays: PacketDelays,
-    acceleration: Float[np.ndarray, "P N 3"],
+    modelled: Float[np.ndarray, "P N 3"],
 ) -> Float[np.ndarray, "P B"]:
     """Return by how much the delays that are found change with the modelled accelerations."""
     near = _surroundings(trajectory, model)
     if near is None or not len(delays):
-        return np.zeros((len(acceleration), len(delays)))
+        return np.zeros((len(modelled), len(delays)))
     late = np.zeros(len(trajectory.command_time))
     late[delays.packet] = delays.deviation
     found = _regressed(near, late)
-    change = np.moveaxis(acceleration[:, near.index], (1, 3, 0), (0, 1, 2))
-    of_packet = np.zeros((len(acceleration), len(late)))
+    change = np.moveaxis(modelled[:, near.index], (1, 3, 0), (0, 1, 2))
+    of_packet = np.zeros((len(modelled), len(late)))
     of_packet[:, found.packet] = found.response(near.components.of_accelerations(-change))
     return of_packet[:, delays.packet]
 
@@ -170,18 +171,14 @@ class _Surroundings:
         since = self._since - late[self.packet]
         answer = self._answer(since)
         speed = self._speed + np.einsum("nmb,emb->enb", self._change, answer - self._answered)
-        by_motor, rest = accelerations_by_motor(self._dynamics, self._state, speed)
-        modelled = by_motor.sum(axis=2) + rest
+        modelled = self._accelerations(speed)
         predicted = twice_integrated(modelled, self._duration)
         # A packet that comes later takes away what the motors gain at this moment.
         gain = np.where(since > 0, answer - 1, 0) / self._lag
-        by_speed = np.empty((speed.shape[1], *modelled.shape))
-        for motor in range(len(by_speed)):
-            faster = speed.copy()
-            faster[:, motor] += _STEP
-            parts, rest = accelerations_by_motor(self._dynamics, self._state, faster)
-            by_speed[motor] = (parts.sum(axis=2) + rest - modelled) / _STEP
+        steps = _STEP * np.eye(speed.shape[1])[..., None]
+        by_speed = [(self._accelerations(speed + step) - modelled) / _STEP for step in steps]
         slope = np.einsum("necb,nmb->ecmb", by_speed, self._change) * gain[:, None]
+        by_motor, _ = accelerations_by_motor(self._dynamics, self._state, speed)
         turning = np.zeros_like(by_motor[:, :, :1])
         turning[:, 2, 0] = by_motor[:, 2].sum(axis=1)
         return self._state[:, :3] - predicted, np.concatenate([slope, by_motor, turning], axis=2)
@@ -189,6 +186,12 @@ class _Surroundings:
     def _answer(self, since: Float[np.ndarray, "E m B"]) -> Float[np.ndarray, "E m B"]:
         """Speed of a motor after a unit step of its command."""
         return 1 - lag_decay(np, np.maximum(since, 0.0), self._lag)
+
+    def _accelerations(self, speed: Float[np.ndarray, "E n B"]) -> Float[np.ndarray, "E 3 B"]:
+        """Return the modelled accelerations along the measured motion."""
+        motion = np.moveaxis(self._state[:, 2:], 1, 0)
+        found = acceleration(np, self._dynamics, motion, np.moveaxis(speed, 1, 0))
+        return np.stack(found, axis=1)
 
 
 class _Components:
