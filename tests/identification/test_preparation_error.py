@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.identification import preparation_error
+from airpuck.identification import retiming
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.preparation_error import error_growth, score_derivatives
 from airpuck.identification.problem import Preparation
-from airpuck.identification.retiming import retime_packets, variance_of_mean
+from airpuck.identification.retiming import (
+    error_growth,
+    retime_packets,
+    score_derivatives,
+    variance_of_mean,
+)
 from airpuck.identification.uncertainty import grown, sandwich, shared_at_borders, varying, widened
 
 from .flown import TRUTH, flown
@@ -61,7 +65,7 @@ def test_rounds_add_up():
 @pytest.mark.parametrize("entry", [LAG, ANGLE])
 def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, monkeypatch):
     """The whole preparation again, with all that it decides anew, two errors away."""
-    monkeypatch.setattr(preparation_error, "_DENSITY", 6)
+    monkeypatch.setattr(retiming, "_DENSITY", 6)
     parameters, windows = fit.model.parameters, fit.objective.windows
     known = np.flatnonzero(np.isfinite(fit.uncertainty.standard_errors))
     step = 2 * fit.uncertainty.standard_errors[entry]

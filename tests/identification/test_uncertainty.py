@@ -9,12 +9,12 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.fit import identifiability, identify
-from airpuck.identification.identifiability import identifiability_of
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import Loss
 from airpuck.identification.uncertainty import (
     binding_constraints,
     grown,
+    identifiability_of,
     sandwich,
     shared_at_borders,
     widened,

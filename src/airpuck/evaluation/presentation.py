@@ -55,14 +55,9 @@ class Value:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures."""
-        return {
-            "label": self.label,
-            "unit": self.unit,
-            "value": self.value,
-            "standard_error": self.standard_error if self.known else None,
-            "interval_95": self.interval,
-            "learned": self.learned,
-        }
+        figures = {name: getattr(self, name) for name in ("label", "unit", "value", "learned")}
+        error = self.standard_error if self.known else None
+        return {**figures, "standard_error": error, "interval_95": self.interval}
 
 
 @dataclass(frozen=True)
@@ -135,19 +130,17 @@ def present(model: Model) -> Presentation:
 
 def value_of(model: Model, quantity: MainQuantity) -> Value:
     """Evaluate a quantity and its error."""
-    learned = quantity.learned(model)
-    return _value(model, quantity.label, quantity.unit, quantity.value, learned)
+    label, unit, value = quantity.label, quantity.unit, quantity.value
+    return _value(model, label, unit, value, learned=quantity.learned(model))
 
 
 def _value(
-    model: Model, label: str, unit: str, quantity: Callable[[Model], Any], learned: bool
+    model: Model, label: str, unit: str, quantity: Callable[[Model], Any], *, learned: bool
 ) -> Value:
     """Evaluate anything made from the parameters."""
-    known = model.uncertainty
     error = float(model.standard_error(quantity)) if learned else np.nan
-    return Value(
-        label, unit, float(quantity(model)), error, known.quantile if known else np.nan, learned
-    )
+    quantile = model.uncertainty.quantile if model.uncertainty else np.nan
+    return Value(label, unit, float(quantity(model)), error, quantile, learned)
 
 
 def delay_words(model: Model) -> str:
@@ -168,40 +161,30 @@ def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
     """Compute how hard a craft at rest can be pushed each way, all motors together."""
     vehicle, matrix = model.vehicle, np.asarray(model.dynamics.configuration)
     coefficients = np.asarray(model.parameters.thrust)
-    ends = [
-        thrust(coefficients, np.full(len(coefficients), command))
-        for command in (vehicle.command_min, vehicle.command_max)
-    ]
-    pushes = [
-        np.maximum(*(sign * matrix[row] * force for force in ends)).sum()
-        for _, row, sign, _ in _WAYS
-    ]
+    ends = np.array([[vehicle.command_min], [vehicle.command_max]]) * np.ones(len(coefficients))
+    forces = np.array([thrust(coefficients, command) for command in ends])
+    pushes = [(sign * matrix[row] * forces).max(axis=0).sum() for _, row, sign, _ in _WAYS]
     return np.array(pushes)
 
 
 def _derived(model: Model) -> list[Value]:
     """Return what follows from the parameters."""
-    values = [
-        _value(
-            model,
-            f"largest acceleration {way}",
-            unit,
-            lambda m, k=k: largest_acceleration(m)[k],
-            bool(model.free.any()),
-        )
-        for k, (way, _, _, unit) in enumerate(_WAYS)
-    ]
+    values = []
+    for k, (way, _, _, unit) in enumerate(_WAYS):
+
+        def push(m: Model, k: int = k) -> float:
+            return largest_acceleration(m)[k]
+
+        label = f"largest acceleration {way}"
+        values.append(_value(model, label, unit, push, learned=bool(model.free.any())))
     if float(model.parameters.motor_time_constant) > 0:
+
+        def bandwidth(m: Model) -> float:
+            return 1 / (2 * np.pi * m.parameters.motor_time_constant)
+
         lag = model.parameters.mask(frozenset({"motor_time_constant"}))
-        values.append(
-            _value(
-                model,
-                "bandwidth of the motors 1/(2πτ)",
-                "Hz",
-                lambda m: 1 / (2 * np.pi * m.parameters.motor_time_constant),
-                bool(model.free[lag].any()),
-            )
-        )
+        label, learned = "bandwidth of the motors 1/(2πτ)", bool(model.free[lag].any())
+        values.append(_value(model, label, "Hz", bandwidth, learned=learned))
     return values
 
 

@@ -96,35 +96,32 @@ class Adam:
             epoch = jax.jit(lambda carry, batches: jax.lax.scan(update, carry, batches))
             evaluate = jax.jit(error)
 
+            def held_out(vector: Any) -> float | None:
+                return float(evaluate(vector, test)) if n_test else None
+
             vector = jnp.asarray(parameters.to_vector())
             carry = (vector, optimizer.init(vector))
-            history = [self._iteration(0, evaluate, vector, train, test)]
+            history = [Iteration(0, _mean_loss(evaluate, vector, train), held_out(vector))]
             progress(history[0])
             for number in range(1, self.epochs + 1):
                 shuffled = rng.permutation(train)[: len(train) // size * size]
                 carry, losses = epoch(carry, shuffled.reshape(-1, size))
-                held_out = float(evaluate(carry[0], test)) if n_test else None
-                history.append(Iteration(number, float(losses.mean()), held_out))
+                history.append(Iteration(number, float(losses.mean()), held_out(carry[0])))
                 progress(history[-1])
-            vector = np.asarray(carry[0])
-            final = self._iteration(self.epochs, evaluate, carry[0], train, test).loss
+            final = _mean_loss(evaluate, carry[0], train)
         return Outcome(
-            parameters=parameters.with_vector(vector),
+            parameters=parameters.with_vector(np.asarray(carry[0])),
             loss=final,
             history=tuple(history),
             converged=True,
             message=f"{self.epochs} epochs done",
         )
 
-    @staticmethod
-    def _iteration(
-        number: int, evaluate: Callable[..., Any], vector: Any, train: Any, test: Any
-    ) -> Iteration:
-        """Evaluate the loss on all training windows, in parts that bound the memory."""
-        parts = np.array_split(train, max(1, len(train) // 4096))
-        total = sum(float(evaluate(vector, part)) * len(part) for part in parts)
-        held_out = float(evaluate(vector, test)) if len(test) else None
-        return Iteration(number, total / len(train), held_out)
+
+def _mean_loss(evaluate: Callable[..., Any], vector: Any, train: Any) -> float:
+    """Evaluate the loss on all training windows, in parts that bound the memory."""
+    parts = np.array_split(train, max(1, len(train) // 4096))
+    return sum(float(evaluate(vector, part)) * len(part) for part in parts) / len(train)
 
 
 def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, Any], Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +32,11 @@ class Exclusion:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json`` and the model file."""
+        names = ("recording", "start_s", "stop_s", "cause", "confidence")
         return {
             "share_of_windows": self.share,
             "spans": [
-                {
-                    "recording": Path(trajectory.source).name,
-                    "start_s": span.start,
-                    "stop_s": span.stop,
-                    "cause": span.cause,
-                    "confidence": span.confidence,
-                }
+                dict(zip(names, (Path(trajectory.source).name, *astuple(span)), strict=True))
                 for trajectory, faults in zip(self.trajectories, self.faults, strict=True)
                 for span in faults
             ],

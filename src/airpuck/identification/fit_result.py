@@ -11,10 +11,10 @@ import numpy as np
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.fault_exclusion import Exclusion
-from airpuck.identification.identifiability import Identifiability
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.uncertainty import Identifiability
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import lowest_slope
@@ -91,13 +91,10 @@ class Fit:
             ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
             uncertainty, identifiability, delay_jitter, faults, history``.
         """
+        figures = ("loss", "iterations", "converged", "windows", "wall_s")
         return {
             "model": self.model.name,
-            "loss": self.loss,
-            "iterations": self.iterations,
-            "converged": self.converged,
-            "windows": self.windows,
-            "wall_s": self.wall_s,
+            **{name: getattr(self, name) for name in figures},
             "warnings": list(self.warnings),
             "parameters": _parameters_json(self.model),
             "uncertainty": _uncertainty_json(self.uncertainty),
@@ -114,16 +111,12 @@ def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
     labels = model.parameters.labels(model.vehicle.propeller_names)
     for entry, (label, value) in enumerate(zip(labels, model.parameters.to_vector(), strict=True)):
         figures[label] = {"value": float(value), "standard_error": None, "interval_95": None}
-        if known is None:
-            continue
-        if np.isfinite(known.standard_errors[entry]):
+        if known is not None and np.isfinite(known.standard_errors[entry]):
             figures[label]["standard_error"] = float(known.standard_errors[entry])
             figures[label]["interval_95"] = known.intervals[entry].tolist()
-        if known.bootstrap is not None:
-            ends = (known.bootstrap.lower[entry], known.bootstrap.upper[entry])
-            figures[label]["bootstrap_95"] = (
-                [float(end) for end in ends] if np.isfinite(ends).all() else None
-            )
+        if known is not None and known.bootstrap is not None:
+            ends = [float(end[entry]) for end in (known.bootstrap.lower, known.bootstrap.upper)]
+            figures[label]["bootstrap_95"] = ends if np.isfinite(ends).all() else None
     return figures
 
 
@@ -144,14 +137,13 @@ def fit_warnings(
     exclusion: Exclusion | None,
 ) -> tuple[str, ...]:
     """Tell what to look at before trusting a model."""
-    notes = model.uncertainty.notes if model.uncertainty else ()
     return (
         *_idle_motors(trajectories),
         *(exclusion.warnings if exclusion else ()),
         *([] if outcome.converged else [f"the optimiser has not converged: {outcome.message}"]),
         *_implausible_values(model),
         *_other_delays(model, trajectories),
-        *(note for note in notes if "rough" in note or "no standard" in note),
+        *(model.uncertainty.warnings if model.uncertainty else ()),
     )
 
 

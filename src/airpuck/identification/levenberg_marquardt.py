@@ -13,7 +13,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.parameters import Parameters
-from airpuck.physics.thrust import lowest_slope
+from airpuck.physics.thrust import lowest_slope, slope_rows
 
 #: Damping, relative to the curvature, above which steps are too short to say anything.
 _OVERDAMPED = 1e6
@@ -54,22 +54,18 @@ class LevenbergMarquardt:
         progress: Callable[[Iteration], None] = lambda _: None,
     ) -> Outcome:
         """Minimise a prediction loss; see `Method.minimize`."""
-        n_thrust, shape = np.size(parameters.thrust), np.shape(parameters.thrust)
-        slopes = SlopeConstraints(free[:n_thrust].reshape(shape)) if self.monotone else None
-        lower, upper = (bound[free] for bound in parameters.bounds())
+        program = _StepProgram(parameters, free, monotone=self.monotone)
         point = np.array(parameters.to_vector())
         here = loss.quadratic(parameters)
         history = [Iteration(0, here.loss)]
         progress(history[0])
         damping, growth, reason = self.damping, 2.0, "most iterations reached"
         for number in range(1, self.max_iterations + 1):
-            step = np.zeros_like(point)
             try:
-                step[free] = self._step(here, point, free, lower, upper, damping, slopes, shape)
+                step = program.step(here, point, damping)
             except ArithmeticError:
                 # More damping makes the problem better conditioned.
-                damping *= growth
-                growth *= 2
+                damping, growth = damping * growth, 2 * growth
                 if damping > _OVERDAMPED:
                     raise InputError(
                         "the data do not determine this many parameters (a step's quadratic "
@@ -89,11 +85,9 @@ class LevenbergMarquardt:
             gain = (here.loss - there.loss) / promised
             if gain > 0:
                 point, here = point + step, there
-                damping *= max(1 / 3, 1 - (2 * float(gain) - 1) ** 3)
-                growth = 2.0
+                damping, growth = damping * max(1 / 3, 1 - (2 * float(gain) - 1) ** 3), 2.0
             else:
-                damping *= growth
-                growth *= 2
+                damping, growth = damping * growth, 2 * growth
             history.append(Iteration(number, here.loss))
             progress(history[-1])
         return Outcome(
@@ -105,53 +99,41 @@ class LevenbergMarquardt:
             quadratic=here,
         )
 
-    def _step(
-        self,
-        here: Quadratic,
-        point: Float[np.ndarray, " P"],
-        free: Bool[np.ndarray, " P"],
-        lower: Float[np.ndarray, " F"],
-        upper: Float[np.ndarray, " F"],
-        damping: float,
-        slopes: SlopeConstraints | None,
-        thrust_shape: tuple[int, ...],
-    ) -> Float[np.ndarray, " F"]:
-        """Solve min g'd + d'(H + λ diag H)d/2 within the bounds and slope constraints."""
+
+class _StepProgram:
+    """The quadratic program of a step within the bounds, along which thrust curves rise."""
+
+    def __init__(
+        self, parameters: Parameters, free: Bool[np.ndarray, " P"], *, monotone: bool
+    ) -> None:
+        self._free, self._bounds = free, parameters.bounds()
+        self._shape, self._n_thrust = np.shape(parameters.thrust), np.size(parameters.thrust)
+        self._slopes = SlopeConstraints(free[: self._n_thrust].reshape(self._shape), monotone)
+
+    def step(
+        self, here: Quadratic, point: Float[np.ndarray, " P"], damping: float
+    ) -> Float[np.ndarray, " P"]:
+        """Solve min g'd + d'(H + λ diag H)d/2."""
+        free, n = self._free, self._n_thrust
         gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
         curvature = np.diag(hessian)
         # A parameter without influence has no curvature: leave it where it is.
         scale = 1 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
         damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
-        n_thrust = int(np.prod(thrust_shape))
+        lower, upper = ((bound - point)[free] for bound in self._bounds)
+        step = np.zeros_like(point)
         while True:
-            rows = np.zeros((0, n_thrust)) if slopes is None else slopes.rows()
-            margin = 0.0 if slopes is None else slopes.margin
-            step = scale * _solve(
-                damped,
-                gradient * scale,
-                rows[:, free[:n_thrust]] @ np.diag(scale)[: free[:n_thrust].sum()],
-                margin - rows @ point[:n_thrust],
-                (lower - point[free]) / scale,
-                (upper - point[free]) / scale,
+            rows = self._slopes.rows()
+            by_step = np.pad(rows, [(0, 0), (0, len(point) - n)])[:, free] * scale
+            least = self._slopes.margin - rows @ point[:n]
+            found = scale * _solve(
+                damped, gradient * scale, by_step, least, lower / scale, upper / scale
             )
-            step = _onto(step, lower - point[free], upper - point[free], _TOUCHES * scale)
-            if slopes is None:
+            # A solver stops just inside a bound: put it there.
+            found = np.where(found < lower + _TOUCHES * scale, lower, found)
+            step[free] = np.where(found > upper - _TOUCHES * scale, upper, found)
+            if not self._slopes.cut((point + step)[:n].reshape(self._shape)):
                 return step
-            thrust = point[:n_thrust].copy()
-            thrust[free[:n_thrust]] += step[: free[:n_thrust].sum()]
-            if not slopes.cut(thrust.reshape(thrust_shape)):
-                return step
-
-
-def _onto(
-    step: Float[np.ndarray, " F"],
-    lower: Float[np.ndarray, " F"],
-    upper: Float[np.ndarray, " F"],
-    reach: Float[np.ndarray, " F"],
-) -> Float[np.ndarray, " F"]:
-    """Put a step that comes within reach of a bound onto it: a solver stops just inside."""
-    step = np.where(step < lower + reach, lower, step)
-    return np.where(step > upper - reach, upper, step)
 
 
 def _solve(
@@ -171,13 +153,13 @@ def _solve(
     unit = float(np.linalg.norm(step))
     far = 1e6
     near = least / unit > -far
+    constraints = {"G": rows[near], "h_l": least[near] / unit} if near.any() else {}
     solver = piqp.DenseSolver()
     solver.settings.eps_abs = 1e-10
     solver.setup(
         hessian,
         gradient / unit,
-        G=rows[near] if near.any() else None,
-        h_l=least[near] / unit if near.any() else None,
+        **constraints,
         x_l=np.where(lower / unit > -far, lower / unit, -np.inf),
         x_u=np.where(upper / unit < far, upper / unit, np.inf),
     )
@@ -195,30 +177,21 @@ class SlopeConstraints:
     falls somewhere. A few cuts suffice, since a polynomial's slope has few minima.
     """
 
-    def __init__(self, free: Bool[np.ndarray, "n degree"], margin: float = 1e-6) -> None:
-        self.margin = margin
-        self._free = free
-        self._points = [(i, speed) for i in range(len(free)) for speed in (0.0, 1.0)]
+    #: Least slope [N].
+    margin = 1e-6
+
+    def __init__(self, free: Bool[np.ndarray, "n degree"], monotone: bool = True) -> None:
+        self._free, self._monotone = free, monotone
+        propellers = range(len(free)) if monotone else ()
+        self._points = [(i, speed) for i in propellers for speed in (0.0, 1.0)]
 
     def rows(self) -> Float[np.ndarray, "R entries"]:
         """Return A such that the constraints read A c ≥ margin, c the flat coefficients."""
-        n, degree = self._free.shape
-        power = np.arange(1, degree + 1)
-        rows = np.zeros((len(self._points), n, degree))
-        for row, (propeller, speed) in zip(rows, self._points, strict=True):
-            row[propeller] = power * speed ** (power - 1)
-        # A slope that no free coefficient can change, such as that of κφ² at 0, is not ours to
-        # constrain.
-        changeable = (np.abs(rows) * self._free).any(axis=(1, 2))
-        return rows[changeable].reshape(-1, n * degree)
+        return slope_rows(self._free, self._points)
 
     def cut(self, coefficients: Float[np.ndarray, "n degree"]) -> bool:
         """Add constraints where curves fall."""
         slopes, speeds = lowest_slope(coefficients)
-        new = [
-            (propeller, float(speeds[propeller]))
-            for propeller in np.flatnonzero(slopes < 0)
-            if 0 < speeds[propeller] < 1
-        ]
-        self._points += new
-        return bool(new)
+        falling = (slopes < 0) & (speeds > 0) & (speeds < 1) & self._monotone
+        self._points += [(k, float(speeds[k])) for k in np.flatnonzero(falling).tolist()]
+        return bool(falling.any())

@@ -73,15 +73,16 @@ def minimize_on(
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Outcome:
     """Go on from an optimum with another loss, and with the count of iterations."""
-    begun = outcome.history[-1].number
 
-    def renumbered(iteration: Iteration) -> None:
-        if iteration.number:  # its start is the end of the last fit, which was reported
-            progress(replace(iteration, number=begun + iteration.number))
+    def renumbered(step: Iteration) -> Iteration:
+        return replace(step, number=outcome.history[-1].number + step.number)
 
-    after = method.minimize(loss, outcome.parameters, free, renumbered)
-    steps = (replace(step, number=begun + step.number) for step in after.history if step.number)
-    return replace(after, history=(*outcome.history, *steps))
+    def report(step: Iteration) -> None:
+        if step.number:  # its start is the end of the last fit, which was reported
+            progress(renumbered(step))
+
+    after = method.minimize(loss, outcome.parameters, free, report)
+    return replace(after, history=(*outcome.history, *map(renumbered, after.history[1:])))
 
 
 def reweighted(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -154,15 +154,9 @@ class PredictionLoss:
         register_pytrees()
         values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
         windows = self.windows_at(parameters)
-        slope = windows.input_slope
-        if slope is None:
-            slope = np.zeros_like(windows.input)
-        dynamics = (
-            parameters.thrust,
-            values,
-            parameters.center_of_mass,
-            np.asarray(parameters.motor_time_constant, dtype=float),
-        )
+        slope = np.zeros_like(windows.input) if windows.input_slope is None else windows.input_slope
+        tau = np.asarray(parameters.motor_time_constant, dtype=float)
+        dynamics = (parameters.thrust, values, parameters.center_of_mass, tau)
         samples = (windows.time, windows.state, windows.input, slope)
         with double_precision():
             # Put, not made by jax.numpy, which would compile a program for each shape.
@@ -170,21 +164,16 @@ class PredictionLoss:
                 ((dynamics, slopes), tuple(map(_lengthened, samples)), np.array(self.weights))
             )
 
-        normal_equations = compiled_normal_equations()
+        normal_equations = partial(
+            compiled_normal_equations(),
+            encoder=self.encoder,
+            horizon=windows.prediction_length,
+            frame=self.frame,
+        )
         batches, owner = self._batches()
 
         def sums(batch: _Batch) -> Any:
-            return jax.block_until_ready(
-                normal_equations(
-                    *model,
-                    *data,
-                    *batch,
-                    weights,
-                    encoder=self.encoder,
-                    horizon=windows.prediction_length,
-                    frame=self.frame,
-                )
-            )
+            return jax.block_until_ready(normal_equations(*model, *data, *batch, weights))
 
         with ThreadPoolExecutor(usable_cores()) as pool:
             square, score, curvature = zip(*pool.map(sums, batches), strict=True)
@@ -207,11 +196,18 @@ class PredictionLoss:
         if clusters is None:
             clusters = np.zeros(len(self.windows), dtype=int)
         batches, owner = [], []
+        starts = self.windows.starts
+        most = BATCH if len(starts) < _LARGE else 2 * BATCH
+        # One size, so that one program serves all; what is missing counts zero times.
+        size = min(most, 1 << (len(starts) - 1).bit_length())
         for cluster in range(int(clusters.max()) + 1):
             members = np.flatnonzero((clusters == cluster) & (counted > 0))
-            parts = _split(members, self.windows.starts, counted)
-            batches += parts
-            owner += [cluster] * len(parts)
+            for first in range(0, len(members), size):
+                part = members[first : first + size]
+                missing = (0, size - len(part))
+                starting = np.pad(starts[part], missing, mode="edge")
+                batches.append((starting, np.pad(counted[part], missing)))
+                owner.append(cluster)
         return batches, owner
 
 
@@ -224,25 +220,8 @@ def _lengthened(values: Float[np.ndarray, "N *shape"]) -> Float[np.ndarray, "M *
 def _summed(parts: Sequence[Any], owner: Sequence[int]) -> Float[np.ndarray, "G *shape"]:
     """Sum up the parts of each owner."""
     total = np.zeros((max(owner) + 1, *parts[0].shape))
-    for number, part in zip(owner, parts, strict=True):
-        total[number] += np.asarray(part)
+    np.add.at(total, owner, np.array(parts))
     return total
-
-
-def _split(
-    members: Int[np.ndarray, " M"],
-    starts: Int[np.ndarray, " W"],
-    counted: Float[np.ndarray, " W"],
-) -> list[_Batch]:
-    """Split windows into batches of one size, so that one program serves all; pad with weight 0."""
-    most = BATCH if len(starts) < _LARGE else 2 * BATCH
-    size = min(most, 1 << (len(starts) - 1).bit_length())
-    batches = []
-    for first in range(0, len(members), size):
-        part = members[first : first + size]
-        missing = (0, size - len(part))
-        batches.append((np.pad(starts[part], missing, mode="edge"), np.pad(counted[part], missing)))
-    return batches
 
 
 def _linear_basis(
@@ -276,13 +255,7 @@ def _local_coordinates(
     These are the thrust coefficients, the K directions of Π and the effects, the centre of mass
     where it acts beside Π, the time constant, and the transport delay.
     """
-    entry = np.eye(len(parameters.to_vector()))
-    return np.concatenate(
-        [
-            entry[parameters.mask(frozenset({"thrust"}))],
-            entry[moved_by],
-            entry[parameters.mask(frozenset({"center_of_mass"}))],
-            entry[parameters.mask(frozenset({"motor_time_constant"}))],
-            entry[parameters.mask(frozenset({"transport_delay"}))],
-        ]
-    )
+    last = ("center_of_mass", "motor_time_constant", "transport_delay")
+    thrust, *others = (parameters.mask(frozenset({name})) for name in ("thrust", *last))
+    entry = np.eye(len(thrust))
+    return np.concatenate([entry[part] for part in (thrust, moved_by, *others)])

@@ -163,14 +163,11 @@ class Problem:
                 raise InputError("fit is of Levenberg-Marquardt only", field="delay")
         for trajectory in self.trajectories:
             check_propellers(self.vehicle, trajectory)
-        _refuse_duplicates(self.trajectories)
-
-    @property
-    def preparing_method(self) -> LevenbergMarquardt:
-        """The optimiser of the fits that prepare the data."""
-        if isinstance(self.method, LevenbergMarquardt):
-            return self.method
-        return LevenbergMarquardt()
+        # All its files together identify a recording.
+        digests = [" ".join(sorted(t.hashes.values())) for t in self.trajectories]
+        for number, (trajectory, digest) in enumerate(zip(self.trajectories, digests, strict=True)):
+            if digest and digest in digests[:number]:
+                raise InputError("is given twice; give each recording once", file=trajectory.source)
 
     @property
     def _delays_known(self) -> bool:
@@ -226,14 +223,3 @@ def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     """Return the transport delay that preprocessing found, in whole samples [s]."""
     known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
     return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
-
-
-def _refuse_duplicates(trajectories: Sequence[Trajectory]) -> None:
-    """Refuse the same recording twice: it would count double."""
-    seen: set[str] = set()
-    for trajectory in trajectories:
-        # All its files together identify a recording.
-        digest = " ".join(sorted(trajectory.hashes.values()))
-        if digest and digest in seen:
-            raise InputError("is given twice; give each recording once", file=trajectory.source)
-        seen.add(digest)

@@ -1,4 +1,4 @@
-"""Covariance of fitted parameters that respects overlapping windows.
+"""What data determine, and the covariance of estimates that respects overlapping windows.
 
 Windows that begin within one prediction length of each other share samples, and what no model
 describes (a tilted table, air, flow between propellers) lasts longer still: residuals are far from
@@ -10,17 +10,19 @@ is the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.data.windows import Windows
 from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
-from airpuck.model.gauge import gauge_constraints
+from airpuck.model.gauge import gauge_constraints, gauge_directions
 from airpuck.model.parameters import Parameters
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.physics.thrust import thrust_slope
+from airpuck.physics.thrust import slope_rows, thrust_slope
 
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
 #: below which its direction is not determined: rounding leaves about 1e-15.
@@ -34,6 +36,17 @@ _LEVERAGE = 0.999
 BLOCK = 2.0
 #: A block is at least this many windows long, for the same reason.
 _LENGTHS = 5
+#: Correlation from which two parameters are hard to tell apart.
+_ALIKE = 0.95
+#: The same for motor lag and transport delay, of which one is so easily taken for the other.
+_TRADED = 0.8
+#: Part of a direction, relative to its largest, from which a parameter is named.
+_MAIN = 0.5
+#: Most parameters to name at once.
+_NAMED = 4
+#: Condition number of the scaled information from which a fit is said to be poorly determined: a
+#: factor 1000 between the standard errors of its best and its worst direction.
+_POOR = 1e6
 
 
 def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
@@ -131,18 +144,11 @@ def binding_constraints(
     """Return the rows of the constraints that hold an estimate: bounds, and rising thrust."""
     vector = parameters.to_vector()
     lower, upper = parameters.bounds()
-    rows = list(np.eye(len(vector))[free & ((vector <= lower) | (vector >= upper))])
-    coefficients = np.asarray(parameters.thrust, dtype=float)
-    n, degree = coefficients.shape
-    power = np.arange(1, degree + 1)
-    for motor in range(n):
-        for speed in _flat_speeds(coefficients[motor : motor + 1]):
-            row = np.zeros(len(vector))
-            row[motor * degree : (motor + 1) * degree] = power * speed ** (power - 1)
-            # A slope that no free coefficient changes constrains nothing.
-            if (np.abs(row) * free).any():
-                rows.append(row)
-    return np.array(rows).reshape(-1, len(vector))
+    at_bounds = np.eye(len(vector))[free & ((vector <= lower) | (vector >= upper))]
+    curves = np.asarray(parameters.thrust, dtype=float)
+    points = [(k, speed) for k in range(len(curves)) for speed in _flat_speeds(curves[k : k + 1])]
+    rows = slope_rows(free[: curves.size].reshape(curves.shape), points)
+    return np.concatenate([at_bounds, np.pad(rows, [(0, 0), (0, len(vector) - curves.size)])])
 
 
 def varying(
@@ -186,20 +192,27 @@ def sandwich(
             if count < 2
             else "the loss or its derivatives are not finite at the optimum"
         )
-        nothing = np.full(size, np.nan)
+        nothing, warnings = np.full((size, size), np.nan), (f"no standard errors: {reason}",)
         return Uncertainty(
-            vector, np.full((size, size), np.nan), nothing, np.zeros((0, size)), count, np.nan,
-            (f"no standard errors: {reason}",),
-        )  # fmt: skip
+            vector, nothing, nothing[0], np.zeros((0, size)), count, np.nan, warnings, warnings
+        )
     space = subspace(hessian, free, np.concatenate([constraints, gauge]))
-    change = _jackknife(
-        quadratic.scores @ space.basis, space.basis.T @ quadratic.informations @ space.basis
-    )
+    # The change of the estimate when each cluster is left out; the Hessians add up to 1.
+    value, vectors = np.linalg.eigh(space.basis.T @ quadratic.informations @ space.basis)
+    turned = np.einsum("gij,gi->gj", vectors, quadratic.scores @ space.basis)
+    turned /= 1 - np.minimum(value, _LEVERAGE)
+    change = np.einsum("gij,gj->gi", vectors, turned)
     factor = (count - 1) / count / (1 - shared)
     covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
     # A part of a direction without information has no error by itself.
     unknown = ~free | space.held | (space.undetermined != 0).any(axis=0)
+    rank = space.basis.shape[1]
+    rough = (
+        f"{rank} parameters from {count} blocks of time: standard errors are rough, use a longer "
+        "recording"
+    )
+    warnings = (rough,) if count <= rank else ()
     return Uncertainty(
         estimate=vector,
         covariance=covariance,
@@ -207,7 +220,8 @@ def sandwich(
         undetermined=space.undetermined,
         clusters=count,
         quantile=float(stdtrit(count - 1, 0.975)),
-        notes=_notes(count, space, constraints),
+        notes=(*warnings, *_notes(space, constraints)),
+        warnings=warnings,
     )
 
 
@@ -215,42 +229,26 @@ def widened(
     uncertainty: Uncertainty, entries: Bool[np.ndarray, " P"], variance: float
 ) -> Uncertainty:
     """Add an error of single parameters, independent of what clusters show."""
-    known = entries & np.isfinite(uncertainty.standard_errors)
-    added = np.where(known, variance, 0.0)
-    return replace(
-        uncertainty,
-        covariance=uncertainty.covariance + np.diag(added),
-        standard_errors=np.sqrt(uncertainty.standard_errors**2 + added),
-    )
+    added = np.where(entries & np.isfinite(uncertainty.standard_errors), variance, 0.0)
+    return _with_covariance(uncertainty, uncertainty.covariance + np.diag(added))
 
 
 def grown(uncertainty: Uncertainty, factor: Float[np.ndarray, "P P"]) -> Uncertainty:
     """Multiply errors by a matrix."""
-    covariance = factor @ uncertainty.covariance @ factor.T
+    return _with_covariance(uncertainty, factor @ uncertainty.covariance @ factor.T)
+
+
+def _with_covariance(uncertainty: Uncertainty, covariance: Float[np.ndarray, "P P"]) -> Uncertainty:
+    """Replace the covariance, and the standard errors by its own."""
     covariance = (covariance + covariance.T) / 2
     known = np.isfinite(uncertainty.standard_errors)
     errors = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
     return replace(uncertainty, covariance=covariance, standard_errors=errors)
 
 
-def _jackknife(
-    scores: Float[np.ndarray, "G R"], hessian: Float[np.ndarray, "G R R"]
-) -> Float[np.ndarray, "G R"]:
-    """Return the change of the estimate when each cluster is left out; the Hessians add up to 1."""
-    value, vector = np.linalg.eigh(hessian)
-    turned = np.einsum("gij,gi->gj", vector, scores)
-    return np.einsum("gij,gj->gi", vector, turned / (1 - np.minimum(value, _LEVERAGE)))
-
-
-def _notes(count: int, space: Subspace, constraints: Float[np.ndarray, "C P"]) -> tuple[str, ...]:
+def _notes(space: Subspace, constraints: Float[np.ndarray, "C P"]) -> list[str]:
     """Write the caveats of standard errors."""
     notes = []
-    rank = space.basis.shape[1]
-    if count <= rank:
-        notes.append(
-            f"{rank} parameters from {count} blocks of time: standard errors are rough, use a "
-            "longer recording"
-        )
     if len(constraints):
         notes.append(
             f"{len(constraints)} constraints bind (bounds, rising thrust): standard errors hold "
@@ -261,4 +259,143 @@ def _notes(count: int, space: Subspace, constraints: Float[np.ndarray, "C P"]) -
             f"the data do not determine {len(space.undetermined)} directions: the covariance is "
             "that of the others (pseudo-inverse)"
         )
-    return tuple(notes)
+    return notes
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Which parameters of a model data determine."""
+
+    #: Number of free parameters.
+    free: int
+    #: How many combinations of them the data determine.
+    rank: int
+    #: Condition number of the information on these, scaled to a unit diagonal.
+    condition: float
+    #: Main parameters of the weakest direction that is determined.
+    weakest: tuple[str, ...]
+    #: Pairs whose estimates correlate by more than 0.95 in size, by the information alone.
+    correlated: tuple[tuple[str, str, float], ...]
+    #: What is not determined, or hard to tell apart, in sentences.
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        condition = self.condition if np.isfinite(self.condition) else None
+        return {**asdict(self), "condition": condition}
+
+
+def identifiability_of(
+    hessian: Float[np.ndarray, "P P"],
+    parameters: Parameters,
+    free: Bool[np.ndarray, " P"],
+    propellers: tuple[str, ...],
+) -> Identifiability:
+    """Tell which combinations of the free parameters an information matrix determines.
+
+    Before a fit as after one: directions without information cannot be learned from these data.
+    """
+    labels = np.array(parameters.labels(propellers))[free].tolist()
+    scale = scaling(hessian, free)
+    information = (hessian * scale * scale[:, None])[np.ix_(free, free)]
+    if not labels or not np.isfinite(information).all():
+        return Identifiability(len(labels), 0, float("inf"), (), (), ("no information",))
+    value, vector = np.linalg.eigh(information)
+    known = value > UNDETERMINED * max(value[-1], 1e-300)
+    rank, undetermined = int(known.sum()), vector[:, ~known]
+    gauges = {}
+    for motor, direction in gauge_directions(parameters, free).items():
+        scaled = direction[free] / scale[free]
+        gauges[propellers[motor]] = scaled / np.linalg.norm(scaled)
+    notes = _undetermined_notes(undetermined, labels, gauges)
+    condition = float(value[-1] / value[known][0]) if rank else float("inf")
+    weakest = _main(vector[:, known][:, 0], labels) if rank else ()
+    if condition > _POOR:
+        notes.append(f"poorly determined: {', '.join(weakest)} trade off against each other")
+    correlation = _correlation(vector[:, known], value[known], undetermined)
+    rows, columns = np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1))
+    pairs = [
+        (labels[i], labels[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)
+    ]
+    notes += _lag_against_delay(correlation, labels)
+    if pairs:
+        first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
+        notes.append(
+            f"{len(pairs)} pairs of parameters correlate by more than {_ALIKE}, most {first} and "
+            f"{second} ({size:.3f}): judge what they make up together, such as a thrust curve"
+        )
+    return Identifiability(len(labels), rank, condition, weakest, tuple(pairs), tuple(notes))
+
+
+def _main(direction: Float[np.ndarray, " F"], labels: list[str]) -> tuple[str, ...]:
+    """Name the main parameters of a direction, the largest first."""
+    size = np.abs(direction)
+    order = np.argsort(-size)[:_NAMED].tolist()
+    return tuple(labels[k] for k in order if size[k] >= _MAIN * size.max())
+
+
+def _correlation(
+    vector: Float[np.ndarray, "F R"],
+    value: Float[np.ndarray, " R"],
+    undetermined: Float[np.ndarray, "F K"],
+) -> Float[np.ndarray, "F F"]:
+    """Return the correlation of the estimates; zero where data determine combinations only."""
+    covariance = vector / value @ vector.T
+    spread = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(spread, spread).clip(1e-300)
+    alone = np.abs(undetermined).max(axis=1, initial=0.0) < 1e-6
+    return np.where(np.outer(alone, alone), correlation, 0.0)
+
+
+def _lag_against_delay(correlation: Float[np.ndarray, "F F"], labels: list[str]) -> list[str]:
+    """Tell how motor lag and transport delay trade off: both shift every response."""
+    names = ("motor_time_constant", "transport_delay")
+    if not set(names) <= set(labels):
+        return []
+    size = float(correlation[labels.index(names[0]), labels.index(names[1])])
+    if abs(size) < _TRADED:
+        return []
+    return [
+        f"motor lag and transport delay trade off (correlation {size:.3f}): the data know their "
+        "sum better than either; only how a response is rounded tells them apart"
+    ]
+
+
+def _undetermined_notes(
+    undetermined: Float[np.ndarray, "F K"],
+    labels: list[str],
+    gauges: Mapping[str, Float[np.ndarray, " F"]],
+) -> list[str]:
+    """Name what the data do not determine: products, single parameters, other combinations."""
+    notes, left, named = [], undetermined, []
+    for name, direction in gauges.items():
+        part = left.T @ direction
+        if part @ part < 0.99:
+            continue
+        named.append(name)
+        left = _without(left, direction[:, None])
+    if named:
+        notes.append(
+            f"thrust and column of Π of {', '.join(named)} can only be determined as a product; "
+            "their scale is fixed by Newton's law: a column's linear part has the length 1/m, and "
+            "thrusts are in newtons"
+        )
+    silent = np.flatnonzero(np.linalg.norm(left, axis=1) > 1 - 1e-6)
+    notes += [f"the data say nothing about {labels[k]}" for k in silent.tolist()]
+    left = _without(left, np.eye(len(labels))[:, silent])
+    rest = np.flatnonzero(np.linalg.norm(left, axis=1) > 0.1).tolist()
+    if rest:
+        notes.append(
+            f"{left.shape[1]} combinations of {', '.join(labels[k] for k in rest)} are not "
+            "determined"
+        )
+    return notes
+
+
+def _without(
+    directions: Float[np.ndarray, "F K"], explained: Float[np.ndarray, "F E"]
+) -> Float[np.ndarray, "F L"]:
+    """Return an orthonormal basis of a space of directions, less those that are explained."""
+    rest = directions - explained @ (explained.T @ directions)
+    left, size, _ = np.linalg.svd(rest, full_matrices=False)
+    return left[:, size > 1e-3]

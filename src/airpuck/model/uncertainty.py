@@ -65,6 +65,8 @@ class Uncertainty:
         97.5 % quantile of Student's t with G - 1 degrees of freedom.
     notes : tuple of str
         What to know before using it.
+    warnings : tuple of str
+        Those notes that say not to rely on any standard error; files do not keep which these are.
     bootstrap : Bootstrap or None
         Intervals by resampling, where there are any (`airpuck.bootstrap`).
     """
@@ -76,6 +78,7 @@ class Uncertainty:
     clusters: int
     quantile: float
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     bootstrap: Bootstrap | None = None
 
     @property

@@ -6,6 +6,7 @@ at rest gives no thrust.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,21 @@ def lowest_slope(
         slopes.append(values.min())
         speeds.append(candidates[values.argmin()])
     return np.array(slopes), np.array(speeds)
+
+
+def slope_rows(
+    free: Bool[np.ndarray, "n degree"], points: Sequence[tuple[int, float]]
+) -> Float[np.ndarray, "R entries"]:
+    """Return A such that A c are slopes at points (propeller, φ), c the flat coefficients.
+
+    Slopes that no free coefficient changes, such as that of κφ² at 0, are left out.
+    """
+    power = np.arange(1, free.shape[1] + 1)
+    rows = np.zeros((len(points), *free.shape))
+    for row, (propeller, speed) in zip(rows, points, strict=True):
+        row[propeller] = power * speed ** (power - 1)
+    changeable = (np.abs(rows) * free).any(axis=(1, 2))
+    return rows[changeable].reshape(-1, free.size)
 
 
 def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray, " n"]:
