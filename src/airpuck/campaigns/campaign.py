@@ -161,8 +161,8 @@ def _summary(setting: dict[str, Any], results: list[Result]) -> dict[str, Any]:
     names = dict.fromkeys(name for row in rows for name in row)
     failed = sum(result.failure is not None for result in results)
     figures = {name: statistics([row.get(name, math.nan) for row in rows]) for name in names}
-    ended = {"items": len(results) - failed, "failed": failed}
-    return {"setting": setting, **ended, "figures": figures}
+    ended = len(results) - failed
+    return {"setting": setting, "items": ended, "failed": failed, "figures": figures}
 
 
 def statistics(values: list[float]) -> dict[str, float]:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from airpuck import __version__
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, checked, laid_over
+from airpuck.boundary.files import Fraction, Positive, Section, checked, laid_over
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
@@ -69,10 +69,9 @@ TuningTable = Annotated[Tuning, _laid_over(default_tuning)]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
-Positive = Annotated[float, pydantic.Field(gt=0)]
 Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
 #: How much a craft differs from its model, at random; see `moved`.
-Spread = Annotated[float, pydantic.Field(ge=0, le=1)]
+Spread = Fraction
 
 
 class Item(Section):
@@ -275,8 +274,8 @@ class Fitting(Identification):
         return [row]
 
     def _load(self, name: str) -> Trajectory:
-        files = [name] if self.vehicle is None else [name, self.vehicle]
-        return _trajectory(name, self.vehicle, *map(fingerprint, files))
+        vehicle = self.vehicle
+        return _trajectory(name, vehicle, fingerprint(name), vehicle and fingerprint(vehicle))
 
     def fit(self) -> Fit:
         """Identify, from where the seed says."""
@@ -312,7 +311,7 @@ KINDS = {"tracking": Tracking, "recovery": Recovery, "fit": Fitting, "fleet": Fl
 
 
 @lru_cache(maxsize=8)
-def _trajectory(name: str, vehicle: str | None, *_hashes: str) -> Trajectory:
+def _trajectory(name: str, vehicle: str | None, *_hashes: str | None) -> Trajectory:
     return load_trajectory(name, None if vehicle is None else read_vehicle(vehicle))
 
 

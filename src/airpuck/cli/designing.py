@@ -129,10 +129,8 @@ def summary(found: Design) -> list[str]:
         text.append(f"stays undetermined: {', '.join(missing)}")
     level = found.residual_level
     if level == 1.0:
-        text.append("residuals as on the twin; those of a real flight are larger (--after)")
-    else:
-        text.append(f"variance of the residuals: {level:.2g} times the twin's, as in the fit")
-    return text
+        return [*text, "residuals as on the twin; those of a real flight are larger (--after)"]
+    return [*text, f"variance of the residuals: {level:.2g} times the twin's, as in the fit"]
 
 
 def _candidate_table(found: Design) -> Table:
@@ -175,18 +173,15 @@ def error_table(found: Design, checked: CheckedFlights | None) -> Table:
         errors += [checked.predicted, checked.typical]
     compared, rows = found.quantities, []
     for k, (label, unit) in enumerate(zip(compared.labels, compared.units, strict=True)):
-        row = [label, _size(compared.scales[k], unit), *(_percent(each[k]) for each in errors)]
+        scale = compared.scales[k]
+        size = f"{scale:.3g} {unit}" if scale < 1e12 else "no scale"
+        row = [label, size, *(_percent(each[k]) for each in errors)]
         if checked is not None:
             ratio = float(checked.ratio[k])
             row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
         rows.append(row)
     title = "Standard errors, in shares of what each matters against"
     return table(headings, rows, title=title, left=("", "100 % are"))
-
-
-def _size(scale: float, unit: str) -> str:
-    """Return the size of an error of 100 %."""
-    return f"{scale:.3g} {unit}" if scale < 1e12 else "no scale"
 
 
 def _percent(share: float) -> str:

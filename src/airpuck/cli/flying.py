@@ -83,13 +83,11 @@ def excite(
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
     from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
-    from airpuck.model.model_file import nominal_model
     from airpuck.twin.experiments import fly_excitation
 
-    craft = inputs.read_craft(vehicle)
-    if craft is not None and model is not None:
-        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
-    truth = airpuck.read_model(model or "paper:M3") if craft is None else nominal_model(craft)
+    if model is None and vehicle is None:
+        model = "paper:M3"
+    truth = inputs.model_or_nominal(model, vehicle, airpuck.read_model)
     # Before the flight: a folder that is in the way should not cost a minute.
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
@@ -100,9 +98,8 @@ def excite(
         truth, planned, seed, settings=inputs.read_twin(twin), tuning=inputs.read_controls(tuning)
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
-    streams = excited.recording.streams
     figures = {
-        "messages": {name: len(stream) for name, stream in streams.items()},
+        "messages": {name: len(stream) for name, stream in excited.recording.streams.items()},
         "paused_s": excited.paused,
         "rail_contacts_s": list(excited.contacts),
     }
@@ -198,7 +195,7 @@ def animate(
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.animation_frames import TABLE
 
-    page = airpuck.animate(
+    written = airpuck.animate(
         inputs.read_flight(recording, topics),
         output,
         vehicle=inputs.read_craft(vehicle),
@@ -207,7 +204,7 @@ def animate(
         frames_per_second=fps,
         table=table or TABLE,
     )
-    print(page)
+    print(written)
 
 
 def _replay_lines(replay: Replay) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -136,18 +137,17 @@ def identify(
         raise InputError("is of adam only; add --method adam", field="--epochs")
     if degree is not None and rung.powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
-    if method != "lm":
-        if delay == "fit":
-            raise InputError("fit is of lm only", field="--delay")
-        for option, given in (("--robust", robust), ("--bootstrap", bootstrap is not None)):
-            if given:
-                raise InputError("is of lm only", field=option)
+    if delay == "fit" and method != "lm":
+        raise InputError("fit is of lm only", field="--delay")
+    for option, given in (("--robust", robust), ("--bootstrap", bootstrap is not None)):
+        if given and method != "lm":
+            raise InputError("is of lm only", field=option)
     if seed and bootstrap is None:
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     craft = read_craft(vehicle)
     trajectories = [load(path, craft, topics, span=span, quiet=quiet) for path in recordings]
-    stride = stride or (7 if method == "lm" else 1)
     adam = airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
+    stride = stride or (7 if method == "lm" else 1)
     with show_progress(quiet) as progress:
         fit = airpuck.identify(
             trajectories,
@@ -159,8 +159,9 @@ def identify(
             progress=progress,
         )
         if bootstrap is not None:
-            show = print_tenths("" if quiet else "resampled {} of {}")
-            fit = resample(fit, bootstrap, seed=seed, progress=lambda done: show(done, bootstrap))
+            words = "" if quiet else "resampled {} of {}"
+            show = partial(print_tenths, words, total=bootstrap)
+            fit = resample(fit, bootstrap, seed=seed, progress=show)
     fit.model.save(output)
     if report_folder is not None:
         from airpuck.report.fit_report import fit_report

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,9 +65,8 @@ def about(file: str | Path, field: str | None = None) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(
-            error.problem, file=error.file or file, field=field or error.field
-        ) from error
+        field = field or error.field
+        raise InputError(error.problem, file=error.file or file, field=field) from error
 
 
 def read_belief(name: str) -> Model:
@@ -78,6 +77,19 @@ def read_belief(name: str) -> Model:
     with about(name, "parameters.thrust_N"):
         InverseThrust(model.dynamics.thrust)
     return model
+
+
+def model_or_nominal(
+    model: str | None, vehicle: Path | None, read: Callable[[str], Model] = read_belief
+) -> Model:
+    """Read a model, or make the nominal one of a vehicle, by default the paper's."""
+    from airpuck.model.model_file import nominal_model
+
+    if model is None:
+        return nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
+    if vehicle is not None:
+        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+    return read(model)
 
 
 def read_controls(path: Path | None) -> Tuning | None:
@@ -106,7 +118,6 @@ def published_flights(models: Sequence[str]) -> list[Path | None]:
     missing = [m for m, flight in found if flight is None and m in ("paper:M0", "paper:M4")]
     if missing:
         reason = f"{folder} has no control_experiment" if folder else f"${VARIABLE} is not set"
-        text = f"the real flight with {' and '.join(missing)} is missing: {reason}; "
-        text += f"set {VARIABLE} to the dataset (airpuck fetch downloads it and prints its folder)"
-        warn([text])
+        hint = f"set {VARIABLE} to the dataset (airpuck fetch downloads it and prints its folder)"
+        warn([f"the real flight with {' and '.join(missing)} is missing: {reason}; {hint}"])
     return flights

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,9 +13,8 @@ from typer.core import TyperCommand
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.cli import options
+from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.inputs import read_belief, read_controls, read_craft, read_flight, read_twin
 from airpuck.cli.output import is_stdout, report, write_json
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from airpuck.model.model_file import Model
 
 SETPOINT = "--setpoint"
-_DWELL = 3.0
 _PANEL = "Live, on a ROS 2 graph"
 
 Domain = Annotated[
@@ -66,7 +65,7 @@ def twin(
 
     live = live_settings(domain, interface, topics, duration, quiet)
     truth = airpuck.read_model(model)
-    figures = serve_twin(truth, live, read_twin(settings), seed=seed, pose=pose)
+    figures = serve_twin(truth, live, inputs.read_twin(settings), seed=seed, pose=pose)
     report(
         figures,
         json_file,
@@ -147,9 +146,9 @@ def fly(
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     live = live_settings(domain, interface, topics, duration, quiet)
-    craft = read_model_or_vehicle(model, vehicle)
+    craft = inputs.model_or_nominal(model, vehicle)
     fence = _fence(geofence, craft)
-    controls = read_controls(tuning) or default_tuning()
+    controls = inputs.read_controls(tuning) or default_tuning()
     points = _set_points(setpoints, dwell, setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
@@ -187,7 +186,7 @@ def record(
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
-    craft = read_craft(vehicle)
+    craft = inputs.read_craft(vehicle)
     motors = () if craft is None else craft.propeller_names
     live = live_settings(domain, interface, None, duration, quiet)
     figures = record(output, live, motors=motors)
@@ -220,15 +219,14 @@ def preflight(
     from airpuck.flight.pulses import PulsePlan
     from airpuck.live.fly import preflight_live
 
+    craft = inputs.model_or_nominal(model, vehicle)
     pulses = {"level": level, "rounds": rounds}
     given = {k: v for k, v in pulses.items() if v is not None}
     if recording is not None:
         for name, value in {**pulses, "domain": domain, "interface": interface}.items():
             if value is not None:
                 raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
-    craft = read_model_or_vehicle(model, vehicle)
-    if recording is not None:
-        found = judge_recording(craft, read_flight(recording, topics))
+        found = judge_recording(craft, inputs.read_flight(recording, topics))
     else:
         live = live_settings(domain, interface, topics, None, quiet)
         found = preflight_live(craft, replace(PulsePlan(), **given), live)
@@ -254,8 +252,8 @@ def watch(
 
     live = live_settings(domain, interface, topics, duration, quiet)
     silent = quiet or is_stdout(json_file)
-    show = (lambda line: None) if silent else (lambda line: print(line, flush=True))
-    write_json(json_file, watch_live(read_belief(model), show, live))
+    show = (lambda _: None) if silent else partial(print, flush=True)
+    write_json(json_file, watch_live(inputs.read_belief(model), show, live))
 
 
 @app.command(rich_help_panel=_PANEL)
@@ -276,7 +274,7 @@ def view(
     from airpuck.live.view import view_live
 
     live = live_settings(domain, interface, topics, duration, quiet)
-    write_json(json_file, view_live(read_belief(model), live, host=host, port=port))
+    write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))
 
 
 def live_settings(
@@ -294,17 +292,6 @@ def live_settings(
     return LiveSettings(names, domain, interface, duration, quiet)
 
 
-def read_model_or_vehicle(model: str | None, vehicle: Path | None) -> Model:
-    """Read a model, or make the nominal one of a vehicle, by default the paper's."""
-    from airpuck.model.model_file import nominal_model
-
-    if model is None:
-        return nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
-    if vehicle is not None:
-        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
-    return read_belief(model)
-
-
 def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None) -> SetPoints:
     """Return set points from a file, or one after the other; by default the table's middle."""
     from airpuck.control.reference import SetPoints
@@ -312,7 +299,7 @@ def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None)
 
     if file is not None:
         return read_setpoints(file)
-    dwell = _DWELL if dwell is None else dwell
+    dwell = 3.0 if dwell is None else dwell
     if not 0 < dwell < float("inf"):
         raise InputError("must be a number of seconds above 0", field="--dwell")
     try:

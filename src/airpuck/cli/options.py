@@ -69,7 +69,6 @@ RecordingPath = Annotated[
         help="A bag folder, .mcap, folder of CSV files, data.pt, or preprocessed .npz.",
     ),
 ]
-#: Of a controller's model, and of a model that a craft in flight is compared with.
 CONTROLLERS_MODEL = Option(
     "--model", metavar="MODEL", help="What the controller believes the craft to be."
 )

@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,9 +102,9 @@ def _without_nan(figures: Any) -> Any:
 
 @contextmanager
 def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., None]]:
-    """Show how many are done, of all, and failed: a bar on a terminal, elsewhere the words."""
+    """Show how many are done, of how many, and failed: on a terminal as a bar, else in words."""
     if quiet or not sys.stderr.isatty():
-        yield print_tenths("" if quiet else words)
+        yield partial(print_tenths, "" if quiet else words)
         return
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
@@ -116,14 +117,10 @@ def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., No
         )
 
 
-def print_tenths(words: str) -> Callable[..., None]:
-    """Return a function that fills words with counts, and prints them when a tenth is done."""
-
-    def show(done: int, total: int, *more: int) -> None:
-        if words and 10 * done // total > 10 * (done - 1) // total:
-            print(words.format(done, total, *more), file=sys.stderr, flush=True)
-
-    return show
+def print_tenths(words: str, done: int, total: int, *more: int) -> None:
+    """Fill words with counts, and print them, if another tenth is done."""
+    if words and 10 * done // total > 10 * (done - 1) // total:
+        print(words.format(done, total, *more), file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -68,9 +68,8 @@ def check(
     if not result.agrees:
         wrong = [p.name for p in result.propellers if p.verdict != "agrees"]
         reason = ", ".join(wrong) if result.conclusive else "nothing can be said"
-        raise InputError(
-            f"does not agree with the vehicle {craft.name!r}: {reason}", file=recording
-        )
+        problem = f"does not agree with the vehicle {craft.name!r}: {reason}"
+        raise InputError(problem, file=recording)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -224,12 +223,11 @@ def _confidence(span: Span) -> str:
 def _presented(presentation: Presentation) -> Iterator[str | Table]:
     """Yield what is shown of a model."""
     yield from presentation.structure
-    for title, values in (
-        ("Parameters ± standard error", presentation.parameters),
-        ("What follows from them", presentation.derived),
-    ):
-        headings = ("", "unit", "value", "95 % interval")
-        yield table(headings, [value_texts(value) for value in values], title=title)
+    headings = ("", "unit", "value", "95 % interval")
+    parameters = map(value_texts, presentation.parameters)
+    yield table(headings, parameters, title="Parameters ± standard error")
+    derived = map(value_texts, presentation.derived)
+    yield table(headings, derived, title="What follows from them")
     yield from (f"{key}: {value}" for key, value in presentation.conditions)
     yield from (f"note: {note}" for note in presentation.notes)
 
