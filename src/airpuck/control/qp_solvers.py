@@ -10,6 +10,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+Variables = Float[np.ndarray, " m"]
+Rows = Float[np.ndarray, "3 m"]
+#: Of the variables, then of the rows.
+Bounds = Float[np.ndarray, " m+3"]
+
 
 class Piqp:
     """PIQP, the paper's solver (Schwan et al. 2023), an interior-point method."""
@@ -19,7 +24,7 @@ class Piqp:
     _MOST_ITERATIONS = 100
     _EQUALITY_HOLDS = 1e-8
 
-    def __init__(self, cost: Float[np.ndarray, " m"], ties: Float[np.ndarray, " m"]) -> None:
+    def __init__(self, cost: Variables, ties: Variables) -> None:
         import piqp
 
         m = len(cost)
@@ -41,12 +46,7 @@ class Piqp:
             # By default one feasible request in twenty is taken for infeasible.
             settings.eps_primal_inf = 1e-10
 
-    def constrained(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        lower: Float[np.ndarray, " m+3"],
-        upper: Float[np.ndarray, " m+3"],
-    ) -> Float[np.ndarray, " m"] | None:
+    def constrained(self, a: Rows, lower: Bounds, upper: Bounds) -> Variables | None:
         """Solve with Ax = b, the last three bounds."""
         lower, upper, b = lower[:-3], upper[:-3], upper[-3:]
         self._constrained.update(A=a, b=b, x_l=lower, x_u=upper)
@@ -55,12 +55,8 @@ class Piqp:
         return x if solved or np.max(np.abs(a @ x - b)) < self._EQUALITY_HOLDS else None
 
     def nearest(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        b: Float[np.ndarray, " 3"],
-        lower: Float[np.ndarray, " m"],
-        upper: Float[np.ndarray, " m"],
-    ) -> Float[np.ndarray, " m"] | None:
+        self, a: Rows, b: Float[np.ndarray, " 3"], lower: Variables, upper: Variables
+    ) -> Variables | None:
         """Bring Ax as near to b as the bounds allow."""
         self._nearest.update(P=a.T @ a + self._ties, c=-(b @ a), x_l=lower, x_u=upper)
         solved = self._nearest.solve() == self._solved
@@ -76,7 +72,7 @@ class Daqp:
     # By default, 1e-6, one request in a million is missed by 1e-4 rad/s².
     _FEASIBLE = 1e-9
 
-    def __init__(self, cost: Float[np.ndarray, " m"], ties: Float[np.ndarray, " m"]) -> None:
+    def __init__(self, cost: Variables, ties: Variables) -> None:
         import daqp
 
         m = len(cost)
@@ -85,24 +81,14 @@ class Daqp:
         self._bounds = np.zeros(m, dtype=np.intc)
         self._with_equality = np.concatenate([self._bounds, np.full(3, 5, dtype=np.intc)])
         # Any feasible numbers will do here: the memory is set up for their sizes.
-        zeros, ones = np.zeros(m), np.ones((3, m))
+        lower, upper = np.append(np.zeros(m), np.ones(3)), np.ones(m + 3)
         self._constrained = daqp.Model()
         self._constrained.setup(
-            np.diag(cost),
-            zeros,
-            ones,
-            np.ones(m + 3),
-            np.append(zeros, np.ones(3)),
-            self._with_equality,
+            np.diag(cost), np.zeros(m), np.ones((3, m)), upper, lower, self._with_equality
         )
         self._constrained.settings = {"sing_tol": self._SINGULAR, "primal_tol": self._FEASIBLE}
 
-    def constrained(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        lower: Float[np.ndarray, " m+3"],
-        upper: Float[np.ndarray, " m+3"],
-    ) -> Float[np.ndarray, " m"] | None:
+    def constrained(self, a: Rows, lower: Bounds, upper: Bounds) -> Variables | None:
         """Solve with Ax = b, the last three bounds."""
         model = self._constrained
         # With `sense` it begins anew; otherwise from the last active set, so that an answer would
@@ -113,12 +99,8 @@ class Daqp:
         return x if flag == self._OPTIMAL else None
 
     def nearest(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        b: Float[np.ndarray, " 3"],
-        lower: Float[np.ndarray, " m"],
-        upper: Float[np.ndarray, " m"],
-    ) -> Float[np.ndarray, " m"] | None:
+        self, a: Rows, b: Float[np.ndarray, " 3"], lower: Variables, upper: Variables
+    ) -> Variables | None:
         """Bring Ax as near to b as the bounds allow."""
         x, _, flag, _ = self._solve_anew(
             a.T @ a + self._ties, -(b @ a), self._no_rows, upper, lower, self._bounds

@@ -176,10 +176,10 @@ class TrackingController:
             Spin [rad/s].
         """
         acceleration = _copied(acceleration, 2, "acceleration")
-        if not (self._gate.is_recent(time) and all_finite(acceleration) and math.isfinite(gyro)):
-            return
-        noise = self.tuning.estimation
-        self.filter.imu(time, acceleration, gyro, (noise.imu_acceleration_m_s2, noise.gyro_rad_s))
+        if self._gate.is_recent(time) and all_finite(acceleration) and math.isfinite(gyro):
+            noise = self.tuning.estimation
+            noises = noise.imu_acceleration_m_s2, noise.gyro_rad_s
+            self.filter.imu(time, acceleration, gyro, noises)
 
     def mouse(self, time: float, velocity: Numbers) -> None:
         """Take note of a velocity from the optical sensor under the craft.
@@ -195,9 +195,8 @@ class TrackingController:
             Along the body's x and y axes [m/s].
         """
         velocity = _copied(velocity, 2, "velocity")
-        if not (self._gate.is_recent(time) and all_finite(velocity)):
-            return
-        self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
+        if self._gate.is_recent(time) and all_finite(velocity):
+            self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
 
     def sent(self, time: float, command: Numbers) -> None:
         """Take note of the command that was really sent.

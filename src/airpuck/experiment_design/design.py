@@ -90,14 +90,13 @@ class Design:
         q = self.quantities
 
         def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:
-            shown = [float(error) if math.isfinite(error) else None for error in errors]
-            return dict(zip(q.labels, shown, strict=True))
+            return dict(zip(q.labels, map(_finite, errors.tolist()), strict=True))
 
         def figures(candidate: Candidate) -> dict[str, Any]:
             return {
                 **candidate.plan.model_dump(mode="json"),
                 "clearance_m": candidate.clearance,
-                "score": candidate.score if math.isfinite(candidate.score) else None,
+                "score": _finite(candidate.score),
                 "refused": candidate.refused,
                 "relative_error": by_label(candidate.relative),
                 "relative_error_alone": by_label(candidate.relative_alone),
@@ -113,6 +112,11 @@ class Design:
             "proposal": figures(self.proposal),
             "candidates": [figures(candidate) for candidate in self.candidates],
         }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number that JSON has."""
+    return value if math.isfinite(value) else None
 
 
 def design(
@@ -190,18 +194,19 @@ def design(
     with on_processes(processes) as run:
         search = _Search(model, usual, criterion, margin, settings, tuning, seed, run, progress)
         if search.fit_has_loss and model.delay_learned and not given.delay_learned:
-            search.fly_as_fitted(given, short)
+            search.as_fitted = [t for _, t in search.flown(given, [usual], short, _FLIGHTS)]
         search.fly([usual, *(plan for plan in grid if plan != usual)], short)
         search.fly(_near(search.ranked()[0].plan, model, tuning.period_s), short)
         search.fly([usual], duration, _FLIGHTS)
         proposal = search.finals(duration)
+    ranked = search.ranked()
     return Design(
         model=model,
         quantities=search.quantities,
         relative_before=search.quantities.relative_errors(model.uncertainty),
-        usual=search.candidate(usual),
+        usual=next(one for one in ranked if one.plan == usual),
         proposal=proposal,
-        candidates=tuple(search.ranked()),
+        candidates=tuple(ranked),
         criterion=criterion,
         residual_level=search.residual_level(),
         settings=settings,
@@ -229,25 +234,20 @@ class _Search:
     def __post_init__(self) -> None:
         """Begin without any flights."""
         self.quantities = ComparedQuantities(self.model)
+        fit = self.model.fit
         #: Whether the loss of the model's fit says how large its residuals are.
-        self.fit_has_loss = self.model.fit.get("loss") is not None and not self.model.fit.get(
-            "robust"
-        )
+        self.fit_has_loss = fit.get("loss") is not None and not fit.get("robust")
         self._trials: dict[ExcitationPlan, list[Trial]] = {}
         #: Of the usual excitation, prepared as for the model's fit; None: as all flights are.
-        self._as_fitted: list[Trial] | None = None
+        self.as_fitted: list[Trial] | None = None
         self._done = 0
 
     def fly(self, plans: Sequence[ExcitationPlan], length: float, flights: int = 1) -> None:
         """Fly plans for some seconds."""
-        for plan, trial in self._flown(self.model, plans, length, flights):
+        for plan, trial in self.flown(self.model, plans, length, flights):
             self._trials.setdefault(plan, []).append(trial)
 
-    def fly_as_fitted(self, model: Model, length: float) -> None:
-        """Fly the usual plan for the residuals of a model fitted like this one."""
-        self._as_fitted = [trial for _, trial in self._flown(model, [self.usual], length, _FLIGHTS)]
-
-    def _flown(
+    def flown(
         self, model: Model, plans: Sequence[ExcitationPlan], length: float, flights: int
     ) -> Iterator[tuple[ExcitationPlan, Trial]]:
         """Fly plans, each flight with a seed of its own."""
@@ -263,7 +263,7 @@ class _Search:
 
     def residual_level(self) -> float:
         """Return the variance of the residuals of the model's fit, in those of the twin."""
-        trials = self._trials[self.usual] if self._as_fitted is None else self._as_fitted
+        trials = self._trials[self.usual] if self.as_fitted is None else self.as_fitted
         flights = _informations(trials)
         if not (self.fit_has_loss and flights):
             return 1.0
@@ -271,13 +271,15 @@ class _Search:
 
     def ranked(self) -> list[Candidate]:
         """Rate all plans that were flown, the best first."""
-        forecast = self._forecast()
+        flights = [one for trials in self._trials.values() for one in _informations(trials)]
+        if not flights:
+            raise InputError(
+                "every trial flight met a rail; are the table's length and width right?",
+                field="table",
+            )
+        forecast = Forecast(self.model, flights, self.residual_level())
         candidates = [self._rated(plan, forecast) for plan in self._trials]
         return sorted(candidates, key=lambda one: (one.score, -one.clearance))
-
-    def candidate(self, plan: ExcitationPlan) -> Candidate:
-        """Rate a plan by all its flights."""
-        return self._rated(plan, self._forecast())
 
     def finals(self, duration: float) -> Candidate:
         """Fly the best at full length, and return the best of those that keep the margin."""
@@ -296,16 +298,6 @@ class _Search:
             self.fly(waiting, duration, _FLIGHTS)
             final += waiting
 
-    def _forecast(self) -> Forecast:
-        """Forecast errors from all that was flown."""
-        flights = [one for trials in self._trials.values() for one in _informations(trials)]
-        if not flights:
-            raise InputError(
-                "every trial flight met a rail; are the table's length and width right?",
-                field="table",
-            )
-        return Forecast(self.model, flights, self.residual_level())
-
     def _rated(self, plan: ExcitationPlan, forecast: Forecast) -> Candidate:
         """Rate a plan by all its flights."""
         clearance = min(trial.clearance for trial in self._trials[plan])
@@ -315,12 +307,9 @@ class _Search:
         relative = alone = np.full(len(self.quantities.labels), np.inf)
         flights = _informations(self._trials[plan])
         if flights:
-            relative, alone = (
-                self.quantities.relative_errors(
-                    forecast.of(joined(flights), plan.duration_s, alone=by_itself)
-                )
-                for by_itself in (False, True)
-            )
+            after, errors = partial(forecast.of, joined(flights), plan.duration_s), self.quantities
+            relative = errors.relative_errors(after())
+            alone = errors.relative_errors(after(alone=True))
         score = math.inf if refused else self._score(relative)
         return Candidate(plan, clearance, relative, alone, score, refused)
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,19 +119,12 @@ def _whole_seconds(trajectory: Trajectory) -> Trajectory:
 
 def joined(flights: Sequence[Information]) -> Information:
     """Average what several flights of one plan say, weighted by their length."""
-    weights = np.array([one.duration for one in flights])
-
-    def mean(name: str) -> Any:
-        return np.average([getattr(one, name) for one in flights], axis=0, weights=weights)
-
-    return Information(
-        hessian=mean("hessian"),
-        scores=mean("scores"),
-        loss=float(mean("loss")),
-        duration=float(weights.sum()),
-        blocks=sum(one.blocks for one in flights),
-        packets=float(mean("packets")),
-    )
+    weights = [one.duration for one in flights]
+    means: dict[str, Any] = {
+        name: np.average([getattr(one, name) for one in flights], axis=0, weights=weights)
+        for name in ("hessian", "scores", "loss", "packets")
+    }
+    return Information(**means, duration=sum(weights), blocks=sum(one.blocks for one in flights))
 
 
 class Forecast:
@@ -145,24 +139,19 @@ class Forecast:
         found = [self._decomposed(trial) for trial in trials]
         # A flight that leaves a direction undetermined says nothing of K there.
         rank = max(one.rank for one in found)
-        used = [k for k, one in enumerate(found) if one.rank == rank]
-        self._shape = _shrunk(
-            np.mean([found[k].shape for k in used], axis=0),
-            rank,
-            sum(trials[k].blocks - 1 for k in used),
-        )
+        used = [one.rank == rank for one in found]
+        shape = np.mean([one.shape for one in compress(found, used)], axis=0)
+        blocks = sum(trial.blocks - 1 for trial in compress(trials, used))
+        self._shape = _shrunk(shape, rank, blocks)
 
     def of(self, flight: Information, duration: float, *, alone: bool = False) -> Uncertainty:
         """Predict the uncertainty after a flight of some seconds.
 
         `alone`: from this flight only, with residuals as on the twin.
         """
-        precision = self._precision(flight) * duration
-        if not alone:
-            precision = precision / self.level
-        precision = self._less_certain(precision, flight.packets / duration)
-        if not alone:
-            precision = precision + self._prior()
+        level, prior = (1.0, 0.0) if alone else (self.level, self._prior())
+        precision = self._precision(flight) * duration / level
+        precision = self._less_certain(precision, flight.packets / duration) + prior
         covariance = self._basis @ _pseudo_inverse(precision) @ self._basis.T
         whole = self._basis @ precision @ self._basis.T
         space = subspace(whole, self.model.free, self._constraints)
@@ -203,13 +192,11 @@ class Forecast:
     def _decomposed(self, flight: Information) -> _Decomposed:
         """Split what a flight says into information and shape of the scores."""
         value, vector, scale = _spectrum(self._basis.T @ flight.hessian @ self._basis)
-        inverse = vector / np.sqrt(value) @ vector.T
+        inverse, rank = vector / np.sqrt(value) @ vector.T, len(value)
         scores = self._basis.T @ flight.scores @ self._basis * np.outer(scale, scale)
-        whitened, rank = inverse @ scores @ inverse, len(value)
+        whitened, root = inverse @ scores @ inverse, vector * np.sqrt(value) @ vector.T
         inflation = float(np.trace(whitened)) / max(rank, 1)
-        return _Decomposed(
-            vector * np.sqrt(value) @ vector.T, scale, inflation, whitened / inflation, rank
-        )
+        return _Decomposed(root, scale, inflation, whitened / inflation, rank)
 
 
 class _Decomposed(NamedTuple):
@@ -273,10 +260,9 @@ class ComparedQuantities:
     """What a model has learned, as quantities with comparable errors."""
 
     def __init__(self, model: Model) -> None:
-        self._quantities = (*_of_propellers(model), *_scalars(model))
-        self.labels = [quantity.label for quantity in self._quantities]
-        self.units = [quantity.unit for quantity in self._quantities]
-        self.scales = np.array([quantity.scale for quantity in self._quantities])
+        self._quantities = q = (*_of_propellers(model), *_scalars(model))
+        self.labels, self.units = [one.label for one in q], [one.unit for one in q]
+        self.scales = np.array([one.scale for one in q])
         self._estimate = vector = model.parameters.to_vector()
         self._gradient = np.empty((len(vector), len(self.labels)))
         for entry, step in enumerate(_STEP * np.maximum(np.abs(vector), _LEAST)):
@@ -288,7 +274,7 @@ class ComparedQuantities:
 
     def values(self, model: Model) -> Float[np.ndarray, " K"]:
         """Compute the quantities of a model."""
-        return np.array([float(quantity.value(model)) for quantity in self._quantities])
+        return np.array([quantity.value(model) for quantity in self._quantities])
 
     def relative_errors(self, uncertainty: Uncertainty | None) -> Float[np.ndarray, " K"]:
         """Compute standard errors in shares of the scales, for an uncertainty of this model.
@@ -331,7 +317,7 @@ def _force(motor: int, speed: float, model: Model) -> float:
     """Return the force of a propeller [N]."""
     push = np.hypot(*model.propeller_effects[:2, motor])
     curve = np.asarray(model.parameters.thrust)[motor : motor + 1]
-    return model.vehicle.mass_kg * push * thrust(curve, np.array([speed]))[0]
+    return float(model.vehicle.mass_kg * push * thrust(curve, np.array([speed]))[0])
 
 
 def _direction(motor: int, ahead: Float[np.ndarray, " 2"], model: Model) -> float:
@@ -343,7 +329,7 @@ def _direction(motor: int, ahead: Float[np.ndarray, " 2"], model: Model) -> floa
 def _turn_per_push(motor: int, model: Model) -> float:
     """Return the ratio of a propeller's angular to its linear acceleration [rad/m]."""
     x, y, turn = np.asarray(model.dynamics.configuration)[:, motor]
-    return turn / np.hypot(x, y)
+    return float(turn / np.hypot(x, y))
 
 
 def _scalars(model: Model) -> Iterator[Quantity]:

@@ -138,7 +138,8 @@ def fly_fleet(
     poses = np.zeros((3, 1)) if poses is None else np.asarray(poses, dtype=float)
     delays = np.array(_delays(settings, models) if delays is None else delays, dtype=float)
     _check_models(models, settings)
-    _check_arrays(command, delays, poses, models[0].vehicle.n_propellers)
+    n = models[0].vehicle.n_propellers
+    _check_arrays(command, delays, poses, n)
     _check_numbers(period, seeds, every, precision)
     size = _common_size(
         models=len(models),
@@ -147,7 +148,6 @@ def fly_fleet(
         delays=len(delays),
         poses=poses.shape[1],
     )
-    n = models[0].vehicle.n_propellers
     sent = period * np.arange(len(command))
     frames, stride = _frames(settings, len(command) * period, every)
     # Craft of one seed and one delay share their radio.
@@ -228,16 +228,11 @@ def _check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
         )
 
 
-def _check_arrays(
-    command: Float[np.ndarray, "..."],
-    delays: Float[np.ndarray, "..."],
-    poses: Float[np.ndarray, "..."],
-    n: int,
-) -> None:
+def _check_arrays(command: np.ndarray, delays: np.ndarray, poses: np.ndarray, n: int) -> None:
     """Refuse arrays of a wrong shape, or with numbers out of range."""
     if command.ndim not in (2, 3) or command.shape[1] != n or not command.size:
         raise InputError(f"must have the shape (K, {n}) or (K, {n}, B)", field="command")
-    if not np.isfinite(command).all() or command.min() < 0 or command.max() > 1:
+    if not ((command >= 0) & (command <= 1)).all():
         raise InputError("must lie in [0, 1]", field="command")
     if delays.ndim != 1 or not delays.size or not np.isfinite(delays).all() or (delays < 0).any():
         raise InputError("must be a list of numbers that are not negative", field="delays")

@@ -72,12 +72,10 @@ class Plant:
         `met` says whether it met a rail.
         """
 
-        def advanced(
-            xp: Any, state: Any, command: Any, duration: Any, scale: Any
-        ) -> tuple[Any, Any]:
-            plant = replace(self, dynamics=scaled(self.dynamics, scale[:, None]))
-            free = step(xp, plant.dynamics, state, command, duration)
-            state = rebound(xp, plant, free)
+        def advanced(xp: Any, state: Any, command: Any, duration: Any, scale: Any) -> Any:
+            dynamics = scaled(self.dynamics, scale[:, None])
+            free = step(xp, dynamics, state, command, duration)
+            state = rebound(xp, replace(self, dynamics=dynamics), free)
             return state, (state != free).any()
 
         n = self.dynamics.configuration.shape[1]
@@ -160,7 +158,7 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
     zero = 0.0 * position
     # It comes back by the depth, scaled like the speed.
     back = -side * depth * (1 + table.restitution)
-    change = [back if axis == 0 else zero, back if axis == 1 else zero]
-    change += [zero, gained_x, gained_y, turned]
+    along = (back, zero) if axis == 0 else (zero, back)
+    change = [*along, zero, gained_x, gained_y, turned]
     moved = state[:6] + xp.where(meets, xp.stack(change), 0.0)
     return xp.concatenate([moved, state[6:]])

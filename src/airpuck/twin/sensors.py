@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -17,27 +18,31 @@ from airpuck.twin.settings import MotionCapture, TwinSettings
 EPOCH_NS = 1_700_000_000_000_000_000
 
 
+@dataclass(eq=False)
 class Sensor:
     """One sensor."""
 
-    def __init__(
-        self,
-        kind: Kind,
-        *,
-        rate: float,
-        noise: tuple[float, ...],
-        latency: tuple[float, float],
-        rng: np.random.Generator,
-        dropped: float = 0.0,
-        gaps: tuple[tuple[float, float], ...] = (),
-        clock: tuple[float, float] = (0.0, 0.0),
-        logs: bool = True,
-    ) -> None:
-        self.kind: Kind = kind
-        self._rate, self._noise, self._latency = rate, np.array(noise), latency
-        self._rng, self._dropped, self._gaps = rng, dropped, gaps
-        self._clock, self._logs = clock, logs
-        self._count, self._delivered = 0, 0
+    kind: Kind
+    _: KW_ONLY
+    #: Samples per second.
+    rate: float
+    #: Standard deviation of each channel.
+    noise: tuple[float, ...]
+    #: From the sample to the controller: its least, and the mean of what is added [s].
+    latency: tuple[float, float]
+    rng: np.random.Generator
+    #: Share of samples that are missing.
+    dropped: float = 0.0
+    #: Times without any [s].
+    gaps: tuple[tuple[float, float], ...] = ()
+    #: Offset [s] and drift.
+    clock: tuple[float, float] = (0.0, 0.0)
+    #: Whether to keep what was delivered.
+    logs: bool = True
+
+    def __post_init__(self) -> None:
+        """Begin without any samples."""
+        self._count = self._delivered = 0
         self._last_arrival = -math.inf
         self._logged: list[tuple[float, float, Float[np.ndarray, " k"]]] = []
 
@@ -50,21 +55,21 @@ class Sensor:
     @property
     def due(self) -> float:
         """Time of the next sample [s]."""
-        return self._count / self._rate
+        return self._count / self.rate
 
     def measure(self, truth: Float[np.ndarray, " k"]) -> None:
         """Take the sample that is due."""
         time = self.due
         self._count += 1
         # All numbers are always drawn, so that one setting does not change what another draws.
-        values = truth + self._noise * self._rng.standard_normal(len(self._noise))
-        late, luck = self._rng.exponential(self._latency[1]), self._rng.random()
-        if luck < self._dropped or any(start <= time < stop for start, stop in self._gaps):
+        values = truth + np.multiply(self.noise, self.rng.standard_normal(len(self.noise)))
+        late, luck = self.rng.exponential(self.latency[1]), self.rng.random()
+        if luck < self.dropped or any(start <= time < stop for start, stop in self.gaps):
             return
         if self.kind == "pose":
             values[2] = (values[2] + math.pi) % (2 * math.pi) - math.pi
-        arrival = self._last_arrival = max(time + self._latency[0] + late, self._last_arrival)
-        stamp = (1 + self._clock[1]) * time + self._clock[0]
+        arrival = self._last_arrival = max(time + self.latency[0] + late, self._last_arrival)
+        stamp = (1 + self.clock[1]) * time + self.clock[0]
         self._logged.append((stamp, arrival, values))
 
     def arrived(self, now: float) -> list[tuple[float, Measurement]]:
@@ -74,7 +79,7 @@ class Sensor:
             stamp, arrival, values = self._logged[self._delivered]
             found.append((arrival, Measurement(self.kind, stamp, values)))
             self._delivered += 1
-        if not self._logs:
+        if not self.logs:
             del self._logged[: self._delivered]
             self._delivered = 0
         return found
@@ -111,17 +116,14 @@ def build_sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]
     """Build the sensors, each with random numbers of its own."""
     board = settings.on_board
     sensors = [pose_sensor(settings.motion_capture, seed, logs)]
-    inertial = (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3
-    on_board: list[tuple[Kind, tuple[float, ...]]] = [
-        ("imu", inertial),
-        ("mouse", (board.mouse_noise_m_s,) * 2),
-    ]
-    for number, (kind, noise) in enumerate(on_board if board.rate_hz else [], start=2):
+    noises: dict[Kind, tuple[float, ...]] = {
+        "imu": (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3,
+        "mouse": (board.mouse_noise_m_s,) * 2,
+    }
+    rate, latency = board.rate_hz, (board.latency_s, 0.0)
+    for number, (kind, noise) in enumerate(noises.items() if rate else (), start=2):
         rng = np.random.default_rng([seed, number])
-        latency = (board.latency_s, 0.0)
-        sensors.append(
-            Sensor(kind, rate=board.rate_hz, noise=noise, latency=latency, rng=rng, logs=logs)
-        )
+        sensors.append(Sensor(kind, rate=rate, noise=noise, latency=latency, rng=rng, logs=logs))
     return sensors
 
 

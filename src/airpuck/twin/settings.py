@@ -83,10 +83,8 @@ def _effect_fields() -> dict[str, Any]:
     """Return one field for each coefficient of the optional physics; zero: off."""
     entries: dict[str, Any] = {}
     for q in EFFECTS.values():
-        if q.toml is Pair:
-            entries[q.key] = (Pair, (0.0, 0.0))
-        else:  # losses
-            entries |= dict.fromkeys(q.settings or (q.key,), (NonNegative, 0.0))
+        field = (Pair, (0.0, 0.0)) if q.toml is Pair else (NonNegative, 0.0)
+        entries |= dict.fromkeys(q.settings or (q.key,), field)
     return entries
 
 

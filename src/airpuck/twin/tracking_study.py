@@ -139,19 +139,17 @@ def tracking_study(
     for model, flight in zip(models, padded, strict=True):
         if flight is None:
             real = None
-            times = [0.0, *(_LEAD + dwell * np.arange(len(SET_POINTS) - 1)).tolist()]
-            set_points, pose = SetPoints(times, SET_POINTS), (0.0, 0.0, 0.0)
-            duration = _LEAD + dwell * (len(SET_POINTS) - 1)
+            *changes, duration = (_LEAD + dwell * np.arange(len(SET_POINTS))).tolist()
+            set_points, pose = SetPoints([0.0, *changes], SET_POINTS), (0.0, 0.0, 0.0)
             gains = Gains.of(regulator(tuning.weights, tuning.period_s))
         else:
             real = Track.of(flight, model.vehicle, f"{model.name}, real")
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains
             set_points, duration = real.set_points, float(real.command_time[-1])
             first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
-            x, y, yaw = real.pose[first].tolist()
             # Noise, or another radius, may put one that leans on a rail beyond it.
-            reach = settings.table.reach(truth.vehicle.radius_m)
-            x, y = (min(max(v, -r), r) for v, r in zip((x, y), reach, strict=True))
+            reach = np.array([*settings.table.reach(truth.vehicle.radius_m), np.inf])
+            x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
             pose = (x, y, yaw)
         recording, log = track(
             model,
