@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.qp_solvers import SOLVERS
+from airpuck.control.qp_solvers import SOLVERS, Bounds, Rows, Variables
 
 #: What became of a request. ``exact``: met. ``scaled``: linear or angular acceleration reduced in
 #: its direction (s1, s2 < 1). ``nearest``: no scaling of it can be met, the nearest acceleration is
@@ -102,15 +102,13 @@ class ThrustAllocator:
         slack_weight: float = 1e6,
         solver: Literal["daqp", "piqp"] = "daqp",
     ) -> None:
-        n = n_propellers
         self.arm, self.slack_weight = arm, slack_weight
-        self._n, self._root = n, math.sqrt(slack_weight)
-        ties = np.full(n + 2, _TIE_THRUST)
-        ties[n:] = _TIE_SLACK
-        self._solver = SOLVERS[solver](np.full(n + 2, 2.0), ties)
+        self._n, self._root = n_propellers, math.sqrt(slack_weight)
+        sizes = n_propellers, 2
+        ties = np.repeat([_TIE_THRUST, _TIE_SLACK], sizes)
+        self._solver = SOLVERS[solver](np.full(len(ties), 2.0), ties)
         # From √μ(1 - s) to 1 - s, whose size suits the distance.
-        self._unscale = np.ones(n + 2)
-        self._unscale[n:] = self._root
+        self._unscale = np.repeat([1.0, self._root], sizes)
 
     def allocate(
         self,
@@ -149,12 +147,8 @@ class ThrustAllocator:
         return Allocated(np.minimum(np.maximum(x[:n], lower), upper), linear, angular, outcome)
 
     def solve(
-        self,
-        a: Float[np.ndarray, "3 m"],
-        lower: Float[np.ndarray, " m+3"],
-        upper: Float[np.ndarray, " m+3"],
-        finite: Any,
-    ) -> tuple[Float[np.ndarray, " m"] | None, Outcome]:
+        self, a: Rows, lower: Bounds, upper: Bounds, finite: Any
+    ) -> tuple[Variables | None, Outcome]:
         """Solve what `problem` has written.
 
         Parameters

@@ -11,6 +11,9 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 
+#: What callers may give for an array of one dimension.
+Numbers = Sequence[float] | np.ndarray
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -84,11 +87,7 @@ class SetPoints:
         not finite.
     """
 
-    def __init__(
-        self,
-        times: Sequence[float] | np.ndarray,
-        poses: Sequence[Sequence[float]] | np.ndarray,
-    ) -> None:
+    def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
         self.times, self.poses = _checked(times, poses, 1, "setpoint")
         at_rest = np.concatenate([self.poses, np.zeros_like(self.poses)], axis=1)
         self._targets = [Target(state, np.zeros(3)) for state in at_rest]
@@ -118,11 +117,7 @@ class TimedPath:
         is not finite.
     """
 
-    def __init__(
-        self,
-        times: Sequence[float] | np.ndarray,
-        poses: Sequence[Sequence[float]] | np.ndarray,
-    ) -> None:
+    def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
         from scipy.interpolate import CubicSpline
 
         known, through = _checked(times, poses, 2, "path")
@@ -141,10 +136,7 @@ class TimedPath:
 
 
 def _checked(
-    times: Sequence[float] | np.ndarray,
-    poses: Sequence[Sequence[float]] | np.ndarray,
-    least: int,
-    field: str,
+    times: Numbers, poses: Sequence[Numbers] | np.ndarray, least: int, field: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Return times and poses as arrays, or refuse them."""
     try:

@@ -47,7 +47,6 @@ def plan_stage(
     dynamics, vehicle = model.dynamics, model.vehicle
     arm, least, most = model.radius_of_gyration, vehicle.command_min, vehicle.command_max
     lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
-    rejected = 1.0 if reject_disturbance else 0.0
     acceleration = law.acceleration
 
     def plan(
@@ -62,11 +61,10 @@ def plan_stage(
     ) -> Plan:
         # A motor that is believed weak counts for less; nothing is divided by its effectiveness.
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
-        following, matrix, offset = look_ahead(
-            xp, dynamics, period, state, speed, disturbance, effectiveness
-        )
+        believed = state, speed, disturbance, effectiveness
+        following, matrix, offset = look_ahead(xp, dynamics, period, *believed)
         request = acceleration(xp, following, target, feedforward, *numbers)
-        request = request - rejected * disturbance
+        request = request - reject_disturbance * disturbance
         coasting = lag * speed
         low = thrust(dynamics.thrust, coasting + drive * least)
         high = thrust(dynamics.thrust, coasting + drive * most)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,7 +15,7 @@ from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import Outcome, ThrustAllocator, all_finite
 from airpuck.control.lqr import LQR, regulator
 from airpuck.control.pose_gate import STALE, PoseGate
-from airpuck.control.reference import Reference, Target
+from airpuck.control.reference import Numbers, Reference, Target
 from airpuck.control.stages import Plan, command_stage, plan_stage
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.estimate.estimator import Estimate
@@ -24,8 +23,6 @@ from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import InverseThrust
 
-#: What callers may give for an array of one dimension.
-Numbers = Sequence[float] | np.ndarray
 #: How a control step ended. The outcomes of the allocation fly; all others idle the motors; a guard
 #: around the controller sets ``unsafe``.
 Status = (

@@ -84,9 +84,8 @@ def excite(
     plan = ExcitationPlan.model_construct(
         amplitude=amplitude, hold_s=hold, duration_s=duration, margin_m=margin
     )
-    return fly_excitation(
-        model, plan, seed, settings=settings, tuning=tuning, plant=plant
-    ).recording
+    flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning, plant=plant)
+    return flown.recording
 
 
 def fly_excitation(
@@ -114,9 +113,8 @@ def fly_excitation(
     period = pilot.controller.tuning.period_s
     fly(pilot, twin, plan.duration_s, period)
     source = f"excitation of {model.name} on the twin, seed {seed}"
-    return Excited(
-        replace(twin.recording(), source=source), pilot.pauses * period, tuple(twin.contacts)
-    )
+    recording = replace(twin.recording(), source=source)
+    return Excited(recording, pilot.pauses * period, tuple(twin.contacts))
 
 
 def track(

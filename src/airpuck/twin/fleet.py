@@ -149,7 +149,7 @@ def fly_fleet(
         poses=poses.shape[1],
     )
     sent = period * np.arange(len(command))
-    frames, stride = _frames(settings, len(command) * period, every)
+    frames, stride = _frames(settings.motion_capture.rate_hz, len(command) * period, every)
     # Craft of one seed and one delay share their radio.
     radios = max(len(seeds), len(delays))
     times, heard = heard_commands(
@@ -254,11 +254,8 @@ def _check_numbers(period: float, seeds: Sequence[int], every: int, precision: s
         raise InputError(f"must be 'double' or 'single', not {precision!r}", field="precision")
 
 
-def _frames(
-    settings: TwinSettings, duration: float, every: int
-) -> tuple[Float[np.ndarray, " F"], int]:
+def _frames(rate: float, duration: float, every: int) -> tuple[Float[np.ndarray, " F"], int]:
     """Return times to step to, and which of them to keep: every so many."""
-    rate = settings.motion_capture.rate_hz
     pieces = math.ceil(1 / (rate * LONGEST_STEP) - 1e-9)
     count = math.floor(duration * rate * (1 + 1e-12)) + 1
     frames = np.arange((count - 1) * pieces + 1) / (rate * pieces)
