@@ -188,12 +188,12 @@ def parameter_figure(
     names = models[0].vehicle.propeller_names
     figure = style.new_figure(style.PAGE_WIDTH, 1.35 + 0.3 * len(names))
     linear, angular, scalars = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
+    full = {
+        m.name: np.divide(largest_accelerations(m), largest_accelerations(reference[m.name]))
+        for m in models
+    }
     for kind, axes, quantity in ((0, linear, "linear"), (1, angular, "angular")):
-        ratios = {
-            m.name: largest_accelerations(m)[kind] / largest_accelerations(reference[m.name])[kind]
-            for m in models
-        }
-        _draw_ratios(axes, names, ratios)
+        _draw_ratios(axes, names, {name: ratio[kind] for name, ratio in full.items()})
         axes.set_title(f"{quantity} acceleration at φ = 1", loc="left")
     angular.set_yticklabels([])
     learned = ("inertia", "motor_time_constant")

@@ -88,7 +88,7 @@ def main_rows(models: Sequence[Model]) -> list[Row]:
 def coefficient_rows(models: Sequence[Model]) -> list[Row]:
     """Tabulate every thrust coefficient as learned, without any change of scale."""
     degree = max(np.shape(model.parameters.thrust)[1] for model in models)
-    letters = "abcdefghijklmnopqrstuvwxyz"[:degree]
+    letters = [chr(ord("a") + power) for power in range(degree)]
     labels = [f"{a} {name}" for name in models[0].vehicle.propeller_names for a in letters]
 
     def coefficients(model: Model) -> Any:
@@ -100,16 +100,16 @@ def coefficient_rows(models: Sequence[Model]) -> list[Row]:
 
 def effect_rows(models: Sequence[Model]) -> list[Row]:
     """Tabulate what each propeller does at full speed, which no choice of scale changes."""
-    kinds: tuple[tuple[str, str, Callable[[Model], Any], str], ...] = (
-        ("m‖Π_xy‖", "–", thrust_scale, ".3f"),
-        ("‖Π_xy‖ F(1)", "m/s²", lambda model: largest_accelerations(model)[0], ".3f"),
-        ("Π_yaw F(1)", "rad/s²", lambda model: largest_accelerations(model)[1], ".1f"),
-    )
-    rows = []
-    for label, unit, values, form in kinds:
+
+    def rows(label: str, unit: str, values: Callable[[Model], Any], form: str) -> list[Row]:
         labels = [f"{label} {name}" for name in models[0].vehicle.propeller_names]
-        rows += _rows(models, labels, unit, "thrust", values, form)
-    return rows
+        return _rows(models, labels, unit, "thrust", values, form)
+
+    return [
+        *rows("m‖Π_xy‖", "–", thrust_scale, ".3f"),
+        *rows("‖Π_xy‖ F(1)", "m/s²", lambda model: largest_accelerations(model)[0], ".3f"),
+        *rows("Π_yaw F(1)", "rad/s²", lambda model: largest_accelerations(model)[1], ".1f"),
+    ]
 
 
 def _rows(
