@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import Model, published_model
-from airpuck.recording.stream import Recording
+from airpuck.recording.stream import Recording, Stream
 from tests.random_flight import POSE_RATE as RATE
 from tests.random_flight import random_flight, random_recording
 
-__all__ = ["RATE", "fly", "record"]
+__all__ = ["RATE", "bad_value", "edited", "fly", "record", "shuffled"]
 
 
 def fly(model: Model, duration: float = 6.0, seed: int = 0) -> Trajectory:
@@ -34,3 +36,29 @@ def record(
 ) -> Recording:
     """A recording of a random flight, by default of the published M3."""
     return random_recording(model or published_model("M3"), duration, seed, noise=noise)
+
+
+def edited(recording: Recording, name: str, edit) -> Recording:
+    """Change the rows of a stream: `edit` takes and returns stamp_ns, received_ns and values."""
+    old = recording[name]
+    stamp, received, values = edit(old.stamp_ns, old.received_ns, old.values.copy())
+    new = Stream(stamp, received, np.ascontiguousarray(values), old.columns)
+    return replace(recording, streams={**recording.streams, name: new})
+
+
+def bad_value(row: int, column: int, value: float):
+    """An edit that changes one number of a stream."""
+
+    def edit(stamp, received, values):
+        values[row, column] = value
+        return stamp, received, values
+
+    return edit
+
+
+def shuffled(recording: Recording) -> Recording:
+    """The recording with its six motors in another order."""
+    old, order = recording["command"], [3, 1, 0, 2, 5, 4]
+    values = np.ascontiguousarray(old.values[:, order])
+    new = replace(old, values=values, columns=tuple(old.columns[k] for k in order))
+    return replace(recording, streams={**recording.streams, "command": new})

@@ -57,19 +57,10 @@ def test_a_damaged_trajectory(archive, tmp_path, name, change, word):
     assert refused(airpuck("evaluate", "paper:M3", path), "bad.npz", name, word)
 
 
-def test_lengths_that_differ_are_told_where_nothing_checks_shapes(archive, tmp_path):
+def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tmp_path):
     path = damaged(archive, tmp_path / "bad.npz", "state", lambda x: x[:-5])
     process = airpuck_process("evaluate", "paper:M3", path)
     assert refused(process, "bad.npz", "state", "shape")
-
-
-def test_a_trajectory_with_flipped_bytes(archive, tmp_path):
-    content = bytearray(archive.read_bytes())
-    for at in range(2000, 3000, 7):
-        content[at] ^= 0xFF
-    path = tmp_path / "bad.npz"
-    path.write_bytes(content)
-    assert refused(airpuck("evaluate", "paper:M3", path), "bad.npz")
 
 
 @pytest.mark.parametrize(
@@ -113,7 +104,7 @@ def test_the_demo_deletes_nothing_of_yours(tmp_path):
     assert mine.read_text() == "mine"
 
 
-def test_what_a_file_makes_the_controller_refuse_is_told_with_its_name(tmp_path):
+def test_a_file_that_the_controller_refuses_is_named(tmp_path):
     from airpuck.model.model_file import published_model
 
     published = published_model("M3")

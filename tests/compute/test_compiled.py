@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute import compiled
 from airpuck.compute.compiled import double_precision, for_batches, program
 from airpuck.model.model_file import published_model
 from airpuck.physics.rollout import step
@@ -116,20 +115,6 @@ def test_what_cannot_be_compared_is_compiled_each_time():
     np.testing.assert_array_equal(second(np.ones(1))[0], [2.0])
 
 
-def test_the_oldest_is_let_go(monkeypatch):
-    monkeypatch.setattr(compiled, "_kept", {})
-    monkeypatch.setattr(compiled, "_MOST_KEPT", 2)
-
-    def times(factor):
-        return compiled_for(lambda xp, values: (factor * values,), 1)
-
-    first, second = times(1.0), times(2.0)
-    assert times(1.0) is first  # and the second is now the oldest
-    times(3.0)
-    assert times(1.0) is first
-    assert times(2.0) is not second
-
-
 def test_a_function_is_given_its_namespace():
     def turned(xp, angle, vector):
         return xp.stack([xp.cos(angle), xp.sin(angle)]) * vector, xp.isfinite(vector).all()
@@ -172,12 +157,3 @@ def test_batches_are_in_double_precision_and_nothing_else_is():
     with double_precision():
         assert jnp.ones(2).dtype == np.float64
     assert jax.config.read("jax_enable_x64") == before
-
-
-def test_an_option_that_this_version_does_not_know_is_left_out(monkeypatch):
-    monkeypatch.setattr(compiled, "_OPTIONS", {"xla_cpu_no_such_thing": 1})
-    compiled._cpu_options.cache_clear()
-    try:
-        assert float(for_batches(lambda x: x + 1)(1.0)) == 2.0
-    finally:
-        compiled._cpu_options.cache_clear()

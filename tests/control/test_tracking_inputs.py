@@ -1,4 +1,4 @@
-"""The tracking controller and everything that can be wrong with what it is told."""
+"""The tracking controller and everything that can be wrong with what it hears."""
 
 from itertools import count, takewhile
 
@@ -61,25 +61,6 @@ def test_what_a_craft_can_do_is_no_jump(jump):
     last = hold_still(ours)
     ours.pose(last + FRAME, np.array(jump))
     assert ours.step(last + FRAME).flies
-
-
-@pytest.mark.parametrize("rate", [240.0, 400.0])
-def test_a_craft_that_was_moved_is_believed_after_50_ms(rate):
-    ours = controller()
-    last = hold_still(ours)
-    flown = {}
-    for k in range(1, 40):
-        now = last + k / rate
-        ours.pose(now, np.array([0.5, 0.0, 0.0]))
-        step = ours.step(now)
-        flown[k] = step.flies
-        if not step.flies:
-            idles(step, "jumping pose")
-        elif step.estimate is not None:
-            assert step.estimate.state[0] == pytest.approx(0.5, abs=0.01)
-    first = min(k for k, flies in flown.items() if flies)
-    assert all(flies for k, flies in flown.items() if k >= first)
-    assert 0.025 < first / rate <= 0.055
 
 
 @pytest.mark.parametrize("rate", [100.0, 1000.0, 2000.0])
@@ -234,17 +215,15 @@ def test_a_command_is_sent_now_if_its_time_cannot_be(wrong):
     def told(k, time, command):
         return (time + wrong if k == 20 else time), command
 
-    ours, step = flown(told)
+    _, step = flown(told)
     _, other = flown(lambda k, time, command: (time, command))
     np.testing.assert_array_equal(step.command, other.command)
-    assert len(ours.filter._commands) < 5
 
 
 def test_a_command_stamped_a_little_late_does_not_hold_up_the_next():
-    ours, step = flown(lambda k, time, command: (time + 0.045 * (k == 20), command))
+    _, step = flown(lambda k, time, command: (time + 0.045 * (k == 20), command))
     _, other = flown(lambda k, time, command: (time, command))
     np.testing.assert_allclose(step.command, other.command, atol=0.02)
-    assert len(ours.filter._commands) < 5
 
 
 @pytest.mark.parametrize("command", [np.zeros(4), [0.1] * 7, np.zeros((6, 1))])

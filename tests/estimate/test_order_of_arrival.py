@@ -60,16 +60,6 @@ def test_the_order_of_arrival_does_not_matter(make, seed):
     np.testing.assert_allclose(one.motor_speed, other.motor_speed, atol=1e-12)
 
 
-def test_only_poses_leave_nothing_to_remember(make):
-    ours = make()
-    for command in some_commands(0.4):
-        ours.command(*command)
-    for k in range(80):
-        ours.pose(k / 200, np.zeros(3))
-    assert len(ours._history) == 0
-    assert len(ours._commands) < 8
-
-
 def test_the_future_changes_nothing_before(make):
     random = np.random.default_rng(1)
     poses = 0.02 * random.normal(size=(60, 3))
@@ -116,7 +106,7 @@ def test_a_command_acts_after_the_transport_delay_and_not_before(make):
     np.testing.assert_allclose(with_it.predict(end).state[:2], truth[:2], atol=1e-4)
 
 
-def test_a_command_told_before_the_pose_or_at_once_is_the_same(make):
+def test_a_command_given_early_or_on_time_is_the_same(make):
     # Only when it acts matters, not how many poses lie in between.
     command = np.linspace(0.2, 0.9, 6)
     one, other = (make() for _ in range(2))

@@ -15,11 +15,13 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.replay import Gains, Replay, replay
 from airpuck.flight.track import Track
 from airpuck.model.model_file import nominal_model, published_model
-from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.sensors import EPOCH_NS
 from airpuck.twin.settings import MotionCapture, Radio, default_twin_settings
+
+from ..synthetic import bad_value, edited, shuffled
 
 M4 = published_model("M4")
 LEAST = M4.vehicle.command_min
@@ -59,14 +61,6 @@ def plain(recording) -> Replay:
     return replay(recording, M4, **PAPER)
 
 
-def edited(recording: Recording, name: str, edit) -> Recording:
-    """Change a stream: `edit` takes and returns stamp_ns, received_ns and values."""
-    old = recording[name]
-    stamp, received, values = edit(old.stamp_ns, old.received_ns, old.values.copy())
-    new = Stream(stamp, received, np.ascontiguousarray(values), old.columns)
-    return replace(recording, streams={**recording.streams, name: new})
-
-
 def moved(recording: Recording, stamps: dict[str, int], recorder: int = 0) -> Recording:
     """Move the clocks of some senders, and the recorder's [ns]."""
     streams = {
@@ -104,7 +98,7 @@ def test_a_flight_of_this_controller_comes_back(plant, options):
     assert np.median(np.abs(then.computed - log.command)) < 1e-14
 
 
-def test_another_belief_about_the_craft_is_told_apart(recording):
+def test_another_model_computes_other_commands(recording):
     found = replay(recording, published_model("M3"), **PAPER)
     assert np.median(np.abs(found.difference)) > 5e-3
 
@@ -160,15 +154,7 @@ def test_clocks_that_differ_change_little(recording, plain, senders, sender_s, r
 
 
 def test_columns_in_another_order_are_matched_by_name(recording, plain):
-    old, order = recording["command"], [3, 1, 0, 2, 5, 4]
-    shuffled = Stream(
-        old.stamp_ns,
-        old.received_ns,
-        np.ascontiguousarray(old.values[:, order]),
-        tuple(old.columns[k] for k in order),
-    )
-    other = replace(recording, streams={**recording.streams, "command": shuffled})
-    found = replay(other, M4, **PAPER)
+    found = replay(shuffled(recording), M4, **PAPER)
     np.testing.assert_array_equal(found.computed, plain.computed)
     np.testing.assert_array_equal(found.sent, plain.sent)
     assert found.motors == M4.vehicle.propeller_names
@@ -277,14 +263,6 @@ def test_a_missing_or_empty_stream_is_named(recording, missing):
     empty = edited(recording, missing, lambda s, r, v: (s[:0], r[:0], v[:0]))
     with pytest.raises(InputError, match=f"the {missing} stream is empty"):
         replay(empty, M4)
-
-
-def bad_value(row, column, value):
-    def edit(stamp, received, values):
-        values[row, column] = value
-        return stamp, received, values
-
-    return edit
 
 
 @pytest.mark.parametrize(

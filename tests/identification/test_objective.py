@@ -3,15 +3,12 @@
 from dataclasses import replace
 from unittest import mock
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identification import objective
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
@@ -153,28 +150,9 @@ def test_padding_of_batches_does_not_count(windows, count):
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-12)
 
 
-def test_larger_batches_give_the_same_sums(windows, monkeypatch):
-    many = replace(windows, starts=np.resize(windows.starts, 130))
-    loss = PredictionLoss(many, VEHICLE, PaperEncoder(), WEIGHTS)
-    plain = loss.quadratic(moved("M3"))
-    monkeypatch.setattr(objective, "_LARGE", 1)
-    large = loss.quadratic(moved("M3"))
-    assert large.loss == pytest.approx(plain.loss, rel=1e-12)
-    np.testing.assert_allclose(large.gradient, plain.gradient, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(large.hessian, plain.hessian, rtol=1e-9, atol=1e-15)
-
-
 def test_one_window_over_the_whole_flight():
     windows = make_windows(fly(published_model("M3"), duration=3.0), 20, None)
     parameters = moved("M3")
     result = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters)
     expected = plain_residuals(np, parameters, windows, PaperEncoder(), "body")
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-9)
-
-
-def test_leaves_jax_as_it_was(windows):
-    before = jax.config.read("jax_enable_x64")
-    result = PredictionLoss(windows, VEHICLE, PaperEncoder()).quadratic(moved("M3"))
-    assert result.hessian.dtype == np.float64
-    assert jax.config.read("jax_enable_x64") == before
-    assert jnp.ones(1).dtype == (jnp.float64 if before else jnp.float32)

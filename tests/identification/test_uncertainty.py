@@ -332,9 +332,9 @@ def test_nothing_is_known_without_information():
 
 
 @pytest.mark.parametrize(
-    ("count", "value", "told"), [(1, 1.0, "single block"), (4, np.nan, "not finite")]
+    ("count", "value", "reason"), [(1, 1.0, "single block"), (4, np.nan, "not finite")]
 )
-def test_says_why_there_are_no_standard_errors(count, value, told):
+def test_says_why_there_are_no_standard_errors(count, value, reason):
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
     size = len(free)
@@ -343,7 +343,7 @@ def test_says_why_there_are_no_standard_errors(count, value, told):
     )
     found = sandwich(quadratic, parameters, free)
     assert np.isnan(found.standard_errors).all()
-    assert told in found.notes[0]
+    assert reason in found.notes[0]
 
 
 def test_the_file_reads_back_bit_equal(tmp_path, fit):

@@ -13,23 +13,15 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.stream import Recording
 
 from ..conftest import BLUE
-from ..synthetic import RATE, fly, record
+from ..synthetic import RATE, bad_value, edited, fly, record, shuffled
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     return record(duration=6.0, noise=1e-5)
-
-
-def edited(recording: Recording, stream: str, edit) -> Recording:
-    """Change the rows of a stream: `edit` takes and returns (stamp_ns, received_ns, values)."""
-    old = recording[stream]
-    stamp, received, values = edit(old.stamp_ns, old.received_ns, old.values.copy())
-    new = Stream(stamp, received, np.ascontiguousarray(values), old.columns)
-    return replace(recording, streams={**recording.streams, stream: new})
 
 
 def test_recovers_a_synthetic_flight(recording):
@@ -138,30 +130,14 @@ def test_clocks_that_differ_are_aligned(recording):
 
 
 def test_motors_in_another_order_are_matched_by_name(recording):
-    old = recording["command"]
-    order = [3, 1, 0, 2, 5, 4]
-    shuffled = Stream(
-        old.stamp_ns,
-        old.received_ns,
-        np.ascontiguousarray(old.values[:, order]),
-        tuple(old.columns[k] for k in order),
-    )
-    other = replace(recording, streams={**recording.streams, "command": shuffled})
-    np.testing.assert_array_equal(preprocess(other).command, preprocess(recording).command)
+    other = preprocess(shuffled(recording))
+    np.testing.assert_array_equal(other.command, preprocess(recording).command)
 
 
 def test_a_given_delay_is_used(recording):
     trajectory = preprocess(recording, delay=0.03)
     assert trajectory.delay == 0.03
     assert trajectory.time[0] == 0
-
-
-def bad_value(row, column, value):
-    def edit(stamp, received, values):
-        values[row, column] = value
-        return stamp, received, values
-
-    return edit
 
 
 @pytest.mark.parametrize(

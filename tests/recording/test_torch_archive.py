@@ -201,7 +201,6 @@ def with_value(value: float):
         ({"names": ()}, "holds 0 experiments"),
         ({"members": {"data/byteorder": b"middle"}}, "byte order is unknown"),
         ({"members": {"other/data.pkl": b"}."}}, "one data.pkl"),
-        ({"compression": zipfile.ZIP_DEFLATED}, "compressed"),
         ({"data_pickle": b"}."}, "has no 'exps'"),
         ({"data_pickle": b"K\x01."}, "has no 'exps'"),
         ({"data_pickle": b""}, "is damaged"),

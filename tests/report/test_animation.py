@@ -1,11 +1,9 @@
 """Animations as files: what they show, how large they are, and what is refused."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -75,6 +73,7 @@ def test_the_craft_is_drawn_where_it_was(tmp_path):
         blue = np.abs(upper - [0, 114, 178]).sum(axis=2) < 60
         rows, columns = np.nonzero(blue)
         assert len(rows) > 20
+        assert (pixels[0] == 255).all()  # white stays white
         found.append([columns.mean(), rows.mean()])
     (x0, y0), (x1, y1), (x2, y2) = found
     assert x1 - x0 == pytest.approx(x2 - x1, abs=1.5)
@@ -82,25 +81,6 @@ def test_the_craft_is_drawn_where_it_was(tmp_path):
     # 1.6 m to the right and 0.6 m down, at one scale.
     assert (x2 - x0) / (y2 - y0) == pytest.approx(1.6 / 0.6, rel=0.02)
     assert (x2 - x0) / (0.96 * 1.6) == pytest.approx(pixels.shape[1] * 0.83 / 2.2, rel=0.15)
-
-
-def test_frames_of_a_gif_do_not_leave_traces(tmp_path):
-    """Each frame holds only changes; put together they are what was drawn."""
-    recording = flight(duration=1.0)
-    whole = animate(recording, tmp_path / "a.gif")
-    # The last frame of the flight, drawn alone: it has no earlier ones to be mixed up with.
-    pose = recording["pose"]
-    t = (pose.stamp_ns - EPOCH) * 1e-9
-    start = float(24 / 25 / t[-1])
-    late = animate(recording, tmp_path / "b.gif", span=(start, 1.0))
-    one, other = table_pixels(whole, 24), table_pixels(late, 0)
-    assert one.shape == other.shape
-    # Below the table the panels show different spans, and the view's trail begins later.
-    background = np.abs(one[:80] - other[:80]).sum(axis=2) > 30  # their palettes differ a little
-    assert background.mean() < 0.02
-    first = table_pixels(whole, 0)
-    cleared = np.abs(first - one).sum(axis=2) > 200
-    assert 0.0005 < cleared.mean() < 0.05  # the craft is gone from where it was
 
 
 def page_data(path) -> dict:
@@ -183,15 +163,6 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path):
         assert files[0] == files[1]
 
 
-def test_pages_need_no_drawing_library_state():
-    code = (
-        "import sys, airpuck.report.animation, airpuck.report.animation_gif, "
-        "airpuck.report.animation_page; print('matplotlib.pyplot' in sys.modules)"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout.strip() == "False"
-
-
 @pytest.mark.parametrize("name", ["a.mp4", "a", "a.png", ".gif"])
 def test_unknown_suffixes_are_refused(tmp_path, name):
     with pytest.raises(InputError, match=r"neither \.gif nor \.html"):
@@ -256,26 +227,6 @@ def test_what_cannot_be_used_is_refused_and_the_old_file_kept(tmp_path, problem,
         animate(broken()[problem], path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_an_interrupted_animation_leaves_the_old_file(tmp_path, monkeypatch):
-    def interrupt(*_args, **_settings):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("airpuck.report.animation_frames.frames_at", interrupt)
-    path = tmp_path / "a.gif"
-    path.write_text("old")
-    with pytest.raises(KeyboardInterrupt):
-        animate(flight(), path)
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written_is_said(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(InputError, match="cannot be written"):
-        animate(flight(), tmp_path / "a.html")
 
 
 @pytest.mark.parametrize("name", ["one", "twelve", "silent"])

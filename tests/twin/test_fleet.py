@@ -185,7 +185,7 @@ STALLS = Motors(stalls=(Stall(motor="motor_a_1", start_s=0.1, stop_s=0.2),))
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "problem"),
     [
         ({"models": []}, "models"),
         ({"seeds": ()}, "seeds"),
@@ -202,9 +202,9 @@ STALLS = Motors(stalls=(Stall(motor="motor_a_1", start_s=0.1, stop_s=0.2),))
         ({"settings": QUIET.model_copy(update={"motors": STALLS})}, "Twin"),
     ],
 )
-def test_what_cannot_be_flown_is_refused(arguments, told):
+def test_what_cannot_be_flown_is_refused(arguments, problem):
     given = {"models": MODEL, "command": COMMAND, **arguments}
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=problem):
         fly_fleet(given.pop("models"), given.pop("command"), **given)
 
 

@@ -13,9 +13,8 @@ from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rollout import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag_writer import write_bag
-from airpuck.recording.read import read_recording
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import Effects, MotionCapture, Motors, OnBoard, Radio, TwinSettings
+from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
 from airpuck.twin.twin import Twin
 
 MODEL = replace(
@@ -133,22 +132,6 @@ def test_a_delay_between_two_frames_is_not_rounded(plant):
     np.testing.assert_allclose(states[:, 6], 1 - np.exp(-running / tau), atol=1e-9)
 
 
-def test_motors_stop_after_the_timeout(plant):
-    command = np.full(6, 0.4)
-    twin, _ = flown(QUIET, [command] * 10, plant, stop=1.0)
-    times, states = twin.truth
-    # The last packet arrives at 0.11 s and counts for 0.5 s.
-    tau, stop = MODEL.parameters.motor_time_constant, 0.09 + 0.02 + 0.5
-    np.testing.assert_allclose(states[times <= stop][-1, 6:], 0.4, atol=1e-6)
-    after = times > stop
-    left = 0.4 * np.exp(-(times[after] - stop) / tau)
-    np.testing.assert_allclose(states[after, 6], left, atol=1e-6)
-    # The next packet starts them again.
-    twin.send(command)
-    twin.wait_until(1.2)
-    assert twin.state[6] == pytest.approx(0.4 * (1 - np.exp(-0.18 / tau)), abs=1e-6)
-
-
 def test_battery_sag_takes_its_share_of_the_thrust():
     settings = QUIET.model_copy(
         update={"effects": Effects(battery_sag_1_s=0.4), "radio": Radio(delay_s=0, timeout_s=9)}
@@ -209,14 +192,6 @@ def test_a_radio_clips_and_sends_no_nonsense(plant):
             twin.send(bad)
 
 
-def test_unarmed_motors_do_nothing(plant):
-    settings = QUIET.model_copy(update={"motors": Motors(unarmed_s=0.3)})
-    twin, _ = flown(settings, [np.full(6, 0.4)] * 50, plant)
-    times, states = twin.truth
-    np.testing.assert_array_equal(states[times <= 0.3, 6:], 0)
-    assert states[-1, 6] > 0.35
-
-
 def test_without_noise_poses_are_the_truth_and_other_sensors_its_derivatives(quiet):
     twin, heard = quiet
     times, states = twin.truth
@@ -245,21 +220,6 @@ def test_without_noise_poses_are_the_truth_and_other_sensors_its_derivatives(qui
     found = body(stamps, path(stamps, 2)[:, :2])
     np.testing.assert_allclose(values[smooth, :2], found[smooth], atol=0.02)
     assert np.ptp(values[:, :2], axis=0).min() > 1
-
-
-def test_a_recording_survives_a_bag(tmp_path, plant):
-    recording = flown(NOISY, signals(1.0), plant)[0].recording()
-    write_bag(recording, tmp_path / "bag")
-    again = read_recording(tmp_path / "bag")
-    assert set(again.streams) == {"pose", "command", "reference", "imu", "mouse"}
-    for name in again.streams:
-        original, read = recording.streams[name], again.streams[name]
-        np.testing.assert_array_equal(read.stamp_ns, original.stamp_ns)
-        np.testing.assert_array_equal(read.received_ns, original.received_ns)
-        # A quaternion carries the yaw.
-        np.testing.assert_allclose(
-            read.values, original.values, atol=1e-6 if name != "pose" else 1e-9
-        )
 
 
 def test_a_recording_holds_what_was_sent_announced_and_measured(quiet):
@@ -299,15 +259,6 @@ def test_preprocessing_finds_the_delay_to_a_sample(plant, delay):
 
 def test_preprocessing_finds_the_delay_though_frames_are_missing(plant):
     assert found_delay(NOISY, plant) == pytest.approx(0.0208, abs=1.5 / 240)
-
-
-def test_a_pose_at_rest_has_the_noise_set(plant):
-    twin = Twin(MODEL, NOISY, plant=plant, pose=(0.4, -0.2, 1.0))
-    twin.wait_until(10.0)
-    values = twin.recording()["pose"].values
-    assert len(values) == pytest.approx(2400 * 0.98, abs=30)
-    np.testing.assert_allclose(values.mean(axis=0), [0.4, -0.2, 1.0], atol=6e-5)
-    np.testing.assert_allclose(values.std(axis=0), [5e-5, 5e-5, 6e-4], rtol=0.06)
 
 
 def test_a_craft_nobody_commands_stays_where_it_stands(plant):
