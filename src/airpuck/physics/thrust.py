@@ -87,8 +87,8 @@ def slope_rows(
     """
     power = np.arange(1, free.shape[1] + 1)
     rows = np.zeros((len(points), *free.shape))
-    for row, (propeller, speed) in zip(rows, points, strict=True):
-        row[propeller] = power * speed ** (power - 1)
+    for row, (propeller, speed) in enumerate(points):
+        rows[row, propeller] = power * speed ** (power - 1)
     changeable = (np.abs(rows) * free).any(axis=(1, 2))
     return rows[changeable].reshape(-1, free.size)
 

@@ -85,7 +85,7 @@ def _row(result: SetPointResult) -> list[str]:
     ]
 
 
-def _triple(values: tuple[float, float, float]) -> str:
+def _triple(values: tuple[float, ...]) -> str:
     """Write x, y and yaw."""
     x, y, yaw = values
     return f"{1e3 * x:.1f}, {1e3 * y:.1f} mm, {yaw:.3f} rad"
