@@ -11,7 +11,8 @@ from airpuck.evaluation.evaluate import Protocol, compare, evaluate
 from airpuck.model.model_file import published_model, read_model
 
 from ..conftest import VALIDATION
-from ..identification.test_fit import TABLE_2, four_propellers
+from ..identification.test_fit import TABLE_2
+from ..report.conftest import four_propellers, model_of
 from ..synthetic import fly
 
 
@@ -88,8 +89,8 @@ def test_figures_are_plain_statistics(flight):
 
 
 def test_a_model_of_another_craft_is_refused(flight):
-    with pytest.raises(InputError, match="4 \\(p0, p1, p2, p3\\)"):
-        evaluate(four_propellers(), flight)
+    with pytest.raises(InputError, match="4 \\(front, left, back, right\\)"):
+        evaluate(model_of(four_propellers(), "M3"), flight)
 
 
 @pytest.mark.data

@@ -15,7 +15,7 @@ from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import is_monotone
 
 from ..conftest import TRAINING, VALIDATION
-from ..report.conftest import four_propellers
+from ..report.conftest import four_propellers, model_of
 from ..synthetic import fly
 
 #: RMSE at 0.2 s with published parameters: x, y [mm], γ [rad] (table:prediction_error).
@@ -95,7 +95,7 @@ def test_the_model_file_reads_back_bit_equal(tmp_path):
 
 def test_other_motors_are_refused():
     with pytest.raises(InputError, match="vehicle file"):
-        identify(fly(four_propellers(), duration=2.0))
+        identify(fly(model_of(four_propellers(), "M3"), duration=2.0))
 
 
 def test_a_motor_that_idles_in_the_span_that_is_used_is_named():
