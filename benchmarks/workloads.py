@@ -51,8 +51,8 @@ def problem(stride: int = 7, horizon: int = 50, copies: int = 1, share: float = 
     from airpuck.estimate.encoder import PaperEncoder
     from airpuck.identification.objective import PredictionLoss
 
-    encoder = PaperEncoder(length=40)
-    windows = make_windows(training(copies), encoder.length, horizon, stride)
+    encoder = PaperEncoder()
+    windows = make_windows(training(copies), 40, horizon, stride)
     kept = windows.starts[: max(1, round(share * len(windows)))]
     return PredictionLoss(replace(windows, starts=kept), default_vehicle(), encoder)
 

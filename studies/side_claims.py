@@ -144,7 +144,7 @@ def fit_whole_trajectory(
         ("full_from_nominal", "from nominal values", None),
         ("full_from_batched", "from the batched optimum", batched.model.parameters),
     ):
-        whole = Loss(prediction_length=None)
+        whole = Loss(prediction_time=None)
         fit = identify(training, batched.model.name, initial=initial, loss=whole)
         trials[name] = judge(f"full trajectory, {label}", fit, validation)
     return trials
@@ -195,7 +195,7 @@ def sample_landscapes(
     factor = np.linspace(1 - span, 1 + span, points)
     landscapes = []
     for horizon in horizons:
-        windows = hold_for(model, make_windows(training, encoder.length, horizon, horizon or 1))
+        windows = hold_for(model, make_windows(training, 20, horizon, horizon or 1))
         length = windows.prediction_length * training.sample_period
         print(f"loss landscape of predictions over {length:.1f} s", flush=True)
         loss = PredictionLoss(windows, model.vehicle, encoder, frame=model.frame)

@@ -26,7 +26,9 @@ STRIDES = (4, 7, 14, 28)
 def fitted(trajectory: Trajectory, stride: int) -> Uncertainty:
     """Return what a fit to the windows of a stride says, and how surely."""
     known = identify(
-        trajectory, loss=Loss(stride=stride), preparation=Preparation(faults="keep")
+        trajectory,
+        loss=Loss(spacing=stride * trajectory.sample_period),
+        preparation=Preparation(faults="keep"),
     ).model.uncertainty
     assert known is not None
     return known

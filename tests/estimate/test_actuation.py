@@ -87,7 +87,7 @@ def test_predictions_of_a_craft_that_lost_thrust_are_far_better():
     flight = fly(weakened([0.6] * 6), duration=6.0)
     paper, actuation = (
         evaluate(MODEL, flight, encoder=e, protocol=PROTOCOLS["paper-long"]).rmse
-        for e in (PaperEncoder(20), EXACT)
+        for e in (PaperEncoder(), EXACT)
     )
     assert (actuation < 0.3 * paper).all()
 

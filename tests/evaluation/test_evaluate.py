@@ -23,7 +23,7 @@ def flight():
 
 def test_the_true_model_predicts_exactly(flight):
     model = replace(published_model("M3"), indexing="start")
-    evaluation = evaluate(model, flight, protocol=Protocol(encoder_length=200))
+    evaluation = evaluate(model, flight, protocol=Protocol(encoder_time=200 / 240))
     # The encoder starts its motors at the first command of the window; after 200 samples, thirty
     # time constants, they have forgotten it.
     np.testing.assert_allclose(evaluation.errors, 0, atol=1e-9)

@@ -66,7 +66,7 @@ def test_the_information_is_that_of_finite_differences_of_a_plain_rollout(trajec
     def residuals(vector):
         dynamics = MODEL.parameters.with_vector(vector).dynamics(np, MODEL.vehicle, MODEL.frame)
         commands, durations, measured = windows.future(starts)
-        state = PaperEncoder(length=40).encode(np, dynamics, windows.past(starts))
+        state = PaperEncoder().encode(np, dynamics, windows.past(starts))
         predicted = rollout(np, dynamics, state, commands, durations)
         weights = np.array(PUBLISHED_WEIGHTS)[:, None]
         return (weights * (predicted[:, :3] - measured[:, :3])).reshape(-1)

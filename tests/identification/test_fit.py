@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.identification.problem import Loss, Preparation
@@ -30,7 +29,7 @@ TABLE_2 = {
 
 #: The encoder starts its motors at the first command of a window. After this many samples they
 #: have forgotten it; after the paper's 20 they have not, which biases thrust by a few percent.
-LONG = Loss(encoder=PaperEncoder(length=200), stride=3)
+LONG = Loss(encoder_time=200 / 240, spacing=3 / 240)
 
 
 def with_offset_center(model: Model) -> Model:

@@ -27,7 +27,7 @@ VEHICLE = default_vehicle()
 FIXED, LEARNED = Preparation(delay="fixed"), Preparation(delay="fit")
 TRUTH = replace(published_model("M3"), frame="body", indexing="start").with_delay(0.01873)
 #: Motors have forgotten their first command after so many samples.
-LONG = Loss(encoder=PaperEncoder(length=120), stride=3)
+LONG = Loss(encoder_time=0.5, spacing=3 / 240)
 
 
 def flown(truth: Model = TRUTH, applied: float = 5 / 240, seed: int = 0) -> Trajectory:

@@ -38,7 +38,7 @@ def noisy(seed=0, duration=14.0, noise=0.002):
 
 
 def clustered_loss():
-    return Loss(stride=29).on([noisy()], VEHICLE)
+    return Loss(spacing=29 / 240).on([noisy()], VEHICLE)
 
 
 @pytest.fixture(scope="module")

@@ -130,14 +130,15 @@ class Identification(Item):
 
     #: What is identified.
     model: RungName = "M3"
-    #: Samples from one window to the next.
-    stride: Count = 7
+    #: Samples from one window to the next; by default 7/240 s.
+    stride: Count | None = None
     #: Whether windows that are predicted badly count less.
     robust: bool = False
 
-    def loss(self) -> Loss:
+    def loss(self, data: Trajectory) -> Loss:
         """Return what the fit minimises."""
-        return Loss(stride=self.stride, robust=self.robust)
+        spacing = Loss.spacing if self.stride is None else self.stride * data.sample_period
+        return Loss(spacing=spacing, robust=self.robust)
 
 
 class Tracking(Flight):
@@ -191,7 +192,7 @@ class Recovery(Flight, Identification):
             settings=self.twin,
         )
         data, craft = preprocess(recording, truth.vehicle), truth.vehicle
-        fit = identify(data, self.model, vehicle=craft, loss=self.loss())
+        fit = identify(data, self.model, vehicle=craft, loss=self.loss(data))
         delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
@@ -291,7 +292,8 @@ class Fitting(Identification):
             elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
             learned = rung.mask(nominal)
             start = nominal.with_vector(np.where(learned, elsewhere, nominal.to_vector()))
-        return identify(trajectories, rung, vehicle=craft, initial=start, loss=self.loss())
+        loss = self.loss(trajectories[0])
+        return identify(trajectories, rung, vehicle=craft, initial=start, loss=loss)
 
     def _resampled(self) -> list[Row]:
         """Fit to resampled data, each time from the fit to all."""

@@ -81,7 +81,14 @@ def identify(
     ] = "lm",
     epochs: Annotated[int | None, Option(help="Epochs of Adam.", min=1)] = None,
     stride: Annotated[
-        int | None, Option(help="Samples between windows; 7, for adam 1.", min=1)
+        int | None,
+        Option(help="Samples between windows; by default 29 ms (7 at 240 Hz), for adam 1.", min=1),
+    ] = None,
+    encoder_time: Annotated[
+        float | None, Option(metavar="S", help="What the encoder looks at; 0.167 s.", min=0.01)
+    ] = None,
+    prediction_time: Annotated[
+        float | None, Option(metavar="S", help="How far predictions reach; 0.208 s.", min=0.01)
     ] = None,
     degree: Annotated[
         int | None, Option(help="Degree of the thrust polynomials.", min=1, max=9)
@@ -147,13 +154,24 @@ def identify(
     craft = read_craft(vehicle)
     trajectories = [load(path, craft, topics, span=span, quiet=quiet) for path in recordings]
     adam = airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
-    stride = stride or (7 if method == "lm" else 1)
+    times = {
+        "encoder_time": encoder_time,
+        "prediction_time": prediction_time,
+        "spacing": stride and stride * trajectories[0].sample_period,
+    }
+    if method == "adam":
+        times["spacing"] = times["spacing"] or 0.0
+    loss = Loss(
+        weights=(1.0, 1.0, yaw_weight),
+        robust=robust,
+        **{name: time for name, time in times.items() if time is not None},
+    )
     with show_progress(quiet) as progress:
         fit = airpuck.identify(
             trajectories,
             rung,
             vehicle=craft,
-            loss=Loss(weights=(1.0, 1.0, yaw_weight), stride=stride, robust=robust),
+            loss=loss,
             method=airpuck.LevenbergMarquardt() if method == "lm" else adam,
             preparation=Preparation(faults=faults, delay=delay),
             progress=progress,

@@ -90,6 +90,9 @@ ProtocolName = Annotated[
         help="paper; paper-long: encoders may look further back; causal: nothing measured later.",
     ),
 ]
+Horizon = Annotated[
+    float, Option(metavar="S", help="After how long errors are reported.", min=0.001, max=10)
+]
 EncoderName = Annotated[
     Literal["paper", "actuation"],
     Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),

@@ -34,6 +34,7 @@ def evaluate(
     recording: options.RecordingPath,
     span: options.Span = None,
     protocol: options.ProtocolName = "paper",
+    horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
     topics: options.TopicsFile = None,
     json_file: options.Json = None,
@@ -44,7 +45,8 @@ def evaluate(
 
     judged = airpuck.read_model(model)
     trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
-    found = airpuck.evaluate(judged, trajectory, protocol=PROTOCOLS[protocol], encoder=encoder)
+    chosen = PROTOCOLS[protocol].after(horizon)
+    found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     report({**found.to_json(), "name": model}, json_file, error_table([model], [found]))
 
 
@@ -138,6 +140,7 @@ def compare(
     ],
     span: options.Span = None,
     protocol: options.ProtocolName = "paper",
+    horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
     topics: options.TopicsFile = None,
     json_file: options.Json = None,
@@ -147,7 +150,7 @@ def compare(
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
 
-    chosen = PROTOCOLS[protocol]
+    chosen = PROTOCOLS[protocol].after(horizon)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
     names = models if alone else models[:-1]
     if not names or (alone and len(names) != 2):
@@ -167,7 +170,7 @@ def compare(
     if not alone:
         trajectory = load(Path(models[-1]), read[0].vehicle, topics, span=span, quiet=quiet)
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
-        fits = [measure_fit(model, trajectory) for model in read]
+        fits = [measure_fit(model, trajectory, horizon=horizon) for model in read]
         figures["evaluations"] = [
             {**evaluation.to_json(), **fit.to_json(), "name": name}
             for name, evaluation, fit in zip(names, evaluations, fits, strict=True)

@@ -111,6 +111,21 @@ class Trajectory:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
+    def steps(self, duration: float) -> int:
+        """Return how many samples a duration is.
+
+        Parameters
+        ----------
+        duration : float
+            A time [s].
+
+        Returns
+        -------
+        int
+            To the nearest sample, and at least one.
+        """
+        return max(round(duration / self.sample_period), 1)
+
     @cached_property
     def input(self) -> Float[np.ndarray, "N n"]:
         """The command in force at each sample: zero-order hold of the delayed command events."""

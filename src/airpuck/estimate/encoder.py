@@ -36,11 +36,6 @@ class Encoder(Protocol):
 class StateEncoder(Encoder, Protocol):
     """An encoder that leaves the model as it is: what a model can be learned with."""
 
-    @property
-    def length(self) -> int:
-        """Number of samples E that it looks at while a model is learned."""
-        ...
-
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
         """Estimate the state."""
         ...
@@ -54,15 +49,11 @@ class PaperEncoder:
 
     Attributes
     ----------
-    length : int
-        Samples E of the windows that a model is learned with; an evaluation shows it as many as its
-        protocol says.
     indexing : {"start", "end"}
         Which command is in force between two samples: the one held at the interval's start, as in
         the rollout, or the one at its end, as in the code behind the published numbers.
     """
 
-    length: int = 20
     indexing: Literal["start", "end"] = "start"
 
     @property

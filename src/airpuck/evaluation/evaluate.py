@@ -6,7 +6,7 @@ Its result at 0.2 s is table:prediction_error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -39,23 +39,31 @@ class Protocol:
 
     #: Every number names its protocol.
     name: str = "paper"
-    #: E and T, in samples; windows do not overlap.
-    encoder_length: int = 20
-    prediction_length: int = 50
+    #: What the encoder looks at and what is predicted [s]; windows do not overlap. By default E =
+    #: 20 and T = 50 samples at 240 Hz.
+    encoder_time: float = 20 / 240
+    prediction_time: float = 50 / 240
     #: When errors are reported [s]; the nearest step counts.
     horizon: float = 0.2
-    #: Most samples up to the present that an encoder may look at, where they are usable; by default
-    #: E, those of the window.
-    longest_past: int | None = None
+    #: Longest time up to the present that an encoder may look at, where it is usable [s]; by
+    #: default that of the window.
+    longest_past: float | None = None
     #: Whether an encoder must not use anything that was measured after the present.
     causal: bool = False
+
+    def after(self, horizon: float) -> Protocol:
+        """Return the same protocol with errors reported after another time [s].
+
+        Predictions become longer where they must.
+        """
+        return replace(self, horizon=horizon, prediction_time=max(horizon, self.prediction_time))
 
 
 #: The windows, and so the predictions, are the same in all of them.
 PROTOCOLS = {
     "paper": Protocol(),
-    "paper-long": Protocol("paper-long", longest_past=40),
-    "causal": Protocol("causal", longest_past=40, causal=True),
+    "paper-long": Protocol("paper-long", longest_past=40 / 240),
+    "causal": Protocol("causal", longest_past=40 / 240, causal=True),
 }
 ENCODERS = ("paper", "actuation")
 
@@ -63,7 +71,7 @@ ENCODERS = ("paper", "actuation")
 def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
     """Build an encoder by its name."""
     if name == "paper":
-        return PaperEncoder(protocol.encoder_length, model.indexing)
+        return PaperEncoder(model.indexing)
     if name == "actuation":
         velocity = "causal" if protocol.causal else "smoothed"
         return ActuationEncoder(velocity)
@@ -168,7 +176,7 @@ def evaluate(
     trajectory : Trajectory
         Data that it was not learned from.
     protocol : Protocol, optional
-        By default the paper's: E = 20, T = 50, judged after 0.2 s.
+        By default the paper's: E = 20 and T = 50 samples at 240 Hz, judged after 0.2 s.
     encoder : Encoder or {"paper", "actuation"}, default "paper"
         Where predictions start from. The paper's has the indexing that the model was learned with.
 
@@ -192,7 +200,7 @@ def evaluate(
             "choose the encoder actuation",
             field="encoder",
         )
-    before, ahead = protocol.encoder_length, protocol.prediction_length
+    before, ahead = map(trajectory.steps, (protocol.encoder_time, protocol.prediction_time))
     length = before + ahead
     windows = hold_for(model, make_windows(trajectory, before, ahead, stride=length))
     past = _past(trajectory, windows, protocol)
@@ -212,7 +220,8 @@ def _past(trajectory: Trajectory, windows: Windows, protocol: Protocol) -> Int[n
     firsts = np.array([first for first, _ in trajectory.segments])
     present = windows.present
     begun = firsts[np.searchsorted(firsts, present, side="right") - 1]
-    return np.minimum(present - begun + 1, protocol.longest_past or protocol.encoder_length)
+    longest = trajectory.steps(protocol.longest_past or protocol.encoder_time)
+    return np.minimum(present - begun + 1, longest)
 
 
 def compare(

@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
-from airpuck.estimate.encoder import PaperEncoder
+from airpuck.identification.objective import PUBLISHED_WEIGHTS
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.problem import Loss
 from airpuck.identification.retiming import spread_of, variance_of_mean
@@ -70,14 +70,17 @@ class Information:
 
 def loss_of(model: Model) -> Loss:
     """Return the loss that a model was learned with."""
-    fit, usual = model.fit, Loss()
-    x, y, yaw = fit.get("weights", usual.weights)
-    return Loss(
-        encoder=PaperEncoder(length=int(fit.get("encoder_length", usual.encoder.length))),
-        weights=(x, y, yaw),
-        prediction_length=int(fit.get("prediction_length", usual.prediction_length)),
-        stride=int(fit.get("stride", usual.stride)),
-    )
+    fit = model.fit
+    x, y, yaw = fit.get("weights", PUBLISHED_WEIGHTS)
+    # Models of earlier versions were learned at 240 Hz.
+    period = fit.get("sample_period_s", 1 / 240)
+    names = {
+        "encoder_time": "encoder_length",
+        "prediction_time": "prediction_length",
+        "spacing": "stride",
+    }
+    given = {name: fit[key] * period for name, key in names.items() if key in fit}
+    return Loss(weights=(x, y, yaw), **given)
 
 
 def information_of(

@@ -126,15 +126,15 @@ def _mean_loss(evaluate: Callable[..., Any], vector: Any, train: Any) -> float:
 
 def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, Any], Any]:
     """Return the prediction loss as a function that JAX differentiates."""
-    windows, encoder = loss.windows, loss.encoder
+    windows, encoder, before = loss.windows, loss.encoder, loss.windows.encoder_length
     time, state, command = map(jnp.asarray, (windows.time, windows.state, windows.input))
     weights = jnp.asarray(loss.weights)[:, None]
     steps = jnp.arange(windows.prediction_length + 1)[:, None]
 
     def error(vector: Any, starts: Any) -> Any:
         dynamics = parameters.with_vector(vector).dynamics(jnp, loss.vehicle, loss.frame)
-        past = gather_past(jnp, time, state, command, starts, encoder.length)
-        index = starts + encoder.length - 1 + steps
+        past = gather_past(jnp, time, state, command, starts, before)
+        index = starts + before - 1 + steps
         predicted = rollout(
             jnp,
             dynamics,

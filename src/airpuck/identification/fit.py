@@ -180,12 +180,10 @@ class _Fitting:
 
     def leave_out_faults(self) -> None:
         """Find faults with a first fit, and leave out the windows that they touch."""
-        loss = self.problem.loss
-        if self.problem.excludes_faults and loss.prediction_length is not None:
-            length = loss.encoder.length + loss.prediction_length
-            self.exclusion = exclude_faults(
-                self.trajectories, self.first_model(), length, loss.stride
-            )
+        before, ahead, stride = self.problem.loss.samples(self.trajectories)
+        if self.problem.excludes_faults and ahead is not None:
+            model = self.first_model()
+            self.exclusion = exclude_faults(self.trajectories, model, before + ahead, stride)
             self.trajectories = self.prepared = self.exclusion.trajectories
 
     def retime(self) -> None:
@@ -217,7 +215,8 @@ class _Fitting:
             "windows": len(windows),
             "encoder_length": windows.encoder_length,
             "prediction_length": windows.prediction_length,
-            "stride": problem.loss.stride,
+            "stride": self.trajectories[0].steps(problem.loss.spacing),
+            "sample_period_s": self.trajectories[0].sample_period,
             "weights": list(problem.loss.weights),
             "robust": problem.loss.robust,
             **({"left_out": self.exclusion.to_json()} if self.exclusion else {}),

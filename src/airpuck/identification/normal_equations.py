@@ -42,23 +42,23 @@ def normal_equations(
     channel_weights: Any,
     *,
     encoder: StateEncoder,
-    horizon: int,
+    lengths: tuple[int, int],
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
     """Sum r², Jᵀr and JᵀJ over a batch of B windows.
 
-    Local coordinates are the thrust coefficients, K directions of Π and the effects, the centre of
-    mass where it acts beside Π, τ, and the transport delay.
+    `lengths` are E and T. Local coordinates are the thrust coefficients, K directions of Π and the
+    effects, the centre of mass where it acts beside Π, τ, and the transport delay.
 
     Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
     of each.
     """
     coefficients, linear, center, tau = dynamics
     (n, degree), batch = coefficients.shape, starts.shape[0]
-    by_tau = jnp.array([1.0, 0.0])
+    by_tau, (before, ahead) = jnp.array([1.0, 0.0]), lengths
 
-    past = gather_past(jnp, time, state, command, starts, encoder.length)
-    past_slope = gather_past(jnp, time, state, command_slope, starts, encoder.length).command
+    past = gather_past(jnp, time, state, command, starts, before)
+    past_slope = gather_past(jnp, time, state, command_slope, starts, before).command
 
     def encode(tau: Any, command: Any) -> Any:
         model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
@@ -117,7 +117,7 @@ def normal_equations(
 
     def step(carry: Any, k: Any) -> tuple[Any, None]:
         position, motion, speed, d_position, d_yaw, d_velocity, d_speed, sums = carry
-        now = starts + encoder.length - 1 + k
+        now = starts + before - 1 + k
         held, h = command[now].T, time[now + 1] - time[now]
         d_held = jnp.stack([jnp.zeros_like(held), command_slope[now].T])
         # As in `airpuck.physics.rollout.step`, with every quantity beside its sensitivities.
@@ -163,10 +163,10 @@ def normal_equations(
         d_encoded[:, 6 : 6 + n],
         (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
     )
-    return jax.lax.scan(step, carry, jnp.arange(horizon))[0][-1]
+    return jax.lax.scan(step, carry, jnp.arange(ahead))[0][-1]
 
 
 @cache
 def compiled_normal_equations() -> Callable[..., tuple[Any, Any, Any]]:
     """Compile `normal_equations`; the last three arguments must have hashes."""
-    return for_batches(normal_equations, static_argnames=("encoder", "horizon", "frame"))
+    return for_batches(normal_equations, static_argnames=("encoder", "lengths", "frame"))

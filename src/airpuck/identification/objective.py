@@ -167,7 +167,7 @@ class PredictionLoss:
         normal_equations = partial(
             compiled_normal_equations(),
             encoder=self.encoder,
-            horizon=windows.prediction_length,
+            lengths=(windows.encoder_length, windows.prediction_length),
             frame=self.frame,
         )
         batches, owner = self._batches()

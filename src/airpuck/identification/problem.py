@@ -24,7 +24,9 @@ from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import Rung, named_rung
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
-_ENCODER = PaperEncoder(length=40)
+_ENCODER = PaperEncoder()
+#: Relative difference between the sample periods of recordings that are fitted together.
+_SAME_RATE = 0.05
 
 
 @dataclass(frozen=True)
@@ -34,26 +36,32 @@ class Loss:
     Attributes
     ----------
     encoder : PaperEncoder
-        Where predictions start from; by default the paper's with E = 40 samples, each command in
-        force from its own sample on. (The paper's 20 samples are three time constants of the
-        motors: of what these did before, 5 % remain, and bias the thrust by about 1 %.)
+        Where predictions start from; by default the paper's, each command in force from its own
+        sample on.
+    encoder_time : float
+        What the encoder looks at [s]; by default that of E = 40 samples at 240 Hz. (The paper's 20
+        samples are three time constants of the motors: of what these did before, 5 % remain, and
+        bias the thrust by about 1 %.)
     weights : tuple of float
         Weights of the x, y [1/m] and γ [1/rad] errors; by default those of the published fits,
         (1, 1, 0.1). The paper's text has (1, 1, 1).
-    prediction_length : int or None
-        Steps T to predict. None: one window over the whole trajectory (eq. loss_full).
-    stride : int
-        Samples from one window to the next. Windows that begin one sample apart share all others:
-        7 keeps nearly all of the information at a seventh of the cost.
+    prediction_time : float or None
+        What is predicted [s]; by default that of T = 50 steps at 240 Hz. None: one window over the
+        whole trajectory (eq. loss_full).
+    spacing : float
+        From one window to the next, at least one sample [s]; by default that of 7 samples at 240
+        Hz. Windows that begin one sample apart share all others: every seventh keeps nearly all of
+        the information at a seventh of the cost.
     robust : bool
         Whether windows that the model predicts badly count less, so that unmarked faults hardly
         move the estimate. `LevenbergMarquardt` only.
     """
 
     encoder: PaperEncoder = _ENCODER
+    encoder_time: float = 40 / 240
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
-    prediction_length: int | None = 50
-    stride: int = 7
+    prediction_time: float | None = 50 / 240
+    spacing: float = 7 / 240
     robust: bool = False
 
     def on(
@@ -82,8 +90,8 @@ class Loss:
         PredictionLoss
             With its windows grouped into clusters; all windows count alike.
         """
-        length, ahead = self.encoder.length, self.prediction_length
-        windows = make_windows(trajectories, length, ahead, self.stride)
+        before, ahead, stride = self.samples(trajectories)
+        windows = make_windows(trajectories, before, ahead, stride)
         return PredictionLoss(
             windows,
             vehicle,
@@ -93,6 +101,37 @@ class Loss:
             continuous_delay=learns_delay,
             clusters=cluster_windows(windows),
         )
+
+    def samples(self, trajectories: Sequence[Trajectory]) -> tuple[int, int | None, int]:
+        """Return E, T and the stride in samples, or refuse recordings of different rates.
+
+        Parameters
+        ----------
+        trajectories : sequence of Trajectory
+            What windows are to be cut from.
+
+        Returns
+        -------
+        tuple of int
+            T is None where one window spans a trajectory.
+
+        Raises
+        ------
+        InputError
+            If their poses were taken at different rates.
+        """
+        first = trajectories[0]
+        ahead = self.prediction_time
+        for other in trajectories[1:]:
+            if abs(other.sample_period / first.sample_period - 1) > _SAME_RATE:
+                raise InputError(
+                    f"has poses at {1 / other.sample_period:.0f} Hz, the first recording at "
+                    f"{1 / first.sample_period:.0f} Hz; identify from recordings of one rate",
+                    file=other.source,
+                )
+        steps = first.steps
+        before, stride = steps(self.encoder_time), steps(self.spacing)
+        return before, None if ahead is None else steps(ahead), stride
 
 
 @dataclass(frozen=True)
@@ -179,7 +218,7 @@ class Problem:
         """Whether faults are searched for and left out."""
         default = "exclude" if self._delays_known else "keep"
         wanted = (self.preparation.faults or default) == "exclude"
-        return wanted and self.loss.prediction_length is not None
+        return wanted and self.loss.prediction_time is not None
 
     @property
     def learns_delay(self) -> bool:

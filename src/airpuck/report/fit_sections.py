@@ -75,10 +75,9 @@ class FitStudy:
             model, settings = self.reference.get(fit.model.name), fit.model.fit
             if model is None:
                 continue
-            encoder = PaperEncoder(settings["encoder_length"], model.indexing)
-            lengths = encoder.length, settings["prediction_length"], settings["stride"]
+            lengths = (settings[name] for name in ("encoder_length", "prediction_length", "stride"))
             windows = hold_for(model, make_windows(self.training, *lengths))
-            errors = prediction_errors(model.dynamics, windows, encoder)
+            errors = prediction_errors(model.dynamics, windows, PaperEncoder(model.indexing))
             weights = np.array(settings["weights"])[:, None]
             losses[fit.model.name] = float(np.mean((weights * errors) ** 2))
         return losses
@@ -95,8 +94,9 @@ def protocol_words(evaluation: Evaluation) -> str:
     after = evaluation.horizon_step * evaluation.sample_period
     return (
         f"Protocol “{protocol.name}”: {evaluation.errors.shape[2]} windows that do not overlap, "
-        f"of {protocol.encoder_length} samples for the encoder and {protocol.prediction_length} "
-        f"steps to predict; errors after step {evaluation.horizon_step} ({after:.3f} s)."
+        f"of {round(protocol.encoder_time / evaluation.sample_period)} samples for the encoder and "
+        f"{len(evaluation.errors)} steps to predict; errors after step {evaluation.horizon_step} "
+        f"({after:.3f} s)."
     )
 
 
