@@ -113,3 +113,17 @@ def test_the_packaged_numbers_are_the_authors(data, name):
     assert authors.name == name
     np.testing.assert_array_equal(packaged.parameters.to_vector(), authors.parameters.to_vector())
     np.testing.assert_array_equal(packaged.free, authors.free)
+
+
+def test_every_start_holds_those_of_the_protocol(flight):
+    model = published_model("M3")
+    evaluation = evaluate(model, flight)
+    everywhere = evaluation.every_start
+    # Every fourth sample: the starts 70 samples apart are among them every second time.
+    np.testing.assert_allclose(np.diff(everywhere.start), 4 / 240)
+    shared, here, there = np.intersect1d(
+        evaluation.start.round(6), everywhere.start.round(6), return_indices=True
+    )
+    assert len(shared) == len(evaluation.start[::2])
+    np.testing.assert_allclose(everywhere.errors[:, there], evaluation.at_horizon[:, here])
+    assert evaluation.to_json()["every_start"]["interval_95"]["x_m"] is None  # 4 s are too short

@@ -158,3 +158,24 @@ def error_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Tabl
         title=f"Prediction error after {first.horizon_step * first.sample_period:.3f} s, "
         f"{first.errors.shape[2]} windows, protocol {first.protocol.name}",
     )
+
+
+def every_start_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Table:
+    """Lay out the errors of several models from every start, with their intervals."""
+    rows = []
+    for name, evaluation in zip(names, evaluations, strict=True):
+        found = evaluation.every_start
+        cells = []
+        for value, (low, high), factor, digits in zip(
+            found.rmse, found.interval.T, (1e3, 1e3, 1.0), (2, 2, 4), strict=True
+        ):
+            text = f"{factor * value:.{digits}f}"
+            known = f" ({factor * low:.{digits}f} to {factor * high:.{digits}f})"
+            cells.append(text + known if low == low else text)
+        rows.append([name, *cells])
+    first = evaluations[0].every_start
+    return table(
+        ("model", "x mm", "y mm", "yaw rad"),
+        rows,
+        title=f"From every start, {len(first.start)} windows that overlap (95 % interval)",
+    )

@@ -14,7 +14,7 @@ from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts
 from airpuck.cli.inputs import about, load, read_craft
-from airpuck.cli.output import error_table, report, table, warn
+from airpuck.cli.output import error_table, every_start_table, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,7 +47,8 @@ def evaluate(
     trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
-    report({**found.to_json(), "name": model}, json_file, error_table([model], [found]))
+    shown = error_table([model], [found]), every_start_table([model], [found])
+    report({**found.to_json(), "name": model}, json_file, *shown)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -149,6 +150,7 @@ def compare(
     """Compare models on one recording; of two learned models, say what drifted."""
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
+    from airpuck.evaluation.model_difference import model_differences
 
     chosen = PROTOCOLS[protocol].after(horizon)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
@@ -175,7 +177,11 @@ def compare(
             {**evaluation.to_json(), **fit.to_json(), "name": name}
             for name, evaluation, fit in zip(names, evaluations, fits, strict=True)
         ]
-        shown = [error_table(names, evaluations), _fit_table(names, fits), *shown]
+        differences = model_differences(names, evaluations)
+        figures["differences"] = [difference.to_json() for difference in differences]
+        verdicts = [difference.verdict for difference in differences]
+        tables = error_table(names, evaluations), every_start_table(names, evaluations)
+        shown = [*tables, *verdicts, _fit_table(names, fits), *shown]
     report(figures, json_file, *shown)
 
 

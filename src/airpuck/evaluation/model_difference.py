@@ -1,0 +1,105 @@
+"""Whether two models predict one recording differently, or it only looks so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.evaluation.block_bootstrap import rmse_ratio
+from airpuck.evaluation.evaluate import CHANNELS, Evaluation, by_channel, interval_or_none
+from airpuck.evaluation.statistical_tests import holm
+
+#: Chance of any false alarm among all pairs and channels.
+LEVEL = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ModelDifference:
+    """Errors of a second model against those of a first, on the same predictions."""
+
+    #: Names of the models.
+    first: str
+    second: str
+    #: RMSE of x, y, γ of the second over that of the first.
+    ratio: Float[np.ndarray, " 3"]
+    #: 95 % intervals of the ratios, each by itself; NaN where the recording is too short.
+    interval: Float[np.ndarray, "2 3"]
+    #: That both are equal, adjusted for the number of pairs and channels (Holm); NaN likewise.
+    p_value: Float[np.ndarray, " 3"]
+
+    @property
+    def differs(self) -> list[bool]:
+        """Whether x, y, γ differ, with a chance of 5 % for any false alarm among all pairs."""
+        return (self.p_value < LEVEL).tolist()
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        if np.isnan(self.p_value).any():
+            return f"{self.second} against {self.first}: too few seconds to tell them apart"
+        said = []
+        for name, ratio, bounds, differs in zip(
+            ("x", "y", "yaw"), self.ratio, self.interval.T, self.differs, strict=True
+        ):
+            if not differs:
+                low, high = sorted(bounds, key=lambda end: abs(end - 1))
+                said.append(f"{name}: no difference shown ({_percent(low)} to {_percent(high)})")
+                continue
+            low, high = sorted(100 * np.abs(bounds - 1))
+            said.append(f"{name} {_percent(ratio)} ({low:.1f} to {high:.1f} %)")
+        if not any(self.differs):
+            return f"{self.second} against {self.first}: no difference shown"
+        return f"{self.second} against {self.first}: {', '.join(said)}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures."""
+        between = [interval_or_none(bounds) for bounds in self.interval.T]
+        values = [None if np.isnan(p) else float(p) for p in self.p_value]
+        return {
+            "first": self.first,
+            "second": self.second,
+            "rmse_ratio": by_channel(self.ratio),
+            "interval_95": dict(zip(CHANNELS, between, strict=True)),
+            "p_value": dict(zip(CHANNELS, values, strict=True)),
+            "differs": dict(zip(CHANNELS, self.differs, strict=True)),
+            "verdict": self.verdict,
+        }
+
+
+def _percent(ratio: float) -> str:
+    """Say how much smaller or larger an error is."""
+    return f"{100 * abs(ratio - 1):.1f} % {'better' if ratio < 1 else 'worse'}"
+
+
+def model_differences(
+    names: Sequence[str], evaluations: Sequence[Evaluation]
+) -> list[ModelDifference]:
+    """Compare the errors of every pair of models at the horizon, from every start.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What the models are called.
+    evaluations : sequence of Evaluation
+        Of the same recording, by the same protocol and encoder, as from `compare`.
+
+    Returns
+    -------
+    list of ModelDifference
+        One for each pair.
+    """
+    found = []
+    for (name, one), (other_name, other) in combinations(zip(names, evaluations, strict=True), 2):
+        first, second = one.every_start, other.every_start
+        found.append(
+            ModelDifference(name, other_name, *rmse_ratio(first.errors, second.errors, first.start))
+        )
+    if not found or np.isnan(found[0].p_value).any():
+        return found
+    adjusted = holm(np.concatenate([one.p_value for one in found])).reshape(-1, 3)
+    return [replace(one, p_value=p) for one, p in zip(found, adjusted, strict=True)]

@@ -1,0 +1,52 @@
+"""Verdicts on two models, from evaluations whose errors are made up."""
+
+import numpy as np
+
+from airpuck.evaluation.evaluate import PROTOCOLS, Evaluation, EveryStart
+from airpuck.evaluation.model_difference import model_differences
+
+from .test_block_bootstrap import residuals
+
+
+def evaluation(errors, start):
+    nothing = np.zeros((50, 3, 1))
+    everywhere = EveryStart(errors, start)
+    return Evaluation("M3", PROTOCOLS["paper"], "paper", nothing, start[:1], 1 / 240, 0, everywhere)
+
+
+def test_only_what_differs_is_called_a_difference():
+    errors, start = residuals(3, 60.0, 6)
+    base, own = errors[:3], errors[3:]
+    # x a fifth smaller, y as large, yaw a fifth larger.
+    other = np.array([0.8, 1.0, 1.2])[:, None] * base + 0.05 * own
+    (found,) = model_differences(["A", "B"], [evaluation(e, start) for e in (base, other)])
+    assert found.differs == [True, False, True]
+    ratio = np.sqrt(np.mean(other**2, axis=1) / np.mean(base**2, axis=1))
+    np.testing.assert_allclose(found.ratio, ratio)
+    better, same, worse = found.verdict.split(", ")
+    assert better.startswith(f"B against A: x {100 * (1 - ratio[0]):.1f} % better (")
+    assert same.startswith("y: no difference shown (") and same.endswith(" % worse)")
+    assert worse.startswith(f"yaw {100 * (ratio[2] - 1):.1f} % worse (")
+    written = found.to_json()
+    assert written["differs"] == {"x_m": True, "y_m": False, "yaw_rad": True}
+    low, high = written["interval_95"]["x_m"]
+    assert low < written["rmse_ratio"]["x_m"] < high
+
+
+def test_all_pairs_of_equals_show_no_difference():
+    errors, start = residuals(5, 60.0, 15)
+    shared = errors[:3]
+    flown = [evaluation(shared + 0.3 * errors[k : k + 3], start) for k in (3, 6, 9, 12)]
+    found = model_differences(list("ABCD"), flown)
+    assert len(found) == 6
+    assert all(one.verdict.endswith("no difference shown") for one in found)
+
+
+def test_short_recordings_are_not_judged():
+    errors, start = residuals(0, 5.0, 3)
+    (found,) = model_differences(["A", "B"], [evaluation(e, start) for e in (errors, 2 * errors)])
+    assert "too few seconds" in found.verdict
+    written = found.to_json()
+    assert written["interval_95"]["x_m"] is None and written["p_value"]["x_m"] is None
+    assert found.differs == [False, False, False]
+    assert model_differences(["A"], [evaluation(errors, start)]) == []
