@@ -17,7 +17,7 @@ from airpuck.campaigns.items import recovery_errors
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import Model, published_model
 from airpuck.twin.experiments import excite
-from airpuck.twin.plant import Plant, build_plant
+from airpuck.twin.plant import build_plant
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import default_twin_settings
 
@@ -42,9 +42,8 @@ def true_delay(model: Model) -> float:
     return as_received(model, default_twin_settings(), default_tuning().period_s).transport_delay
 
 
-def recovered(model: Model, plant: Plant, seed: int, duration: float = 90.0) -> dict[str, float]:
-    """Fly, identify, and compare with the truth."""
-    found = identify(preprocess(excite(model, duration, seed, plant=plant)), "M3").model
+def recovered(found: Model, model: Model) -> dict[str, float]:
+    """Compare what was identified with the truth."""
     errors = recovery_errors(found, model)
     return {
         "thrust %": 100 * errors["thrust"],
@@ -65,7 +64,8 @@ def main() -> None:
     plant = build_plant(model)
     rows = []
     for seed in range(options.seeds):
-        rows.append(recovered(model, plant, seed, options.duration))
+        flight = preprocess(excite(model, options.duration, seed, plant=plant))
+        rows.append(recovered(identify(flight, "M3").model, model))
         print(seed, {name: round(value, 3) for name, value in rows[-1].items()}, flush=True)
     for name, bound in BOUNDS.items():
         values = np.array([row[name] for row in rows])

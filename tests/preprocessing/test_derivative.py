@@ -6,7 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 
-from airpuck.preprocessing.derivative import acceleration, smooth, unwrap_yaw, velocity
+from airpuck.data.trajectory import usual_period
+from airpuck.preprocessing.derivative import (
+    ACCELERATION_TIME,
+    VELOCITY_TIME,
+    acceleration,
+    shortest_stretch,
+    smooth,
+    unwrap_yaw,
+    velocity,
+    window_length,
+)
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=50), st.floats(-20, 20))
@@ -23,7 +33,47 @@ def test_unwrapping_restores_what_was_wrapped(steps, start):
 def test_smoothing_is_that_of_scipy(count, window):
     values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
     expected = savgol_filter(values, window, 3, axis=0)
-    np.testing.assert_allclose(smooth(values, window), expected, atol=1e-12)
+    smoothed = smooth(times(count, 0.0), values, window / 240)
+    np.testing.assert_allclose(smoothed, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rate", "windows"),
+    [(50, (3, 3)), (100, (5, 7)), (120, (5, 7)), (240, (11, 15)), (360, (17, 23))],
+)
+def test_windows_are_the_same_time_at_every_rate(rate, windows):
+    found = [window_length(time, 1 / rate) for time in (VELOCITY_TIME, ACCELERATION_TIME)]
+    assert tuple(found) == windows
+    assert shortest_stretch(1 / rate) == max(windows[1], 5)
+
+
+def thinned_times(duration, rate=100):
+    """Times of a stream of 240 Hz that was thinned to a rate that does not divide it."""
+    return np.rint(np.arange(0, duration, 1 / rate) * 240) / 240
+
+
+def test_cubics_in_time_pass_through_smoothing_at_alternating_steps():
+    time = thinned_times(0.5)
+    assert len(np.unique(np.diff(time).round(9))) == 2
+    cubic = np.stack([time**3 - 2 * time**2, 5 * time], axis=1)
+    np.testing.assert_allclose(smooth(time, cubic, 15 / 240), cubic, atol=1e-12)
+
+
+def test_alternating_steps_leave_velocity_and_acceleration_as_they_are():
+    # The craft turns within a second at 1 m/s: steps that alternate would move each pose by 2 mm.
+    time = thinned_times(3.0)
+    path = 0.25 * np.stack([np.cos(4 * time), np.sin(4 * time)], axis=1)
+    inner = slice(10, -10)
+    exact = np.stack([-np.sin(4 * time), np.cos(4 * time)], axis=1)
+    assert np.abs(velocity(time, path) - exact)[inner].max() < 2e-3
+    assert np.abs(acceleration(time, path) + 16 * path)[inner].max() < 0.05
+
+
+def test_the_usual_period_of_alternating_steps_is_their_mean():
+    assert usual_period(thinned_times(3.0)) == pytest.approx(0.01, rel=2e-3)
+    # Frames that are missing are pauses, not steps.
+    some = np.delete(np.arange(1000) / 240, np.arange(5, 1000, 12))
+    assert usual_period(some) == pytest.approx(1 / 240, rel=1e-9)
 
 
 def times(count, jitter):
@@ -45,10 +95,10 @@ def test_second_order_in_the_sample_period():
     errors = []
     for rate in (60, 120, 240):
         time = np.arange(rate) / rate
-        exact = np.cos(4 * time)[20:-20]
-        errors.append(
-            np.abs(velocity(time, np.sin(4 * time)[:, None] / 4)[20:-20, 0] - exact).max()
-        )
+        # Away from the ends; at 60 Hz nothing is smoothed.
+        inner = (time > 0.2) & (time < 0.8)
+        found = velocity(time, np.sin(4 * time)[:, None] / 4)[:, 0]
+        errors.append(np.abs(found - np.cos(4 * time))[inner].max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 1.8).all()
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import median_filter
 
 from airpuck.boundary.errors import InputError
-from airpuck.preprocessing.quality import check_poses, find_jumps
+from airpuck.preprocessing.quality import check_poses, find_frozen, find_gaps, find_jumps
 from airpuck.recording.stream import COLUMNS, Stream
 
 RATE = 240.0
@@ -67,9 +67,9 @@ def test_one_pose_has_no_speed():
     check(np.array([20.0]))
 
 
-def moving(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def moving(seed: int = 0, rate: float = RATE) -> tuple[np.ndarray, np.ndarray]:
     """10 s of a craft that goes around fast, with the noise of cameras, and its times."""
-    time = np.arange(2400) / RATE
+    time = np.arange(round(10 * rate)) / rate
     path = np.column_stack([0.5 * np.sin(2 * time), 0.3 * np.cos(3 * time), 10 * np.sin(time)])
     noise = np.random.default_rng(seed).normal(size=path.shape) * [5e-5, 5e-5, 7e-4]
     return time, path + noise
@@ -94,9 +94,27 @@ def test_one_pose_that_is_off_is_marked_once():
     assert span.start < time[700] < span.stop
 
 
+RATES = [50.0, 100.0, 120.0, RATE, 360.0]
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_leaps_are_found_at_every_rate(rate):
+    time, poses = moving(rate=rate)
+    middle, late = len(time) // 2, round(0.8 * len(time))
+    poses[middle, 1] -= 0.02
+    poses[late:, 2] += 0.3
+    spans = find_jumps(time, poses)
+    assert len(spans) == 2
+    for span, leap in zip(spans, (middle, late), strict=True):
+        # Smoothing for accelerations looks 31 ms to both sides.
+        assert span.start < time[leap] <= span.stop
+        assert span.stop - span.start < 0.08 + 1 / rate
+
+
+@pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("seed", range(5))
-def test_motion_noise_and_blows_are_no_jumps(seed):
-    time, poses = moving(seed)
+def test_motion_noise_and_blows_are_no_jumps(seed, rate):
+    time, poses = moving(seed, rate)
     # A rail turns 1.2 m/s around within one frame, and the spin by 20 rad/s.
     after = np.clip(time - 5.001, 0, None)
     poses[:, 0] -= 2.4 * after
@@ -120,6 +138,23 @@ def test_neighbours_are_those_of_a_running_median(count):
     for span in find_jumps(time, poses):
         marked |= (time >= span.start) & (time <= span.stop)
     np.testing.assert_array_equal(marked, spoilt & (count >= 11))
+
+
+def test_a_thinned_stream_has_no_gaps_but_those_of_lost_poses():
+    time = np.rint(np.arange(0, 10, 0.01) * RATE) / RATE
+    assert find_gaps(time) == ()
+    (gap,) = find_gaps(np.delete(time, 500))
+    assert gap.start < 5.0 < gap.stop
+
+
+@pytest.mark.parametrize(("rate", "least"), [(50.0, 3), (120.0, 3), (RATE, 5), (360.0, 8)])
+def test_poses_are_frozen_after_the_same_time(rate, least):
+    time, poses = moving(rate=rate)
+    poses[100 : 100 + least - 1] = poses[100]
+    assert find_frozen(time, poses) == ()
+    poses[100 : 100 + least] = poses[100]
+    (span,) = find_frozen(time, poses)
+    assert (span.start, span.stop) == (time[100], time[99 + least])
 
 
 def test_what_moves_on_over_a_gap_has_not_jumped():

@@ -20,6 +20,9 @@ from airpuck.data.zero_order_hold import hold, mean_hold
 
 _FORMAT = "airpuck trajectory 1"
 
+#: Steps below this many medians are no pauses; they alternate where their mean is this share off.
+_NO_PAUSE, _ALTERNATES = 1.75, 0.05
+
 #: Columns of `Trajectory.state`.
 STATE_COLUMNS = ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s")
 
@@ -108,8 +111,8 @@ class Trajectory:
 
     @cached_property
     def sample_period(self) -> float:
-        """Median time between samples [s]."""
-        return float(np.median(np.diff(self.time)))
+        """Usual time between samples [s]."""
+        return usual_period(self.time)
 
     def steps(self, duration: float) -> int:
         """Return how many samples a duration is.
@@ -372,6 +375,18 @@ def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     for name, is_wrong, problem in wrong:
         if is_wrong:
             raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
+
+
+def usual_period(time: Float[np.ndarray, " N"]) -> float:
+    """Return the usual time between samples [s]: their median, or a mean where they alternate.
+
+    A stream that was thinned to a rate that does not divide its own has steps of two lengths, of
+    which the median would be one.
+    """
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    mean = float(np.mean(steps[steps < _NO_PAUSE * median]))
+    return mean if abs(mean - median) > _ALTERNATES * median else median
 
 
 def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:

@@ -23,8 +23,8 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
 from airpuck.physics.rigid_body import acceleration
 
-#: Samples before the expected arrival and in all: the motors' answer, at 240 Hz within 0.1 s.
-_LEAD, _LENGTH = 8, 32
+#: Time before the expected arrival and in all, which the motors' answer fits in [s].
+_LEAD, _LENGTH = 8 / 240, 32 / 240
 #: Least change of a command that switches a motor.
 _SWITCH = 0.1
 #: Largest standard error of a packet's delay that says something about it [s].
@@ -119,8 +119,8 @@ def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
     arrival = trajectory.command_time + shift
     change = np.diff(trajectory.command, axis=0, prepend=trajectory.command[:1])
     packet = np.flatnonzero(np.abs(change).max(axis=1) > _SWITCH)
-    first = np.searchsorted(trajectory.time, arrival[packet]) - _LEAD
-    whole = np.isin(first, trajectory.window_starts(_LENGTH))
+    first = np.searchsorted(trajectory.time, arrival[packet]) - trajectory.steps(_LEAD)
+    whole = np.isin(first, trajectory.window_starts(trajectory.steps(_LENGTH)))
     if not whole.any():
         return None
     return _Surroundings(trajectory, model, arrival, change, packet[whole], first[whole])
@@ -139,19 +139,19 @@ class _Surroundings:
         first: Int[np.ndarray, " B"],
     ) -> None:
         #: Samples, (E, B).
-        self.index = index = first + np.arange(_LENGTH)[:, None]
+        length = trajectory.steps(_LENGTH)
+        self.index = index = first + np.arange(length)[:, None]
         time = trajectory.time[index]
         self._dynamics, self._duration = model.dynamics, np.diff(time, axis=0)
         self._state = np.moveaxis(trajectory.state[index], -1, 1)
-        self.components = _Components(trajectory.sample_period)
+        self.components = _Components(trajectory.sample_period, length)
         self._lag = float(model.dynamics.motor_time_constant)
         held, _ = mean_hold(arrival, trajectory.command, trajectory.time)
         speed = motor_speeds(trajectory.time, held, self._lag)
         self._speed = np.moveaxis(speed[index], -1, 1)
-        period, step = np.median(np.diff(arrival)), trajectory.sample_period
+        period = np.median(np.diff(arrival))
         before, after = (
-            int(min(np.ceil(reach / period), _MOST))
-            for reach in (_LEAD * step + _BEFORE, (_LENGTH - _LEAD) * step)
+            int(min(np.ceil(reach / period), _MOST)) for reach in (_LEAD + _BEFORE, _LENGTH - _LEAD)
         )
         near = packet + np.arange(-before, after + 1)[:, None]
         there = (near >= 0) & (near < len(arrival))
@@ -200,9 +200,9 @@ class _Components:
     Their variance is r (1 + λ d) for poses of variance r and accelerations of squared density λ r.
     """
 
-    def __init__(self, step: float) -> None:
-        self._integral = twice_integrated(np.eye(_LENGTH), np.full((_LENGTH - 1, 1), step))
-        line = np.stack([np.ones(_LENGTH), np.linspace(-1, 1, _LENGTH)], axis=1)
+    def __init__(self, step: float, length: int) -> None:
+        self._integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))
+        line = np.stack([np.ones(length), np.linspace(-1, 1, length)], axis=1)
         rest = np.linalg.qr(line, mode="complete")[0][:, 2:].T
         spread = rest @ self._integral
         spectrum, vectors = np.linalg.eigh(spread @ spread.T / step)

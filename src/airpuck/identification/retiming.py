@@ -27,7 +27,7 @@ from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
-from airpuck.preprocessing.derivative import ACCELERATION_WINDOW, velocity
+from airpuck.preprocessing.derivative import shortest_stretch, velocity
 from airpuck.preprocessing.quality import stretches
 
 #: Fewest degrees of freedom from which a spread is estimated.
@@ -84,8 +84,9 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     """
     time, state = trajectory.time, trajectory.state.copy()
     modelled = modelled_acceleration(trajectory, model)
+    fewest = shortest_stretch(trajectory.sample_period)
     for part in stretches(time):
-        if len(time[part]) < ACCELERATION_WINDOW:
+        if len(time[part]) < fewest:
             continue  # left out by preprocessing, which has no velocities there either
         gained, moved = _integrated(time[part], modelled[part])
         state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)

@@ -5,10 +5,24 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-#: Order of the smoothing polynomials, and samples they span for velocity and for acceleration.
+from airpuck.data.trajectory import usual_period
+
+#: Order of the smoothing polynomials, and times that they span for velocity and for acceleration:
+#: 11 and 15 samples at 240 Hz [s].
 POLYNOMIAL_ORDER = 3
-VELOCITY_WINDOW = 11
-ACCELERATION_WINDOW = 15
+VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
+#: Fewest samples that two derivatives follow from.
+_FEWEST = 5
+
+
+def window_length(duration: float, period: float) -> int:
+    """Return the odd number of samples that is nearest to a duration."""
+    return 2 * max(round((duration / period - 1) / 2), 1) + 1
+
+
+def shortest_stretch(period: float) -> int:
+    """Return how many samples in a row it takes for velocity and acceleration."""
+    return max(window_length(ACCELERATION_TIME, period), _FEWEST)
 
 
 def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
@@ -18,8 +32,20 @@ def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     return yaw - 2 * np.pi * np.concatenate([[0.0], turns])
 
 
-def smooth(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "N k"]:
-    """Smooth by local cubic polynomials (Savitzky-Golay)."""
+def smooth(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], duration: float
+) -> Float[np.ndarray, "N k"]:
+    """Smooth by local cubic polynomials (Savitzky-Golay).
+
+    Poses so rare that a window has no more of them than a cubic has coefficients stay as they are:
+    there is little noise in their differences.
+    """
+    period = usual_period(time)
+    window = window_length(duration, period)
+    if window <= POLYNOMIAL_ORDER + 1:
+        return values
+    if period != np.median(np.diff(time)):
+        return _smooth_unevenly(time, values, window)
     # Projects the samples of a window onto polynomials: row k is their value at sample k. SciPy's
     # filter gives the same, but importing scipy.signal takes longer than all of preprocessing.
     half = window // 2
@@ -30,18 +56,30 @@ def smooth(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "
     return np.concatenate([ends[0], inner, ends[1]])
 
 
+def _smooth_unevenly(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], window: int
+) -> Float[np.ndarray, "N k"]:
+    """Smooth by local cubic polynomials in the real times of samples."""
+    each = np.arange(len(time))
+    first = np.clip(each - window // 2, 0, len(time) - window)
+    index = first[:, None] + np.arange(window)
+    offset = (time[index] - time[:, None]) / (time[index[:, -1:]] - time[index[:, :1]])
+    basis, _ = np.linalg.qr(offset[..., None] ** np.arange(POLYNOMIAL_ORDER + 1))
+    return np.einsum("np,nwp,nwk->nk", basis[each, each - first], basis, values[index])
+
+
 def velocity(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate once: smooth over 11 samples, then second-order differences."""
-    return np.gradient(smooth(values, VELOCITY_WINDOW), time, axis=0, edge_order=2)
+    """Differentiate once: smooth over 46 ms, then second-order differences."""
+    return np.gradient(smooth(time, values, VELOCITY_TIME), time, axis=0, edge_order=2)
 
 
 def acceleration(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate twice: smooth over 15 samples, then the second divided difference."""
-    smoothed = smooth(values, ACCELERATION_WINDOW)
+    """Differentiate twice: smooth over 62 ms, then the second divided difference."""
+    smoothed = smooth(time, values, ACCELERATION_TIME)
     before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     inner = (
         2

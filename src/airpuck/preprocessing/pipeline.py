@@ -11,14 +11,14 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
-from airpuck.data.trajectory import Span, Trajectory, read_trajectory
+from airpuck.data.trajectory import Span, Trajectory, read_trajectory, usual_period
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.clock import Aligned, align_clocks
 from airpuck.preprocessing.delay import LONGEST_S, estimate_delay
 from airpuck.preprocessing.derivative import (
-    ACCELERATION_WINDOW,
     acceleration,
+    shortest_stretch,
     unwrap_yaw,
     velocity,
 )
@@ -200,10 +200,10 @@ def _velocity_and_acceleration(
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
     """Differentiate each stretch between gaps on its own; mark those too short for it."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
-    short = []
+    short, fewest = [], shortest_stretch(usual_period(time))
     for part in stretches(time):
         within = time[part]
-        if len(within) < ACCELERATION_WINDOW:
+        if len(within) < fewest:
             short.append(Span(float(within[0]), float(within[-1]), "too short to smooth"))
             continue
         rates[part] = velocity(within, values[part])

@@ -9,22 +9,24 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span, runs
+from airpuck.data.trajectory import Span, runs, usual_period
+from airpuck.preprocessing.derivative import ACCELERATION_TIME, window_length
 from airpuck.recording.stream import Stream
 
 #: A pause longer than this many sample periods is a gap.
 GAP_PERIODS = 1.5
-#: A pose that repeats exactly for this many samples is frozen: a real measurement has noise.
-FROZEN_SAMPLES = 5
+#: A pose that repeats exactly for this long, and so many times, is frozen: a real measurement has
+#: noise [s].
+_FROZEN_TIME, _FROZEN_LEAST = 5 / 240, 3
 #: A pose jumps if its step differs from its neighbours' steps this many times as much as is usual,
-#: and at least this much [m, m, rad]. A blow is no jump: it changes all later steps alike.
-JUMP_RATIO = 10.0
-JUMP_LEAST = (1e-3, 1e-3, 0.02)
-_JUMP_NEIGHBOURS = 11
+#: and if that is at least so much of a speed [m/s, m/s, rad/s]: at 240 Hz 1 mm and 0.02 rad. A blow
+#: is no jump: it changes all later steps alike.
+_JUMP_RATIO = 10.0
+_JUMP_SPEED = (0.24, 0.24, 4.8)
+#: Time of a step's neighbours, itself in the middle [s].
+_NEIGHBOURS = 11 / 240
 #: Windows sorted at once, which bounds memory.
 _SORTED_AT_ONCE = 1 << 14
-#: Samples on both sides of a jump that smoothing spoils.
-_SMOOTHED = 7
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
 
@@ -118,7 +120,7 @@ def find_gaps(
     pause = np.diff(time)
     if len(pause) == 0:
         return ()
-    before = np.flatnonzero(pause > periods * np.median(pause))
+    before = np.flatnonzero(pause > periods * usual_period(time))
     return tuple(Span(float(time[k]), float(time[k + 1]), cause) for k in before)
 
 
@@ -132,28 +134,35 @@ def find_frozen(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> tuple[Span, ...]:
     """Find stretches over which a measurement repeats exactly."""
+    if len(time) < 2:
+        return ()
+    least = max(round(_FROZEN_TIME / usual_period(time)), _FROZEN_LEAST)
     same = np.all(values[1:] == values[:-1], axis=1)
     return tuple(
         Span(float(time[first]), float(time[last]), "frozen pose")
         for first, last in runs(same)
-        if last - first + 1 >= FROZEN_SAMPLES
+        if last - first + 1 >= least
     )
 
 
 def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) -> tuple[Span, ...]:
     """Find poses that jump, for good or there and back."""
-    if len(time) < _JUMP_NEIGHBOURS:
+    if len(time) < 2:
         return ()
-    pause = np.diff(time)
+    pause, period = np.diff(time), usual_period(time)
+    neighbours = window_length(_NEIGHBOURS, period)
+    if len(time) < neighbours:
+        return ()
     rate = np.diff(values, axis=0) / pause[:, None]
-    leap = np.abs(rate - _running_median(rate, _JUMP_NEIGHBOURS))
-    leap *= np.median(pause)
-    limit = np.maximum(JUMP_RATIO * np.median(leap, axis=0) / 0.6745, JUMP_LEAST)
+    leap = np.abs(rate - _running_median(rate, neighbours))
+    limit = np.maximum(_JUMP_RATIO * np.median(leap, axis=0) / 0.6745, _JUMP_SPEED)
     # Motion during a gap is no jump.
-    jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * np.median(pause))
+    jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * period)
     spoilt = np.zeros(len(time), dtype=bool)
+    # Smoothing spoils its neighbours, too.
+    reach = window_length(ACCELERATION_TIME, period) // 2
     for after in (np.flatnonzero(jumps) + 1).tolist():
-        spoilt[max(after - _SMOOTHED, 0) : after + _SMOOTHED] = True
+        spoilt[max(after - reach, 0) : after + reach] = True
     return tuple(
         Span(float(time[first]), float(time[last - 1]), "jumping pose")
         for first, last in runs(spoilt)
