@@ -1,4 +1,4 @@
-"""What comes from a user and goes back: the one error, TOML, files replaced in one step.
+"""What comes from a user and goes back: limits, the one error, TOML, files replaced in one step.
 
 Entry points: `files.Section`, `files.replacing`.
 """

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 
+#: Libraries may repeat a whole file in their messages.
+_LONGEST = 2000
+
 
 class InputError(ValueError):
     """An input cannot be used; the message says what to do about it.
@@ -19,13 +22,29 @@ class InputError(ValueError):
         The file or folder concerned.
     field : str, optional
         The column, key, topic or option concerned.
+
+    Notes
+    -----
+    All three may hold text from a file. They are kept on one line, and escaped: a name must not be
+    able to move the cursor, to colour the terminal or to turn the direction of text.
     """
 
     def __init__(
         self, problem: str, *, file: str | os.PathLike[str] | None = None, field: str | None = None
     ) -> None:
-        self.problem = problem
-        self.file = None if file is None else os.fspath(file)
-        self.field = field
-        where = ": ".join(part for part in (self.file, field) if part)
-        super().__init__(f"{where}: {problem}" if where else problem)
+        self.problem = _shortened(printable(" ".join(problem.split())))
+        self.file = None if file is None else printable(os.fspath(file))
+        self.field = None if field is None else _shortened(printable(field))
+        where = ": ".join(part for part in (self.file, self.field) if part)
+        super().__init__(f"{where}: {self.problem}" if where else self.problem)
+
+
+def printable(text: str) -> str:
+    """Escape what a terminal would act on rather than show, such as codes and line breaks."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import tempfile
-import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 import pydantic
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.parsing import load_toml
 
 Schema = TypeVar("Schema", bound=pydantic.BaseModel)
 
@@ -45,18 +45,6 @@ def read_packaged(name: str, schema: type[Schema]) -> Schema:
     """Read a TOML file that comes with the package, and check it against a schema."""
     with resources.as_file(resources.files("airpuck") / "packaged" / name) as path:
         return read_toml(path, schema)
-
-
-def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML file without any check of its content."""
-    try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError("there is no such file", file=path) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", file=path) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML: {error}", file=path) from error
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:

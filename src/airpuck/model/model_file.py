@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -17,7 +16,8 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Positive, Section, checked, load_toml, write_toml
+from airpuck.boundary.files import Positive, Section, checked, write_toml
+from airpuck.boundary.parsing import load_json, load_toml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.quantities import Rows
@@ -436,15 +436,7 @@ class _AuthorsModel(pydantic.BaseModel):
 
 def _read_params_json(path: Path) -> Model:
     """Read the authors' params.json; the geometry is the default vehicle's, with their mass."""
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError("there is no such file", file=path) from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"is not valid JSON: {error}", file=path) from error
-    if not isinstance(raw, dict):
-        raise InputError("must hold a JSON object", file=path)
-    content = checked(raw, _AuthorsModel, file=path)
+    content = checked(load_json(path), _AuthorsModel, file=path)
     section, switches = content.model_params.model_dump(), content.model
     vehicle = default_vehicle().model_copy(update={"mass_kg": section.pop("mass_kg")})
     section["center_of_mass_m"] = section["center_of_mass_m"][:2]

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.parsing import load_yaml
 from airpuck.recording.cdr import decode, flatten
 from airpuck.recording.files import listing, one_line, sha256
+from airpuck.recording.log import Log, TopicLog
+from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.message import (
     PATHS,
     accepted,
@@ -19,8 +22,9 @@ from airpuck.recording.message import (
     motors_of,
     stamp_paths,
 )
-from airpuck.recording.salvage import Log, TopicLog, salvage_mcap
+from airpuck.recording.sqlite_file import read_sqlite
 from airpuck.recording.stream import COLUMNS, SECOND_NS, Recording, Stream, Topics
+from airpuck.recording.unpacking import unpacked_file, unpacked_message
 
 METADATA = "metadata.yaml"
 #: Endings of storage files, compressed ones included.
@@ -51,26 +55,21 @@ def read_bag(path: Path, topics: Topics) -> Recording:
     hashes = {file.name: sha256(file) for file in files}
     if metadata:
         hashes[METADATA] = sha256(path / METADATA)
-    if metadata.get("compression_mode"):
-        log = _read_whole(path, wanted)
-    else:
-        log = Log()
-        for file in files:
-            log.extend(_read_file(file, wanted))
+    log = Log()
+    for file in files:
+        log.extend(_read_file(file, wanted))
+    if str(metadata.get("compression_mode")).lower() == "message":
+        _unpack_messages(log, path)
     return Recording(_streams(log, topics, path), str(path), hashes, _warnings(log, metadata))
 
 
 def _metadata(path: Path) -> dict[str, Any]:
     """Return the recorder's summary; empty where there is none, or a killed recorder left half."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
-        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-        information = content["rosbag2_bagfile_information"]
-        return information if isinstance(information, dict) else {}
-    except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError):
+        information = load_yaml(path)["rosbag2_bagfile_information"]
+    except (InputError, KeyError, TypeError):
         return {}
+    return information if isinstance(information, dict) else {}
 
 
 def _in_order(files: list[Path], metadata: Mapping[str, Any]) -> list[Path]:
@@ -87,50 +86,28 @@ def _read_file(path: Path, wanted: Collection[str]) -> Log:
     """Read one storage file; of a damaged .mcap, the intact part."""
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
-    try:
-        return _read_whole(path, wanted)
-    except InputError:
-        if path.suffix != ".mcap":
-            raise
-    log = salvage_mcap(path, wanted)
-    damage = "; ".join(log.damage)
-    if log.n_messages == 0:
-        problem = f"no message can be read: {damage or 'it holds no message'}"
-        raise InputError(problem, file=path)
-    log.damage = [f"{path.name} is damaged: {damage}"] if damage else []
+    if path.suffix == ".zstd":
+        with unpacked_file(path) as plain:
+            try:
+                return _read_file(plain, wanted)
+            except InputError as error:
+                raise InputError(error.problem, file=path, field=error.field) from error
+    if path.suffix == ".db3":
+        return read_sqlite(path, wanted)
+    log = read_mcap(path, wanted)
+    if log.damage and log.n_messages == 0:
+        raise InputError(f"no message can be read: {'; '.join(log.damage)}", file=path)
+    log.damage = [f"{path.name} is damaged: {'; '.join(log.damage)}"] if log.damage else []
     return log
 
 
-def _read_whole(path: Path, wanted: Collection[str]) -> Log:
-    """Read an undamaged file or folder through rosbags."""
-    from rosbags.interfaces import MessageDefinitionFormat
-    from rosbags.rosbag2 import Reader
-
-    log = Log()
-    try:
-        with Reader(path) as reader:
-            for connection in reader.connections:
-                name, msgtype, text = connection.topic, connection.msgtype, connection.msgdef
-                if not isinstance(name, str) or not isinstance(msgtype, str):
-                    raise ValueError("a topic has no name or no type")
-                idl = text.format == MessageDefinitionFormat.IDL
-                log.topics.setdefault(name, TopicLog(msgtype, text.data, idl))
-            connections = [item for item in reader.connections if item.topic in wanted]
-            # Without a choice, rosbags would read all.
-            for connection, time, message in reader.messages(connections) if connections else ():
-                # SQLite checks no types, so that a damaged file can hold anything anywhere.
-                if type(time) is not int or not 0 <= time < 2**63 or type(message) is not bytes:
-                    raise ValueError("a message has no time or no content")
-                topic = log.topics[connection.topic]
-                topic.received_ns.append(time)
-                topic.messages.append(message)
-            if reader.message_count:
-                log.count(reader.message_count, reader.start_time, reader.end_time - 1)
-    # rosbags checks little, so that a damaged file can make it fail in any way.
-    except Exception as error:
-        reason = one_line(str(error).rstrip(".") or type(error).__name__)
-        raise InputError(f"is not a readable recording ({reason})", file=path) from error
-    return log
+def _unpack_messages(log: Log, path: Path) -> None:
+    """Unpack messages that the recorder compressed one by one."""
+    for name, topic in log.topics.items():
+        try:
+            topic.messages = list(map(unpacked_message, topic.messages))
+        except ValueError as error:
+            raise InputError(str(error), file=path, field=name) from error
 
 
 def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:

@@ -7,8 +7,8 @@ field in the message, and ``log_time_ns`` is the recorder's clock.
 from __future__ import annotations
 
 import csv
-import io
 import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import csv_rows
 from airpuck.recording.files import listing, new_folder, one_line, sha256
 from airpuck.recording.message import PATHS, columns_of
 from airpuck.recording.stream import COLUMNS, SECOND_NS, Recording, Stream, Topics
@@ -105,29 +106,19 @@ class _Table:
 
 def _read_table(path: Path) -> _Table:
     """Split a CSV file into columns of text."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"is not a text file ({error.reason})", file=path) from error
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
-    reader = csv.reader(io.StringIO(text))
-    try:
-        numbered = [(reader.line_num, row) for row in reader if row]
-    except csv.Error as error:
-        raise InputError(f"line {reader.line_num}: {error}", file=path) from error
+    numbered = list(csv_rows(path))
     if not numbered:
         raise InputError("is empty", file=path)
     (_, names), *numbered = numbered
     header = [name.strip() for name in names]
-    twice = [name for name in header if header.count(name) > 1]
+    twice = [name for name, count in Counter(header).items() if count > 1]
     if twice:
         raise InputError(
             "there are two columns of this name", file=path, field=one_line(twice[0]) or None
         )
     warnings: tuple[str, ...] = ()
     # A recorder that was killed leaves half a line at the end.
-    if numbered and len(numbered[-1][1]) < len(header) and not text.endswith("\n"):
+    if numbered and len(numbered[-1][1]) < len(header) and not _ends_a_line(path):
         line, _ = numbered.pop()
         warnings = (f"{path.name} is cut short: its last line ({line}) is not whole and left out",)
     for line, row in numbered:
@@ -138,6 +129,12 @@ def _read_table(path: Path) -> _Table:
     columns = zip(*(row for _, row in numbered), strict=True) if numbered else ((),) * len(header)
     lines = [line for line, _ in numbered]
     return _Table(path, dict(zip(header, columns, strict=True)), lines, warnings)
+
+
+def _ends_a_line(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read() == b"\n"
 
 
 def _stream(stream: str, table: _Table) -> Stream:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from airpuck.recording.cdr import FLOAT64, Field, Types, encode, flatten, layout_of, typestore
+from airpuck.recording.definition import parse_definition
 from airpuck.recording.stream import COLUMNS, SECOND_NS
 
 HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
@@ -84,18 +85,7 @@ _UNIT = 1e-3
 
 def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Types:
     """Parse the definitions in `text`; without one, return those of ROS 2 and of the authors."""
-    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
-
-    try:
-        if text and idl:
-            # Several files follow each other, each under two lines that rosbags' parser does not
-            # know; nor does it know #include, but the files included are among them.
-            foreign = ("=" * 80, "IDL: ", "#")
-            lines = (line for line in text.splitlines() if not line.startswith(foreign))
-            return get_types_from_idl("\n".join(lines))
-        return get_types_from_msg(text, msgtype) if text else _known_types()
-    except (TypesysError, RecursionError) as error:
-        raise ValueError(f"the embedded definition of {msgtype} cannot be parsed") from error
+    return parse_definition(msgtype, text, idl=idl) if text else _known_types()
 
 
 @cache

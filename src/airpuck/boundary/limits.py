@@ -1,0 +1,277 @@
+"""How much is taken from outside: every limit with its reason, and the functions that keep them.
+
+A file can claim any size, and a small one can unpack to any size. So sizes, counts and depth are
+bounded before anything is allocated, and what is unpacked is counted while it streams, whatever a
+header says. Every limit lies several times above an hour of flight (864 000 poses, 216 000
+commands).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from airpuck.boundary.errors import InputError
+
+MIB = 2**20
+
+#: A TOML or JSON file [bytes]. A model of 20 propellers with its covariance takes 0.4 MB.
+TEXT_BYTES = 2 * MIB
+#: A recorder's metadata.yaml [bytes]; its parser reads 30 kB/s at worst. 100 topics take 70 kB.
+YAML_BYTES = 128 * 1024
+#: Keys of a text file. A model file has 100, a craft of 100 propellers 500.
+KEYS = 10_000
+#: Values of a text file. A covariance of 300 parameters has 90 000.
+VALUES = 200_000
+#: How deep tables and arrays may be nested, and names dotted. Ours are four deep.
+DEPTH = 32
+#: Whole numbers, as NumPy and other readers of TOML and JSON hold them [bits].
+INTEGER_BITS = 64
+
+#: All members of a .npz or .pt archive, unpacked [bytes]: some hours of flight.
+ARCHIVE_BYTES = 2**30
+#: The list of an archive's members, and what is read of it at once [bytes]. Ours have seven.
+ARCHIVE_READ = MIB
+#: Text inside an archive [bytes].
+ABOUT_BYTES = 4 * MIB
+#: Spans that a trajectory excludes; a flight with a fault a second has 3600 an hour.
+SPANS = 100_000
+
+#: What one chunk of a bag may unpack to [bytes]. Recorders close chunks at 0.8 to 8 MB, but a
+#: larger message has a chunk of its own.
+CHUNK_BYTES = 256 * MIB
+#: What the chunks of a bag may unpack to [bytes]: this, and so many times the size of the file.
+#: Zstandard packs poses and commands 3 to 10 times.
+UNPACKED_BYTES = 256 * MIB
+UNPACKED_RATIO = 100
+#: What a record counts as at least [bytes], as handling it takes time and memory.
+RECORD_BYTES = 256
+#: One message of a topic that is read [bytes]; an odometry message has 720.
+MESSAGE_BYTES = MIB
+#: The index of a bag [bytes]; 100 GB in chunks of 0.8 MB have one of 11 MB.
+INDEX_BYTES = 16 * MIB
+#: Topics of a bag. The largest robots have some hundreds.
+TOPICS = 10_000
+
+#: The definition of one message type with all types within [bytes]. Odometry takes 3 kB.
+DEFINITION_BYTES = 32 * 1024
+#: Fields that a definition makes code of; rosbags takes 2 ms for each.
+DEFINITION_SIZE = 2_000
+#: Fields of a message with those of the types within, each as often as it occurs.
+FIELDS = 10_000
+
+#: Columns of a CSV file. Motion capture with all markers has up to a few thousand.
+COLUMNS = 10_000
+#: Characters of a row of a CSV file.
+ROW_LENGTH = MIB
+#: Cells of a CSV file: two hours of poses in the authors' 13 columns.
+CELLS = 24_000_000
+#: A CSV file [bytes]; an hour of poses takes 0.2 GB.
+CSV_BYTES = 2**30
+
+
+def refused(
+    what: str,
+    most: float,
+    remedy: str,
+    *,
+    file: str | os.PathLike[str] | None = None,
+    field: str | None = None,
+) -> InputError:
+    """Return the error for something above a limit."""
+    limit = f"{most / MIB:g} MiB" if most >= MIB and most % MIB == 0 else f"{most:,}"
+    return InputError(f"{what}, more than the limit of {limit}; {remedy}", file=file, field=field)
+
+
+@contextlib.contextmanager
+def within_means(file: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn what a file can do to this process within the limits into an error in one line."""
+    try:
+        yield
+    except MemoryError as error:
+        raise InputError(
+            "needs more memory than there is; cut it into parts, or free some", file=file
+        ) from error
+    except RecursionError as error:
+        raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=file) from error
+
+
+def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
+    """Read a whole file, if it is not too long; devices and pipes are cut off there as well."""
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(most + 1)
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be read ({reason})", file=path) from error
+    if len(content) > most:
+        raise refused("is too long", most, "is it the right file?", file=path)
+    return content
+
+
+def read_text(
+    path: str | os.PathLike[str], most: int = TEXT_BYTES, *, encoding: str = "utf-8"
+) -> str:
+    """Read a whole file of text, if it is not too long."""
+    try:
+        return read_bytes(path, most).decode(encoding)
+    except UnicodeDecodeError as error:
+        raise InputError(f"cannot be read as text ({error.reason})", file=path) from error
+
+
+def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
+    """Refuse tables and arrays that are too deep or too many, and integers that are too long."""
+    values = keys = 0
+    level = [content]
+    # Breadth first: no recursion, and what an alias repeats is counted each time.
+    for _ in range(DEPTH):
+        below = []
+        for value in level:
+            if isinstance(value, Mapping):
+                keys += len(value)
+                below += value.values()
+            elif isinstance(value, list | tuple):
+                below += value
+            elif isinstance(value, int) and value.bit_length() > INTEGER_BITS:
+                raise InputError(
+                    f"holds a whole number of more than {INTEGER_BITS} bits; is it damaged?",
+                    file=file,
+                )
+            if len(below) + values > VALUES:
+                raise refused("holds too many values", VALUES, "is it the right file?", file=file)
+        if keys > KEYS:
+            raise refused("holds too many keys", KEYS, "is it the right file?", file=file)
+        values += len(below)
+        level = below
+        if not level:
+            return
+    raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=file)
+
+
+class _ShortReads(io.FileIO):
+    """A file of which no long stretch is read at once, whatever asks for it."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read some bytes."""
+        if size is not None and size > ARCHIVE_READ + zipfile.ZipExtFile.MIN_READ_SIZE:
+            raise ValueError("its list of members is too long")
+        return super().read(-1 if size is None else size)
+
+
+class Archive:
+    """A zip file of which members are read in blocks, up to a limit for all of them together."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = path
+        self._left = ARCHIVE_BYTES
+        # Python's reader takes in the whole list of members; it alone is bounded by this.
+        self._file = _ShortReads(path)
+        try:
+            self._zip = zipfile.ZipFile(self._file)
+        except BaseException:
+            self._file.close()
+            raise
+        self.names = self._zip.namelist()
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._zip.close()
+        self._file.close()
+
+    def read(self, name: str, most: int = ARCHIVE_BYTES) -> bytearray:
+        """Read a member, counting what it unpacks to; KeyError if there is none of that name."""
+        member = self._zip.getinfo(name)
+        if member.flag_bits & 1:
+            raise InputError("is encrypted; store it without", file=self._path, field=name)
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InputError(
+                "is packed by another method than deflate; store it anew",
+                file=self._path,
+                field=name,
+            )
+        most = min(most, self._left)
+        content = bytearray()
+        with self._zip.open(member) as stream:
+            while block := stream.read(ARCHIVE_READ):
+                content += block
+                if len(content) > most:
+                    raise refused(
+                        "unpacks to too much",
+                        most,
+                        "cut the recording into parts",
+                        file=self._path,
+                        field=name,
+                    )
+        self._left -= len(content)
+        return content
+
+    def is_packed(self) -> bool:
+        """Return whether any member is compressed."""
+        return any(info.compress_type != zipfile.ZIP_STORED for info in self._zip.infolist())
+
+
+class Unpacking:
+    """Counts what a file of bags unpacks to, and how many records it holds."""
+
+    def __init__(self, path: str | os.PathLike[str], size: int) -> None:
+        self._path = path
+        self._most = UNPACKED_BYTES + UNPACKED_RATIO * size
+        self._spent = 0
+
+    def spend(self, n_bytes: int, n_records: int = 0) -> None:
+        """Count unpacked bytes or handled records; refuse the file where they are too many."""
+        self._spent += max(n_bytes, RECORD_BYTES * n_records)
+        if self._spent > self._most:
+            raise refused(
+                f"unpacks to more than {UNPACKED_RATIO} times its size",
+                self._most // MIB * MIB,
+                "record it anew, or split it",
+                file=self._path,
+            )
+
+
+def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the lines of a CSV file that are not empty, each with its number in the file."""
+    unfinished = cells = 0
+
+    def lines(file: TextIO) -> Iterator[str]:
+        nonlocal unfinished
+        while line := file.readline(ROW_LENGTH + 1):
+            # A text in quotes may hold line breaks, so that a row can have any number of lines.
+            unfinished += len(line)
+            if unfinished > ROW_LENGTH:
+                raise refused("has too long a line", ROW_LENGTH, "is it the right file?", file=path)
+            yield line
+
+    try:
+        if path.stat().st_size > CSV_BYTES:
+            raise refused("is too long", CSV_BYTES, "cut it into parts", file=path)
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(lines(file))
+            try:
+                for row in reader:
+                    unfinished = 0
+                    cells += len(row)
+                    if len(row) > COLUMNS:
+                        remedy = "keep those that are needed"
+                        raise refused("has too many columns", COLUMNS, remedy, file=path)
+                    if cells > CELLS:
+                        raise refused("has too many cells", CELLS, "cut it into parts", file=path)
+                    if row:
+                        yield reader.line_num, row
+            except csv.Error as error:
+                raise InputError(f"line {reader.line_num}: {error}", file=path) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not a text file ({error.reason})", file=path) from error
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path) from error

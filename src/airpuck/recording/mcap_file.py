@@ -1,0 +1,272 @@
+"""Reading an MCAP file from front to back; of a damaged one, the intact part.
+
+A recorder that was killed never wrote the index at the end, and the records before the damage are
+as good as ever. So the index only tells which chunks hold no wanted message; they are passed over.
+No record is believed about its length, and no chunk about what it unpacks to.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import (
+    CHUNK_BYTES,
+    INDEX_BYTES,
+    MESSAGE_BYTES,
+    TOPICS,
+    Unpacking,
+    refused,
+)
+from airpuck.recording.log import Log, TopicLog
+from airpuck.recording.unpacking import unpacked
+
+if TYPE_CHECKING:
+    from mcap.records import ChunkIndex, Schema
+
+_MAGIC = b"\x89MCAP0\r\n"
+#: Opcode and length before each record.
+_HEAD = struct.Struct("<BQ")
+#: Channel, sequence number, recorder's and sender's time at the start of a message.
+_MESSAGE = struct.Struct("<HIQQ")
+#: Of a chunk: first and last time, size and checksum unpacked, length of the compression's name.
+_CHUNK = struct.Struct("<QQQII")
+#: The last record, which says where the summary starts, and the magic behind it.
+_FOOTER_BYTES = _HEAD.size + 20 + len(_MAGIC)
+
+_FOOTER_CODE, _SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE, _CHUNK_CODE = 2, 3, 4, 5, 6
+_CHUNK_INDEX_CODE, _DATA_END_CODE = 8, 15
+
+
+class _Damaged(ValueError):
+    """A record is not what it should be."""
+
+
+@dataclass
+class _Lost:
+    """What damaged chunks say about their times; it may be damaged too, but is all there is."""
+
+    chunks: int = 0
+    start_ns: int = 2**64
+    stop_ns: int = 0
+
+    def add(self, start_ns: int, stop_ns: int) -> None:
+        """Note a chunk."""
+        self.chunks += 1
+        self.start_ns, self.stop_ns = min(start_ns, self.start_ns), max(stop_ns, self.stop_ns)
+
+
+class _Sink:
+    """Takes in records in the order of the file."""
+
+    def __init__(self, path: Path, wanted: Collection[str]) -> None:
+        self.log = Log()
+        self.path, self._wanted = path, wanted
+        self._budget = Unpacking(path, path.stat().st_size)
+        self._schemas: dict[int, Schema] = {}
+        #: Topic of each channel; None for one that is passed over.
+        self._channels: dict[int, TopicLog | None] = {}
+
+    def wants(self, channels: Collection[int]) -> bool:
+        """Return whether a message of one of the channels is wanted, as far as is known."""
+        return any(self._channels.get(channel, True) is not None for channel in channels)
+
+    def describe(self, code: int, content: bytes) -> None:
+        """Take in a schema or a channel."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Channel, Schema
+
+        stream = ReadDataStream(BytesIO(content))
+        if code == _SCHEMA_CODE:
+            schema = _parsed(Schema, stream)
+            self._schemas[schema.id] = schema
+            return
+        channel = _parsed(Channel, stream)
+        # A message of another encoding cannot be read, and is not counted.
+        if channel.id in self._channels or channel.message_encoding != "cdr":
+            return
+        topic = self.log.topics.setdefault(
+            channel.topic, _topic_log(self._schemas.get(channel.schema_id))
+        )
+        if len(self.log.topics) > TOPICS:
+            raise refused("holds too many topics", TOPICS, "split it", file=self.path)
+        self._channels[channel.id] = topic if channel.topic in self._wanted else None
+
+    def chunk(self, content: bytes) -> None:
+        """Take in all records of a chunk, or none of them where one is damaged."""
+        found: list[tuple[TopicLog, int, bytes]] = []
+        times: list[int] = []
+        for code, start, end in _framed(content):
+            if code == _MESSAGE_CODE:
+                if end - start < _MESSAGE.size:
+                    raise _Damaged("a message is cut short")
+                channel, _, time, _ = _MESSAGE.unpack_from(content, start)
+                # A message without a channel belongs to a lost chunk.
+                if channel not in self._channels or time >= 2**63:
+                    continue
+                times.append(time)
+                topic = self._channels[channel]
+                if topic is not None:
+                    found.append((topic, time, content[start + _MESSAGE.size : end]))
+            elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
+                self.describe(code, content[start:end])
+        self._budget.spend(len(content), len(times))
+        for topic, time, message in found:
+            topic.received_ns.append(time)
+            topic.messages.append(self.bounded(message))
+        if times:
+            self.log.count(len(times), min(times), max(times))
+
+    def bounded(self, message: bytes) -> bytes:
+        """Return a message of a wanted topic that is not too long."""
+        if len(message) > MESSAGE_BYTES:
+            remedy = "choose another topic"
+            raise refused("holds too long a message", MESSAGE_BYTES, remedy, file=self.path)
+        return message
+
+
+def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield each record's opcode, and where its content begins and ends."""
+    start, size = _HEAD.size, len(content)
+    while start <= size:
+        code, length = _HEAD.unpack_from(content, start - _HEAD.size)
+        end = start + length
+        if end > size:
+            raise _Damaged("a record is longer than what holds it")
+        yield code, start, end
+        start = end + _HEAD.size
+
+
+def _parsed(record: Any, stream: Any) -> Any:
+    """Let mcap parse a record, which may be damaged in any way."""
+    try:
+        return record.read(stream)
+    except Exception as error:
+        raise _Damaged("a record cannot be read") from error
+
+
+def _topic_log(schema: Schema | None) -> TopicLog:
+    if schema is None:
+        return TopicLog("")
+    idl = schema.encoding in ("ros2idl", "omgidl")
+    return TopicLog(schema.name, schema.data.decode(errors="replace"), idl)
+
+
+def read_mcap(path: Path, wanted: Collection[str]) -> Log:
+    """Read every whole chunk of an MCAP file, and note what is damaged."""
+    size = path.stat().st_size
+    sink, lost, damage = _Sink(path, wanted), _Lost(), list[str]()
+    with path.open("rb") as file:
+        try:
+            chunks = _chunk_indices(file, size)
+            file.seek(0)
+            for position, code, length in _headed(file, size):
+                index = chunks.get(position)
+                if code == _CHUNK_CODE and index and not sink.wants(index.message_index_offsets):
+                    _pass_over(index, sink.log)
+                elif code == _CHUNK_CODE:
+                    _read_chunk(_take(file, length, path), sink, lost)
+                elif code in (_SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE):
+                    sink.chunk(_HEAD.pack(code, length) + _take(file, length, path))
+        except _Damaged as error:
+            damage.append(str(error))
+    if lost.chunks:
+        number = f"{lost.chunks} damaged chunk{'s' if lost.chunks > 1 else ''}"
+        damage.append(f"{number} within {(lost.stop_ns - lost.start_ns) / 1e9:.3f} s left out")
+    sink.log.damage = damage
+    sink.log.sort()
+    return sink.log
+
+
+def _headed(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Yield position, opcode and length of each record up to the end of the file.
+
+    The file stands behind the record's head; what the caller leaves of its content is passed over.
+    """
+    position = len(_MAGIC)
+    checked = file.read(position) == _MAGIC
+    while checked:
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            raise _Damaged(f"it is cut short after {size} bytes")
+        code, length = _HEAD.unpack(head)
+        if not code or length > size:
+            break
+        if length > size - position - _HEAD.size:
+            raise _Damaged(f"it is cut short after {size} bytes")
+        yield position, code, length
+        position += _HEAD.size + length
+        file.seek(position)
+        if code == _FOOTER_CODE:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise _Damaged(f"it is cut short after {size} bytes")
+            return
+    raise _Damaged(f"it cannot be read beyond byte {position} of {size}")
+
+
+def _take(file: BinaryIO, length: int, path: Path) -> bytes:
+    """Read the content of a record that is not too long."""
+    if length > CHUNK_BYTES:
+        raise refused("holds too large a chunk", CHUNK_BYTES, "record smaller chunks", file=path)
+    return file.read(length)
+
+
+def _read_chunk(content: bytes, sink: _Sink, lost: _Lost) -> None:
+    """Unpack a chunk and take in its records; note it where it is damaged."""
+    if len(content) < _CHUNK.size + 8:
+        raise _Damaged("a chunk is cut short")
+    start_ns, stop_ns, size, checksum, name = _CHUNK.unpack_from(content)
+    data = _CHUNK.size + name + 8
+    if size > CHUNK_BYTES:
+        raise refused(
+            "holds a chunk that unpacks to too much",
+            CHUNK_BYTES,
+            "record smaller chunks",
+            file=sink.path,
+        )
+    try:
+        compression = content[_CHUNK.size : data - 8].decode()
+        records = unpacked(content[data:], compression, size)
+        if checksum and zlib.crc32(records) != checksum:
+            raise _Damaged("its checksum does not match its content")
+        sink.chunk(records)
+    except InputError:
+        raise
+    except ValueError:
+        lost.add(start_ns, stop_ns)
+
+
+def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:
+    """Return what the index at the end says about each chunk, by position; nothing if damaged."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import ChunkIndex
+
+    file.seek(max(0, size - _FOOTER_BYTES))
+    footer = file.read()
+    if not footer.endswith(_MAGIC) or footer[0] != _FOOTER_CODE:
+        return {}
+    (start,) = struct.unpack_from("<Q", footer, _HEAD.size)
+    if not 0 < size - _FOOTER_BYTES - start <= INDEX_BYTES or not start:
+        return {}
+    file.seek(start)
+    content = file.read(size - _FOOTER_BYTES - start)
+    try:
+        records = [content[start:end] for code, start, end in _framed(content) if code == 8]
+        indices = [_parsed(ChunkIndex, ReadDataStream(BytesIO(record))) for record in records]
+    except _Damaged:
+        return {}
+    return {index.chunk_start_offset: index for index in indices}
+
+
+def _pass_over(index: ChunkIndex, log: Log) -> None:
+    """Count the messages of a chunk: each has 16 bytes in an index of its channel."""
+    heads = (_HEAD.size + 6) * len(index.message_index_offsets)
+    n_messages = max(0, index.message_index_length - heads) // 16
+    if n_messages and index.message_start_time <= index.message_end_time < 2**63:
+        log.count(n_messages, index.message_start_time, index.message_end_time)
