@@ -2,11 +2,55 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
+
+
+def namespace(*values: Any) -> Any:
+    """Return the namespace that computes with values: JAX's where one of them is JAX's."""
+    # Whoever gives an array of JAX's has imported it.
+    jax = sys.modules.get("jax")
+    if jax is not None and any(isinstance(value, jax.Array) for value in values):
+        return jax.numpy
+    return np
+
+
+def with_symbols(function: Callable[..., Any], *values: Any) -> Any:
+    """Call a function of arrays with matrices of CasADi, too, where a column is a vector.
+
+    NumPy calls the methods of an array's elements, such as ``cos``, so it computes with symbols as
+    with numbers. A batch of one keeps them inside arrays: a NumPy number times a bare symbol would
+    ask NumPy, not CasADi.
+    """
+    if not any(map(_is_symbolic, values)):
+        numbers = namespace(*values) is np
+        return function(*(np.asarray(v, dtype=float) if numbers else v for v in values))
+    import casadi
+
+    # CasADi tries out what a symbol would be at zero, and leaves the processor's flags set.
+    with np.errstate(all="ignore"):
+        result = function(*(_elements(value)[..., None] for value in values))[..., 0]
+    rows = result if result.ndim == 2 else result[:, None]
+    return casadi.vertcat(*(casadi.horzcat(*row) for row in rows))
+
+
+def _elements(value: Any) -> np.ndarray:
+    """Return an array of the elements of a matrix of CasADi, or of an array."""
+    if not _is_symbolic(value):
+        return np.asarray(value, dtype=float)
+    array = np.empty(value.shape, dtype=object)
+    for entry in np.ndindex(value.shape):
+        array[entry] = value[entry]
+    return array[:, 0] if value.shape[1] == 1 else array
+
+
+def _is_symbolic(value: Any) -> bool:
+    """Return whether a value is a matrix of CasADi."""
+    return type(value).__module__.partition(".")[0] == "casadi"
 
 
 def register_pytree(kind: Any, static: str = "") -> None:

@@ -16,11 +16,11 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Positive, Section, checked, write_toml
-from airpuck.boundary.parsing import load_json, load_toml
+from airpuck.boundary.files import Section, checked, write_toml
+from airpuck.boundary.parsing import load_toml
+from airpuck.compute.arrays import namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.parameters import Parameters, nominal_parameters
-from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
     ParametersSection,
@@ -83,8 +83,9 @@ class Model:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Coefficients of the equations of motion."""
-        return self.parameters.dynamics(np, self.vehicle, self.frame)
+        """Coefficients of the equations of motion; of JAX's arrays where the parameters are."""
+        values = (getattr(self.parameters, q.name) for q in self.parameters.quantities)
+        return self.parameters.dynamics(namespace(*values), self.vehicle, self.frame)
 
     @property
     def radius_of_gyration(self) -> float:
@@ -125,6 +126,98 @@ class Model:
         """
         return replace(self, parameters=replace(self.parameters, transport_delay=transport_delay))
 
+    def derivative(self, state: Any, command: Any) -> Any:
+        """Evaluate the equations of motion, z' = f(z, u) of eq. extended_model_dynamics.
+
+        For NumPy, JAX (under ``jit``, ``grad`` and ``vmap``, too) and CasADi (``SX`` or ``MX``):
+        the result is of the arguments' kind.
+
+        Parameters
+        ----------
+        state : array, shape (6 + n, ...)
+            x, y [m], γ [rad], vx, vy [m/s], ω [rad/s] and the normalised motor speeds φ; without
+            motor lag (τ = 0) the first six alone. A batch is the last axis.
+        command : array, shape (n, ...)
+            Commands that reach the motors now, in [0, 1].
+
+        Returns
+        -------
+        array, shape (6 + n, ...) or (6, ...)
+            The rate of each state.
+
+        Raises
+        ------
+        InputError
+            If an array has another length.
+        """
+        from airpuck.model.simulation import derivative
+
+        return derivative(self, state, command)
+
+    def simulate(self, state: Any, commands: Any, period: Any = 0.01) -> Any:
+        """Simulate held commands by the method of Runge and Kutta, the motors exactly.
+
+        The transport delay is left out: commands are those that reach the motors. For NumPy, JAX
+        and CasADi, as `derivative`.
+
+        Parameters
+        ----------
+        state : array, shape (6 + n, ...) or (6, ...)
+            Where to start, as for `derivative`. Motors that are left out begin at the first
+            command.
+        commands : array, shape (T, n, ...)
+            Commands, one for each period.
+        period : float or array, shape (T, ...), default 0.01
+            How long each command is held [s]; a step of the integrator.
+
+        Returns
+        -------
+        array, shape (T, 6 + n, ...)
+            The state at the end of each period.
+
+        Raises
+        ------
+        InputError
+            If an array has another length.
+        """
+        from airpuck.model.simulation import simulate
+
+        return simulate(self, state, commands, period)
+
+    def sample(self, count: int, key: Any = 0) -> list[Model]:
+        """Draw models from the normal distribution that the uncertainty describes.
+
+        Draws outside the parameters' bounds, or with a thrust curve that falls, are drawn anew.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        key : int, numpy Generator or JAX key, default 0
+            Seed of the draws.
+
+        Returns
+        -------
+        list of Model
+            Models without an uncertainty of their own.
+
+        Raises
+        ------
+        InputError
+            If the model has no uncertainty, or hardly a draw could be a craft.
+        """
+        from airpuck.model.simulation import sample
+
+        return sample(self, count, key)
+
+    @property
+    def known(self) -> Uncertainty | None:
+        """The uncertainty, unless it belongs to other parameters."""
+        known = self.uncertainty
+        if known is None or not np.array_equal(known.estimate, self.parameters.to_vector()):
+            return None
+        return known
+
     def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
         """Compute the standard error of anything made from the parameters (delta method).
 
@@ -139,22 +232,14 @@ class Model:
             Of the quantity's shape; nan where the model has no uncertainty, or none for these
             parameters, and where the data do not determine the quantity.
         """
-        if self._known is None:
+        if self.known is None:
             return np.full(np.shape(quantity(self)), np.nan)
 
         def of(vector: Float[np.ndarray, " P"]) -> Any:
             parameters = self.parameters.with_vector(vector)
             return quantity(replace(self, parameters=parameters, uncertainty=None))
 
-        return self._known.propagate(of)
-
-    @property
-    def _known(self) -> Uncertainty | None:
-        """The uncertainty, unless it belongs to other parameters."""
-        known = self.uncertainty
-        if known is None or not np.array_equal(known.estimate, self.parameters.to_vector()):
-            return None
-        return known
+        return self.known.propagate(of)
 
     def to_statespace(
         self,
@@ -246,8 +331,8 @@ class Model:
             "fit": dict(self.fit),
             "data": dict(self.data),
         }
-        if self._known is not None:
-            content["uncertainty"] = uncertainty_content(self._known, self.parameters, self.vehicle)
+        if self.known is not None:
+            content["uncertainty"] = uncertainty_content(self.known, self.parameters, self.vehicle)
         if self.delay_jitter is not None:
             content["delay_jitter"] = self.delay_jitter.model_dump()
         content["vehicle"] = self.vehicle.model_dump(mode="json")
@@ -292,7 +377,9 @@ def read_model(name: str | os.PathLike[str]) -> Model:
         return published_model(name.removeprefix("paper:"))
     try:
         if Path(name).suffix == ".json":
-            return _read_params_json(Path(name))
+            from airpuck.model.authors_params import read_params_json
+
+            return read_params_json(Path(name))
         content = load_toml(name)
         # Older files have the transport delay beside the parameters.
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
@@ -372,7 +459,7 @@ def published_model(name: str) -> Model:
             field="model",
         )
     vehicle = default_vehicle()
-    parameters = _with_nominal_delay(published[name], vehicle)
+    parameters = with_nominal_delay(published[name], vehicle)
     return Model(
         name=name,
         vehicle=vehicle,
@@ -384,7 +471,7 @@ def published_model(name: str) -> Model:
     )
 
 
-def _with_nominal_delay(
+def with_nominal_delay(
     section: Mapping[str, Any], vehicle: Vehicle, file: Path | None = None
 ) -> Parameters:
     """Read published parameters, which know no transport delay."""
@@ -401,56 +488,4 @@ def nominal_model(vehicle: Vehicle) -> Model:
         parameters=parameters,
         free=parameters.mask(frozenset()),
         source=f"nominal values of {vehicle.name}",
-    )
-
-
-class _AuthorsValues(pydantic.BaseModel):
-    """The authors' ``model_params``."""
-
-    thrust_N: Rows = pydantic.Field(alias="signal2thrust")
-    mass_kg: Positive = pydantic.Field(alias="mass")
-    inertia_kg_m2: float = pydantic.Field(alias="inertia")
-    motor_time_constant_s: float = pydantic.Field(alias="tau")
-    angle_offset_rad: float = pydantic.Field(alias="motor_angle_offset")
-    center_of_mass_m: tuple[float, float, float] = pydantic.Field(alias="center_of_mass")
-    configuration_matrix_SI: Rows = pydantic.Field(alias="configuration_matrix")
-
-
-class _AuthorsSwitches(pydantic.BaseModel):
-    """The authors' ``model``: what was learned."""
-
-    thrust: bool = pydantic.Field(alias="learn_signal2thrust")
-    inertia: bool = pydantic.Field(alias="learn_inertia")
-    motor_time_constant: bool = pydantic.Field(alias="learn_tau")
-    angle_offset: bool = pydantic.Field(alias="learn_motor_angle_offset")
-    center_of_mass: bool = pydantic.Field(alias="learn_center_of_mass")
-    configuration_matrix: bool = pydantic.Field(alias="learn_configuration_matrix")
-
-
-class _AuthorsModel(pydantic.BaseModel):
-    """The part of the authors' params.json that describes a model."""
-
-    model: _AuthorsSwitches
-    model_params: _AuthorsValues
-
-
-def _read_params_json(path: Path) -> Model:
-    """Read the authors' params.json; the geometry is the default vehicle's, with their mass."""
-    content = checked(load_json(path), _AuthorsModel, file=path)
-    section, switches = content.model_params.model_dump(), content.model
-    vehicle = default_vehicle().model_copy(update={"mass_kg": section.pop("mass_kg")})
-    section["center_of_mass_m"] = section["center_of_mass_m"][:2]
-    if not switches.configuration_matrix:
-        del section["configuration_matrix_SI"]
-    parameters = _with_nominal_delay(section, vehicle, file=path)
-    mask = parameters.mask(frozenset(name for name, learned in switches if learned))
-    rung = (n for n, p in RUNGS.items() if np.array_equal(p.mask(parameters), mask))
-    return Model(
-        name=next(rung, path.parent.name),
-        vehicle=vehicle,
-        parameters=parameters,
-        free=mask,
-        frame="world",
-        indexing="end",
-        source=str(path),
     )

@@ -1,0 +1,113 @@
+"""What a model does under given commands, for NumPy, JAX and CasADi; and models drawn from one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.compute.arrays import namespace, with_symbols
+from airpuck.physics import rigid_body
+from airpuck.physics.rollout import rollout
+from airpuck.physics.thrust import is_monotone
+
+if TYPE_CHECKING:
+    from airpuck.model.model_file import Model
+
+#: x, y, γ and their rates.
+_POSE_AND_RATES = 6
+#: A distribution of which fewer draws than this are a craft's is not worth drawing from.
+_LEAST_SHARE = 0.01
+
+
+def derivative(model: Model, state: Any, command: Any) -> Any:
+    """Evaluate the equations of motion; see `Model.derivative`."""
+    n, dynamics = model.vehicle.n_propellers, model.dynamics
+    lags = namespace(dynamics.thrust) is not np or dynamics.motor_time_constant > 0
+
+    def rates(state: Any, command: Any) -> Any:
+        xp = namespace(state, command, dynamics.thrust)
+        _check(state, _POSE_AND_RATES + n if lags else _POSE_AND_RATES, "state")
+        _check(command, n, "command")
+        if lags:
+            return rigid_body.derivative(xp, dynamics, state, command)
+        accelerations = rigid_body.acceleration(xp, dynamics, state[2:6], command)
+        return xp.concatenate([state[3:6], xp.stack(accelerations)])
+
+    return with_symbols(rates, state, command)
+
+
+def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
+    """Simulate held commands; see `Model.simulate`."""
+    n, dynamics = model.vehicle.n_propellers, model.dynamics
+
+    def states(state: Any, commands: Any) -> Any:
+        xp = namespace(state, commands, period, dynamics.thrust)
+        if commands.ndim < 2 or commands.shape[1] != n:
+            raise InputError(f"must have {n} columns, one for each motor", field="commands")
+        if state.shape[0] == _POSE_AND_RATES:
+            state = xp.concatenate([state, commands[0]])
+        _check(state, _POSE_AND_RATES + n, "state")
+        durations = xp.broadcast_to(xp.asarray(period), commands.shape[:1] + np.shape(period)[1:])
+        return rollout(xp, dynamics, state, commands, durations)
+
+    return with_symbols(states, state, commands)
+
+
+def sample(model: Model, count: int, key: Any) -> list[Model]:
+    """Draw models from the distribution of the parameters; see `Model.sample`."""
+    if model.known is None:
+        raise InputError(
+            "has no uncertainty to draw from; identify it", field=f"model {model.name}"
+        )
+    if not 0 <= count <= 1_000_000:
+        raise InputError("must be between 0 and 1000000", field="count")
+    random, center = _generator(key), model.parameters.to_vector()
+    factor, (lower, upper) = _factor(model.known.covariance), model.parameters.bounds()
+    found: list[Model] = []
+    drawn = 0
+    while len(found) < count:
+        drawn += 1
+        vector = center + factor @ random.standard_normal(factor.shape[1])
+        parameters = model.parameters.with_vector(vector)
+        possible = ((vector >= lower) & (vector <= upper)) | (vector == center)
+        if possible.all() and is_monotone(parameters.thrust).all():
+            found.append(replace(model, parameters=parameters, uncertainty=None))
+        elif drawn * _LEAST_SHARE > len(found) + 1:
+            raise InputError(
+                "hardly a draw keeps to the bounds and has rising thrust curves: the parameters "
+                "are too uncertain",
+                field=f"model {model.name}",
+            )
+    return found
+
+
+def _factor(covariance: Float[np.ndarray, "P P"]) -> Float[np.ndarray, "P P"]:
+    """Return A with A Aᵀ = V, scaled first since the units differ by orders of magnitude."""
+    scale = np.sqrt(np.diag(covariance))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _generator(key: Any) -> np.random.Generator:
+    """Return a source of random numbers from a seed, a generator or a key of JAX."""
+    if namespace(key) is not np:
+        import jax
+
+        if jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key):
+            key = jax.random.key_data(key)
+        key = np.asarray(key).ravel().tolist()
+    return np.random.default_rng(key)
+
+
+def _check(array: Any, length: int, field: str) -> None:
+    """Refuse an array of another length."""
+    if array.shape[:1] != (length,):
+        raise InputError(
+            f"must have {length} entries along its first axis, not the shape {array.shape}",
+            field=field,
+        )

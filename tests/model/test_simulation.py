@@ -1,0 +1,165 @@
+"""`Model.derivative`, `simulate` and `sample`, each under NumPy, JAX and CasADi."""
+
+from dataclasses import replace
+
+import casadi
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.model.model_file import published_model
+from airpuck.model.uncertainty import Uncertainty
+
+M3 = published_model("M3")
+EFFECTS = replace(
+    M3,
+    parameters=replace(
+        M3.parameters,
+        drag=np.array([0.1, 0.2, 0.3, 0.01]),
+        inflow=0.1,
+        pair_interaction=4.0,
+        voltage_sag=0.2,
+        tilt=np.array([1e-3, -2e-3]),
+    ),
+)
+MODELS = pytest.mark.parametrize("model", [M3, EFFECTS, published_model("M4")])
+
+
+def state_and_command(seed: int = 0):
+    random = np.random.default_rng(seed)
+    return random.normal(size=12) * 0.3 + np.r_[np.zeros(6), np.full(6, 0.5)], random.uniform(
+        0, 1, 6
+    )
+
+
+@MODELS
+def test_the_derivative_is_the_same_under_numpy_jax_and_casadi(model):
+    state, command = state_and_command()
+    with jax.enable_x64(True):
+        traced = jax.jit(model.derivative)(jnp.array(state), jnp.array(command))
+    z, u = casadi.SX.sym("z", 12), casadi.MX.sym("u", 6)
+    symbolic = casadi.Function("f", [z], [model.derivative(z, casadi.SX(command))])(state)
+    in_the_command = casadi.Function("f", [u], [model.derivative(casadi.MX(state), u)])(command)
+    expected = model.derivative(state, command)
+    np.testing.assert_allclose(traced, expected, atol=1e-13)
+    np.testing.assert_allclose(symbolic.full()[:, 0], expected, atol=1e-13)
+    np.testing.assert_allclose(in_the_command.full()[:, 0], expected, atol=1e-13)
+
+
+def test_a_craft_at_rest_with_idle_motors_stays():
+    assert not M3.derivative(np.zeros(12), np.zeros(6)).any()
+
+
+@MODELS
+def test_a_simulation_solves_the_differential_equation(model):
+    state, command = state_and_command(1)
+    steps = 200
+    simulated = model.simulate(state, np.tile(command, (steps, 1)), 1e-3)
+    reference = solve_ivp(
+        lambda _, z: model.derivative(z, command), (0, steps * 1e-3), state, rtol=1e-10, atol=1e-12
+    )
+    np.testing.assert_allclose(simulated[-1], reference.y[:, -1], atol=1e-9)
+
+
+def test_simulations_agree_under_numpy_jax_and_casadi_and_for_a_batch():
+    state, _ = state_and_command(2)
+    commands = np.random.default_rng(3).uniform(0, 1, (5, 6))
+    expected = M3.simulate(state, commands, 0.01)
+    with jax.enable_x64(True):
+        batch = jax.vmap(lambda z: M3.simulate(z, jnp.array(commands), 0.01))(
+            jnp.array([state, 2 * state])
+        )
+    u = casadi.SX.sym("u", 5, 6)
+    symbolic = casadi.Function("f", [u], [M3.simulate(casadi.SX(state), u)])(commands)
+    both = M3.simulate(np.stack([state, 2 * state], axis=1), np.stack([commands] * 2, axis=2), 0.01)
+    np.testing.assert_allclose(batch[0], expected, atol=1e-12)
+    np.testing.assert_allclose(batch[1], both[..., 1], atol=1e-12)
+    np.testing.assert_allclose(both[..., 0], expected, atol=1e-12)
+    np.testing.assert_allclose(symbolic.full(), expected, atol=1e-12)
+
+
+def test_jax_differentiates_a_simulation_by_its_commands_and_by_the_parameters():
+    state, command = state_and_command(4)
+    commands = np.tile(command, (10, 1))
+
+    def final(commands, vector):
+        moved = replace(M3, parameters=M3.parameters.with_vector(vector))
+        return moved.simulate(state, commands, 0.01)[-1, 2]
+
+    vector = M3.parameters.to_vector()
+    with jax.enable_x64(True):
+        slopes = jax.grad(final, argnums=(0, 1))(jnp.array(commands), jnp.array(vector))
+    for argument, slope in enumerate(slopes):
+        for entry in [(0, 3), (9, 1)] if argument == 0 else [(0,), (18,), (19,)]:
+            arguments = [commands.copy(), vector.copy()]
+            ends = []
+            step = 1e-6 * max(abs(arguments[argument][entry]), 1e-6)
+            for sign in (1, -1):
+                moved = [a.copy() for a in arguments]
+                moved[argument][entry] += sign * step
+                ends.append(final(*moved))
+            assert slope[entry] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
+
+
+def test_without_lag_the_motors_are_no_states():
+    model = replace(M3, parameters=replace(M3.parameters, motor_time_constant=0.0))
+    state, command = state_and_command(5)
+    rates = model.derivative(state[:6], command)
+    same = M3.derivative(np.r_[state[:6], command], command)
+    np.testing.assert_allclose(rates, same[:6], atol=1e-14)
+
+
+def test_motors_left_out_begin_at_the_first_command():
+    state, command = state_and_command(6)
+    commands = np.tile(command, (3, 1))
+    np.testing.assert_array_equal(
+        M3.simulate(state[:6], commands), M3.simulate(np.r_[state[:6], command], commands)
+    )
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: M3.derivative(np.zeros(11), np.zeros(6)), "state"),
+        (lambda: M3.derivative(np.zeros(12), np.zeros(4)), "command"),
+        (lambda: M3.simulate(np.zeros(12), np.zeros((3, 4))), "commands"),
+        (lambda: M3.simulate(np.zeros(11), np.zeros((3, 6))), "state"),
+        (lambda: M3.sample(3), "model M3"),
+    ],
+)
+def test_wrong_shapes_are_refused(call, field):
+    with pytest.raises(InputError) as refused:
+        call()
+    assert refused.value.field == field
+
+
+def uncertain(errors: dict[int, float]) -> airpuck.Model:
+    """M3 with independent standard errors of some entries."""
+    vector = M3.parameters.to_vector()
+    spread = np.zeros(len(vector))
+    spread[list(errors)] = list(errors.values())
+    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 20, 2.0)
+    return replace(M3, uncertainty=known)
+
+
+def test_samples_have_the_covariance_of_the_estimate():
+    entries = {18: 3e-6, 19: 4e-4}  # inertia and lag: some percent of each
+    model = uncertain(entries)
+    drawn = np.array([m.parameters.to_vector() for m in model.sample(4000, key=1)])
+    np.testing.assert_allclose(drawn.std(axis=0)[[18, 19]], list(entries.values()), rtol=0.05)
+    untouched = np.delete(np.arange(drawn.shape[1]), [18, 19])
+    assert (drawn[:, untouched] == model.parameters.to_vector()[untouched]).all()
+
+
+def test_samples_follow_the_key_and_are_crafts():
+    model = uncertain({0: 0.2, 18: 2e-4})  # wide enough to leave the bounds
+    first = [m.parameters.to_vector() for m in model.sample(20, key=jax.random.key(3))]
+    again = [m.parameters.to_vector() for m in model.sample(20, key=jax.random.key(3))]
+    np.testing.assert_array_equal(first, again)
+    lower, upper = model.parameters.bounds()
+    assert (np.array(first) >= lower).all() and (np.array(first) <= upper).all()
+    airpuck.TrackingController(model.sample(1, key=2)[0], airpuck.SetPoint(0, 0, 0))
