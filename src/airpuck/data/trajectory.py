@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing
+from airpuck.boundary.notebook import html_table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.zero_order_hold import hold, mean_hold
 
@@ -103,6 +104,19 @@ class Trajectory:
             f"Trajectory({self.source!r}, {len(self)} samples in {self.duration:.1f} s, "
             f"{len(self.propellers)} motors, {len(self.excluded)} spans excluded)"
         )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("source", self.source),
+            ("samples", len(self)),
+            ("duration [s]", self.duration),
+            ("samples per second", 1 / self.sample_period),
+            ("motors", ", ".join(self.propellers)),
+            ("transport delay [ms]", 1e3 * self.delay if self.delay_known else "not known"),
+            *((f"not used: {s.start:.2f} to {s.stop:.2f} s", s.cause) for s in self.excluded),
+            *(("warning", warning) for warning in self.warnings),
+        ]
+        return html_table("Trajectory", ("", ""), rows)
 
     @property
     def duration(self) -> float:

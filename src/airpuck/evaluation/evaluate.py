@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.notebook import html_table
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
@@ -156,6 +157,17 @@ class Evaluation:
     sample_period: float
     left_out: int
     every_start: EveryStart
+
+    def __repr__(self) -> str:
+        x, y, yaw = self.rmse
+        return (
+            f"Evaluation({self.model}, {1e3 * x:.2f} mm, {1e3 * y:.2f} mm, {yaw:.4f} rad RMS after "
+            f"{self.horizon_step * self.sample_period:.2f} s in {self.errors.shape[2]} windows)"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = zip(CHANNELS, self.rmse.tolist(), self.median_abs.tolist(), strict=True)
+        return html_table(repr(self), ("", "RMS error", "median absolute error"), rows)
 
     @property
     def horizon_step(self) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.notebook import html_table
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import RUNGS
@@ -84,6 +85,14 @@ class Presentation:
     derived: tuple[Value, ...]
     conditions: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Presentation({self.name}, {len(self.parameters)} quantities)"
+
+    def _repr_html_(self) -> str:
+        values = [*self.parameters, *self.derived]
+        rows = ((v.label, v.value, v.standard_error, v.unit) for v in values)
+        return html_table("; ".join(self.structure[:1]), ("", "value", "± error", "unit"), rows)
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures.

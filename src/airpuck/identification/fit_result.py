@@ -16,6 +16,7 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.uncertainty import Identifiability
 from airpuck.model.model_file import Model
+from airpuck.model.tables import model_html
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import lowest_slope
 
@@ -71,6 +72,32 @@ class Fit:
     exclusion: Exclusion | None = None
     packet_delays: tuple[PacketDelays, ...] = ()
     objective: PredictionLoss | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return f"Fit({outcome_words(self)[0]})"
+
+    def _repr_html_(self) -> str:
+        return model_html(self.model, outcome_words(self)[0])
+
+    def table(self) -> Any:
+        """Return the parameters with their errors; see `Model.table`.
+
+        Returns
+        -------
+        pandas.DataFrame or dict
+            A row for each parameter.
+        """
+        return self.model.table()
+
+    def covariance(self) -> Any:
+        """Return the labelled covariance of the learned parameters; see `Model.covariance`.
+
+        Returns
+        -------
+        pandas.DataFrame or dict
+            A row and a column for each learned parameter.
+        """
+        return self.model.covariance()
 
     @property
     def uncertainty(self) -> Uncertainty | None:

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, write_toml
+from airpuck.boundary.notebook import frame
 from airpuck.boundary.parsing import load_toml
 from airpuck.compute.arrays import namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
@@ -30,6 +31,7 @@ from airpuck.model.sections import (
     read_uncertainty,
     uncertainty_content,
 )
+from airpuck.model.tables import covariance_frame, model_html, parameter_rows
 from airpuck.model.uncertainty import DelayJitter, Uncertainty
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 
@@ -80,6 +82,15 @@ class Model:
     source: str = ""
     uncertainty: Uncertainty | None = None
     delay_jitter: DelayJitter | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"Model({self.name}, {self.vehicle.name!r}, {self.vehicle.n_propellers} propellers, "
+            f"{self.free.sum()} of {len(self.free)} parameters learned, from {self.source!r})"
+        )
+
+    def _repr_html_(self) -> str:
+        return model_html(self, repr(self))
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -240,6 +251,28 @@ class Model:
             return quantity(replace(self, parameters=parameters, uncertainty=None))
 
         return self.known.propagate(of)
+
+    def table(self) -> Any:
+        """Return every parameter with its standard error and 95 % interval.
+
+        Returns
+        -------
+        pandas.DataFrame or dict
+            A row for each parameter, by its label: ``value, unit, standard_error, lower_95,
+            upper_95, learned``. A dictionary of such rows where pandas is not installed.
+        """
+        return frame(parameter_rows(self))
+
+    def covariance(self) -> Any:
+        """Return the covariance of the learned parameters with their labels.
+
+        Returns
+        -------
+        pandas.DataFrame or dict
+            A row and a column for each learned parameter; nan where the model has no uncertainty. A
+            dictionary of rows where pandas is not installed.
+        """
+        return covariance_frame(self)
 
     def to_statespace(
         self,

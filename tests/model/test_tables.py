@@ -1,0 +1,87 @@
+"""Labelled tables of parameters, and how results show in a notebook."""
+
+import importlib.util
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.evaluation.evaluate import PROTOCOLS, Evaluation
+from airpuck.model.model_file import published_model
+from airpuck.model.uncertainty import Uncertainty
+from tests.synthetic import fly
+
+M4 = published_model("M4")
+
+
+def uncertain() -> airpuck.Model:
+    vector = M4.parameters.to_vector()
+    spread = np.where(M4.free, 0.01 * np.abs(vector), 0.0)
+    errors = np.where(M4.free, spread, np.nan)
+    known = Uncertainty(vector, np.diag(spread**2), errors, np.zeros((0, len(vector))), 20, 2.0)
+    return replace(M4, uncertainty=known)
+
+
+def test_the_table_has_every_parameter_with_its_unit_and_interval():
+    table = uncertain().table()
+    assert list(table.index) == M4.parameters.labels(M4.vehicle.propeller_names)
+    lag = table.loc["motor_time_constant"]
+    assert lag["value"] == float(M4.parameters.motor_time_constant) and lag["unit"] == "s"
+    assert lag["upper_95"] - lag["lower_95"] == pytest.approx(4 * 0.01 * lag["value"])
+    units = {label: row["unit"] for label, row in table.iterrows()}
+    assert units["configuration_matrix y motor_a_1"] == "1/kg"
+    assert units["configuration_matrix yaw motor_a_1"] == "1/(kg m)"
+    assert units["thrust motor_c_2 φ^3"] == "N"
+    assert np.isnan(table.loc["angle_offset", "standard_error"])
+
+
+def test_the_covariance_is_labelled():
+    model = uncertain()
+    table = model.covariance()
+    lag = "motor_time_constant"
+    assert list(table.index) == list(table.columns) and len(table) == M4.free.sum()
+    assert table.loc[lag, lag] == pytest.approx((0.01 * M4.parameters.motor_time_constant) ** 2)
+    assert np.isnan(M4.covariance().loc[lag, lag])
+
+
+def test_without_pandas_rows_are_dictionaries(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    row = uncertain().table()["motor_time_constant"]
+    assert row["unit"] == "s" and row["learned"] is True
+
+
+class _Cells(HTMLParser):
+    """Counts the cells of each row, and fails on a tag that is not closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.rows: list[int] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append(0)
+        self.rows[-1:] = [n + (tag in ("td", "th")) for n in self.rows[-1:]]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def shown() -> list[object]:
+    errors = np.full((50, 3, 4), 0.01)
+    evaluation = Evaluation("M3", PROTOCOLS["paper"], "paper", errors, np.arange(4.0), 1 / 240, 0)
+    hostile = replace(uncertain(), source="<b>bag</b>")
+    trajectory = fly(M4, 1.0)
+    return [hostile, evaluation, trajectory, airpuck.present(hostile)]
+
+
+@pytest.mark.parametrize("result", shown(), ids=lambda result: type(result).__name__)
+def test_results_show_in_a_notebook_in_a_line_and_as_a_table(result):
+    assert len(repr(result)) < 200 and "\n" not in repr(result)
+    text = result._repr_html_()
+    assert len(set(_Cells(text).rows)) == 1 and "<b>" not in text
