@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
         SetPoints as SetPoints,
         TimedPath as TimedPath,
     )
-    from airpuck.control.tracking import TrackingController as TrackingController
+    from airpuck.control.tracking import Step as Step, TrackingController as TrackingController
     from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
     from airpuck.craft.vehicle import (
         Vehicle as Vehicle,
@@ -51,6 +51,8 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.experiment_design.design import design as design
     from airpuck.faults.find import find_faults as find_faults
     from airpuck.faults.layout_check import check_layout as check_layout
+    from airpuck.flight.loop import fly as fly
+    from airpuck.flight.pilot import Pilot as Pilot
     from airpuck.flight.preflight import preflight as preflight
     from airpuck.flight.replay import Replay as Replay, replay as replay
     from airpuck.identification.adam import Adam as Adam
@@ -88,7 +90,7 @@ _NAMES = {
     "boundary.errors": "InputError",
     "campaigns.campaign": "campaign",
     "control.reference": "SetPoint SetPoints TimedPath",
-    "control.tracking": "TrackingController",
+    "control.tracking": "Step TrackingController",
     "control.tuning": "Tuning read_tuning",
     "craft.vehicle": "Vehicle default_vehicle read_vehicle",
     "data.trajectory": "Span Trajectory read_trajectory",
@@ -101,6 +103,8 @@ _NAMES = {
     "experiment_design.design": "design",
     "faults.find": "find_faults",
     "faults.layout_check": "check_layout",
+    "flight.loop": "fly",
+    "flight.pilot": "Pilot",
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
     "identification.adam": "Adam",

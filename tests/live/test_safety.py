@@ -167,7 +167,7 @@ def test_commands_are_kept_between_idle_and_full(guarded):
     ("command", "reason"),
     [
         (None, "the controller failed: ZeroDivisionError: in the solver"),
-        (np.array([0.5, np.nan]), "the controller's command is not finite"),
+        (np.array([0.5, np.nan]), "the controller's command is not 2 finite numbers"),
     ],
 )
 def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, command, reason):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import SetPoints
-from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints, check_inside, read_setpoints
+from airpuck.control.reference import SetPoints, check_inside, read_setpoints
+from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 
 FENCE = (1.0, 0.5)
 

@@ -68,21 +68,15 @@ def excite(
         str | None,
         Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
     ] = None,
-    amplitude: Annotated[float | None, Option(help="Largest random signal, by default 1.")] = None,
-    hold: Annotated[
-        float | None, Option(metavar="S", help=r"Time between its changes \[s], by default 0.2.")
-    ] = None,
-    plan: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="These and the margin, as airpuck design proposes."),
-    ] = None,
+    amplitude: options.Amplitude = None,
+    hold: options.Hold = None,
+    plan: options.PlanFile = None,
     twin: options.TwinFile = None,
     tuning: options.TuningFile = None,
     csv: Annotated[bool, Option("--csv", help="Record CSV files instead of a bag.")] = False,
     json_file: options.Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
-    from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
     from airpuck.twin.experiments import fly_excitation
 
     if model is None and vehicle is None:
@@ -91,9 +85,7 @@ def excite(
     # Before the flight: a folder that is in the way should not cost a minute.
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError("exists already; choose a new folder", file=output, field="-o")
-    given = {"duration_s": duration, "amplitude": amplitude, "hold_s": hold}
-    planned = ExcitationPlan() if plan is None else read_excitation_plan(plan)
-    planned = planned.model_copy(update={k: v for k, v in given.items() if v is not None})
+    planned = inputs.read_excitation(plan, duration, amplitude, hold)
     excited = fly_excitation(
         truth, planned, seed, settings=inputs.read_twin(twin), tuning=inputs.read_controls(tuning)
     )
@@ -119,9 +111,11 @@ def track(
         Option("--flight", metavar="FLIGHT", help="Real flight of each model, to imitate."),
     ] = None,
     truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
+    setpoints: options.SetPointsFile = None,
     dwell: Annotated[
         float | None, Option(metavar="S", help=r"Time at each set point \[s]; imitates no flight.")
     ] = None,
+    pilot: options.PilotClass = None,
     controller: Annotated[
         Literal["paper", "full"],
         Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
@@ -138,8 +132,10 @@ def track(
     output: options.PageFolder = None,
     json_file: options.Json = None,
 ) -> None:
-    """Fly the paper's set points on the twin, beside the real flights."""
+    """Fly set points on the twin: by default the paper's, beside the real flights."""
+    from airpuck.control.reference import read_setpoints
     from airpuck.control.tuning import default_tuning
+    from airpuck.flight.pilot import pilot_maker
     from airpuck.twin.tracking_study import DWELL
 
     names = models or ["paper:M0", "paper:M4"]
@@ -148,7 +144,10 @@ def track(
     if dwell is not None and not 0.1 <= dwell <= 1000:
         raise InputError("must be between 0.1 and 1000 s", field="--dwell")
     paths: list[Path | None] = list(flights or ())
-    if not paths and dwell is None and controller == "paper":
+    if setpoints is not None and flights:
+        raise InputError("a flight has its own set points; give one of the two", field="--flight")
+    own = setpoints is not None or pilot is not None
+    if not paths and dwell is None and controller == "paper" and not own:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
@@ -160,11 +159,13 @@ def track(
         [inputs.read_belief(name) for name in names],
         plant,
         flights=[None if path is None else inputs.read_flight(path, None) for path in paths],
+        set_points=None if setpoints is None else read_setpoints(setpoints),
         dwell=dwell or DWELL,
         seed=seed,
         full_controller=controller == "full",
         settings=inputs.read_twin(twin),
         tuning=controls,
+        make_pilot=None if pilot is None else pilot_maker(pilot),
     )
     page = None
     if output is not None:

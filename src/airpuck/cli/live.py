@@ -99,16 +99,17 @@ def fly(
     dwell: Annotated[
         float | None, Option(metavar="S", help=r"Time at each --setpoint \[s]; by default 3.")
     ] = None,
-    setpoints_file: Annotated[
-        Path | None,
-        Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
-    ] = None,
+    setpoints_file: options.SetPointsFile = None,
     topic: Annotated[
         bool, Option("--topic", help="Go where the graph's reference topic says.")
     ] = False,
     excite: Annotated[
         bool, Option("--excite", help="Fly the excitation experiment instead.")
     ] = False,
+    plan: options.PlanFile = None,
+    amplitude: options.Amplitude = None,
+    hold: options.Hold = None,
+    pilot: options.PilotClass = None,
     vehicle: options.VehicleFile = None,
     geofence: Annotated[
         tuple[float, float] | None,
@@ -131,20 +132,25 @@ def fly(
     """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
     from airpuck.compute.process import low_latency
     from airpuck.control.excitation import Excitation
+    from airpuck.control.reference import check_inside
     from airpuck.control.tuning import default_tuning
-    from airpuck.flight.loop import Pilot
+    from airpuck.flight.pilot import Pilot, pilot_maker
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import Limits
-    from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints, check_inside
+    from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 
     if sum([bool(setpoints), setpoints_file is not None, topic, excite]) > 1:
         raise InputError("give one of --setpoint, --setpoints, --topic, --excite", field="fly")
     if dwell is not None and not setpoints:
         raise InputError("is the time at each --setpoint; none is given", field="--dwell")
-    if seed is not None and not excite:
-        raise InputError("is the seed of --excite; nothing else is random", field="--seed")
+    _refuse_unless_excited(excite, seed=seed, plan=plan, amplitude=amplitude, hold=hold)
+    if excite and pilot is not None:
+        raise InputError("--excite has a pilot of its own; give one of the two", field="--pilot")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
+    experiment = inputs.read_excitation(plan, duration, amplitude, hold)
+    if plan is not None:
+        duration = experiment.duration_s
     live = live_settings(domain, interface, topics, duration, quiet)
     craft = inputs.model_or_nominal(model, vehicle)
     fence = _fence(geofence, craft)
@@ -152,15 +158,25 @@ def fly(
     points = _set_points(setpoints, dwell, setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
+    make_own = None if pilot is None else pilot_maker(pilot)
     low_latency()
 
-    def pilot() -> Pilot:
+    def make_pilot() -> Pilot:
         if excite:
-            return Excitation(craft, tuning=controls, seed=seed or 0)
+            return Excitation(
+                craft,
+                tuning=controls,
+                amplitude=experiment.amplitude,
+                hold=experiment.hold_s,
+                margin=experiment.margin_m,
+                seed=seed or 0,
+            )
+        if make_own is not None:
+            return make_own(craft, reference)
         return airpuck.TrackingController(craft, reference, controls)
 
     limits = Limits(geofence=fence)
-    figures = fly_live(pilot, craft.vehicle, limits, live, period=controls.period_s)
+    figures = fly_live(make_pilot, craft.vehicle, limits, live, period=controls.period_s)
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
     report(
@@ -277,6 +293,13 @@ def view(
     write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))
 
 
+def _refuse_unless_excited(excite: bool, **given: Any) -> None:
+    """Refuse options of the excitation experiment where another flight is asked for."""
+    for name, value in given.items():
+        if value is not None and not excite:
+            raise InputError("is for --excite, which is not given", field=f"--{name}")
+
+
 def live_settings(
     domain: int | None,
     interface: str | None,
@@ -294,8 +317,7 @@ def live_settings(
 
 def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None) -> SetPoints:
     """Return set points from a file, or one after the other; by default the table's middle."""
-    from airpuck.control.reference import SetPoints
-    from airpuck.live.setpoints import read_setpoints
+    from airpuck.control.reference import SetPoints, read_setpoints
 
     if file is not None:
         return read_setpoints(file)

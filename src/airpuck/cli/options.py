@@ -82,6 +82,26 @@ TwinFile = Annotated[
         "--twin", metavar="FILE", help="Table, sensors, radio, faults; by default the packaged."
     ),
 ]
+SetPointsFile = Annotated[
+    Path | None,
+    Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
+]
+PlanFile = Annotated[
+    Path | None,
+    Option("--plan", metavar="FILE", help="Amplitude, hold, length and margin, by airpuck design."),
+]
+Amplitude = Annotated[float | None, Option(help="Largest random signal, by default 1.")]
+Hold = Annotated[
+    float | None, Option(metavar="S", help=r"Time between its changes \[s], by default 0.2.")
+]
+PilotClass = Annotated[
+    str | None,
+    Option(
+        "--pilot",
+        metavar="FILE.py:NAME",
+        help="A controller of your own: a class that is made from (model, reference).",
+    ),
+]
 Seed = Annotated[int, Option(metavar="N", help="Seed of everything random.", min=0)]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],

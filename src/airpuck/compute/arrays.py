@@ -19,6 +19,17 @@ def namespace(*values: Any) -> Any:
     return np
 
 
+def generator(key: Any) -> np.random.Generator:
+    """Return a source of random numbers from a seed, a generator or a key of JAX."""
+    if namespace(key) is not np:
+        import jax
+
+        if jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key):
+            key = jax.random.key_data(key)
+        key = np.asarray(key).ravel().tolist()
+    return np.random.default_rng(key)
+
+
 def with_symbols(function: Callable[..., Any], *values: Any) -> Any:
     """Call a function of arrays with matrices of CasADi, too, where a column is a vector.
 

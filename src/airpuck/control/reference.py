@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_toml
 
 #: What callers may give for an array of one dimension.
 Numbers = Sequence[float] | np.ndarray
@@ -153,3 +155,35 @@ def _checked(
     if (np.diff(time) <= 0).any():
         raise InputError("times must increase", field=field)
     return time, pose
+
+
+class _Entry(Section):
+    at_s: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+class _SetPointsFile(Section):
+    setpoints: tuple[_Entry, ...]
+
+
+def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
+    """Read set points from a TOML file."""
+    entries = read_toml(path, _SetPointsFile).setpoints
+    try:
+        return SetPoints([e.at_s for e in entries], [(e.x_m, e.y_m, e.yaw_rad) for e in entries])
+    except InputError as error:
+        raise InputError(error.problem, file=path, field="setpoints") from error
+
+
+def check_inside(
+    points: SetPoints, reach: tuple[float, float], border: str = "the geofence"
+) -> None:
+    """Refuse set points beyond a border at ±x, ±y [m]."""
+    for x, y, _ in points.poses.tolist():
+        if abs(x) > reach[0] or abs(y) > reach[1]:
+            raise InputError(
+                f"({x:g}, {y:g}) is outside {border}, ±{reach[0]:g} m by ±{reach[1]:g} m",
+                field="setpoint",
+            )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -36,18 +36,26 @@ _REMEMBERED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Result of a control step."""
+    """Result of a control step.
 
-    #: Motor commands to send, always finite and within the vehicle's limits; an array of the
-    #: caller's own, to change at will.
+    Attributes
+    ----------
+    command : array, shape (n,)
+        Motor commands to send, finite and within the vehicle's limits; an array of the caller's
+        own, to change at will.
+    status : str, default "open loop"
+        ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: without an allocation;
+        anything else: the motors idle, and this is why.
+    request : array, shape (3,), default 0
+        Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
+    estimate : Estimate or None
+        State at the time at which the command will begin to act; None when idle.
+    """
+
     command: Float[np.ndarray, " n"]
-    #: ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: to a plan; anything else:
-    #: the motors idle, and this is why.
-    status: Status
-    #: Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
-    request: Float[np.ndarray, " 3"]
-    #: State at the time at which the command will begin to act; None when idle.
-    estimate: Estimate | None
+    status: Status = "open loop"
+    request: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    estimate: Estimate | None = None
 
     @property
     def flies(self) -> bool:

@@ -5,40 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.reference import Reference
 from airpuck.control.tracking import Status, Step
 from airpuck.flight.link import Link, Measurement
-
-
-@runtime_checkable
-class Pilot(Protocol):
-    """Computes commands: a `TrackingController`, or one that adds an excitation to it."""
-
-    @property
-    def reference(self) -> Reference:
-        """The reference that the craft tracks."""
-        ...
-
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose; see `TrackingController.pose`."""
-
-    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
-        """Take note of an inertial measurement; see `TrackingController.imu`."""
-
-    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
-        """Take note of a velocity; see `TrackingController.mouse`."""
-
-    def step(self, time: float) -> Step:
-        """Compute the command to send now; see `TrackingController.step`."""
-        ...
-
-    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of the command that was sent; see `TrackingController.sent`."""
+from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +67,11 @@ def fly(
     -------
     FlightLog
         What was sent, and why.
+
+    Raises
+    ------
+    InputError
+        If the pilot lacks a method, or its command is not one finite number for each motor.
     """
     start = link.now
     actions = list(control(pilot, link, duration, period, on_board=on_board))
@@ -120,6 +98,7 @@ def control(
     The times at which an action is due are fixed at the start: a late one does not delay those
     after it. Those that have become due meanwhile are left out.
     """
+    check_pilot(pilot)
     start, announced = link.now, np.full(6, np.nan)
     count = math.inf if math.isinf(duration) else round(duration / period)
     k = 0
@@ -134,7 +113,7 @@ def control(
         if not np.array_equal(asked, announced):
             link.announce(asked)
             announced = asked
-        step = pilot.step(now)
+        step = checked_step(pilot, pilot.step(now))
         link.send(step.command)
         pilot.sent(now, step.command)
         yield Action(due, now, step, asked)

@@ -18,7 +18,8 @@ from jaxtyping import Float
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.link import Measurement
-from airpuck.flight.loop import Action, Pilot, control
+from airpuck.flight.loop import Action, control
+from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.clock import LoopTiming
@@ -90,6 +91,7 @@ def fly_live(
         # Others need not wait for the compiler.
         prioritize(first=False)
         pilot = make_pilot()
+        check_pilot(pilot)
         if warm_up:
             _warm_up(pilot, period)
         prioritize(first=True)
@@ -282,7 +284,7 @@ def _warm_up(pilot: Pilot, period: float) -> None:
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):
         now = k * period
         pilot.pose(now, pose)
-        pilot.sent(now, pilot.step(now).command)
+        pilot.sent(now, checked_step(pilot, pilot.step(now)).command)
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import Numbers, Step
-from airpuck.flight.loop import Pilot
+from airpuck.flight.pilot import Pilot, checked_step
 
 #: Takes the level and the text of an event.
 _Log = Callable[[Literal["info", "error"], str], object]
@@ -141,16 +141,16 @@ class GuardedPilot:
         reason = self.guard.refusal(time)
         if reason is None:
             try:
-                step = self.pilot.step(time)
+                step = checked_step(self.pilot, self.pilot.step(time))
             # Whatever goes wrong in a controller, the motors must idle and the loop go on.
             except Exception as error:
                 reason = f"the controller failed: {type(error).__name__}: {error}"
             else:
-                if np.isfinite(step.command).all():
+                command = np.asarray(step.command, dtype=float)
+                if command.shape == self._idle.shape and np.isfinite(command).all():
                     self._log_change(None if step.flies else step.status)
-                    np.clip(step.command, self._idle, 1.0, out=step.command)
-                    return step
-                reason = "the controller's command is not finite"
+                    return replace(step, command=np.clip(command, self._idle, 1.0))
+                reason = f"the controller's command is not {len(self._idle)} finite numbers"
             self.guard.fault(reason)
         self._log_change(reason)
         return Step(self._idle.copy(), "unsafe", np.zeros(3), None)

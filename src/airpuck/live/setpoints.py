@@ -2,44 +2,10 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml
 from airpuck.control.reference import SetPoint, SetPoints, Target
-
-
-class _Entry(Section):
-    at_s: float
-    x_m: float
-    y_m: float
-    yaw_rad: float
-
-
-class _SetPointsFile(Section):
-    setpoints: tuple[_Entry, ...]
-
-
-def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
-    """Read set points from a TOML file."""
-    entries = read_toml(path, _SetPointsFile).setpoints
-    try:
-        return SetPoints([e.at_s for e in entries], [(e.x_m, e.y_m, e.yaw_rad) for e in entries])
-    except InputError as error:
-        raise InputError(error.problem, file=path, field="setpoints") from error
-
-
-def check_inside(points: SetPoints, geofence: tuple[float, float]) -> None:
-    """Refuse set points outside the geofence, ±x, ±y [m]."""
-    for x, y, _ in points.poses.tolist():
-        if abs(x) > geofence[0] or abs(y) > geofence[1]:
-            raise InputError(
-                f"({x:g}, {y:g}) is outside the geofence, ±{geofence[0]:g} m by ±{geofence[1]:g} m",
-                field="setpoint",
-            )
 
 
 class PlannedSetPoints:

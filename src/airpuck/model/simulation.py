@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.arrays import namespace, with_symbols
+from airpuck.compute.arrays import generator, namespace, with_symbols
 from airpuck.physics import rigid_body
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import is_monotone
@@ -65,7 +65,7 @@ def sample(model: Model, count: int, key: Any) -> list[Model]:
         )
     if not 0 <= count <= 1_000_000:
         raise InputError("must be between 0 and 1000000", field="count")
-    random, center = _generator(key), model.parameters.to_vector()
+    random, center = generator(key), model.parameters.to_vector()
     factor, (lower, upper) = _factor(model.known.covariance), model.parameters.bounds()
     found: list[Model] = []
     drawn = 0
@@ -91,17 +91,6 @@ def _factor(covariance: Float[np.ndarray, "P P"]) -> Float[np.ndarray, "P P"]:
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-def _generator(key: Any) -> np.random.Generator:
-    """Return a source of random numbers from a seed, a generator or a key of JAX."""
-    if namespace(key) is not np:
-        import jax
-
-        if jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key):
-            key = jax.random.key_data(key)
-        key = np.asarray(key).ravel().tolist()
-    return np.random.default_rng(key)
 
 
 def _check(array: Any, length: int, field: str) -> None:

@@ -14,6 +14,7 @@ from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.loop import FlightLog, fly
+from airpuck.flight.pilot import Pilot, PilotMaker
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant
@@ -132,6 +133,7 @@ def track(
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     plant: Plant | None = None,
+    make_pilot: PilotMaker | None = None,
 ) -> tuple[Recording, FlightLog]:
     """Fly the twin along a reference.
 
@@ -161,6 +163,9 @@ def track(
         Of the controller; by default the packaged one.
     plant : Plant, optional
         From `airpuck.twin.twin.build_plant`, to compile only once.
+    make_pilot : callable, optional
+        Makes a pilot of one's own from (model, reference), which the options of the controller do
+        not concern.
 
     Returns
     -------
@@ -184,15 +189,19 @@ def track(
             f"{truth.vehicle.n_propellers}"
         )
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
-    pilot = TrackingController(
-        model,
-        reference,
-        tuning,
-        gain=gain,
-        compensate_delay=compensate_delay,
-        reject_disturbance=reject_disturbance,
-    )
-    log = fly(pilot, twin, duration, pilot.tuning.period_s, on_board=on_board)
+    if make_pilot is not None:
+        pilot: Pilot = make_pilot(model, reference)
+    else:
+        pilot = TrackingController(
+            model,
+            reference,
+            tuning,
+            gain=gain,
+            compensate_delay=compensate_delay,
+            reject_disturbance=reject_disturbance,
+        )
+    period = (tuning or default_tuning()).period_s
+    log = fly(pilot, twin, duration, period, on_board=on_board)
     source = f"{model.name} tracking on a twin of {truth.name}, seed {seed}"
     return replace(twin.recording(), source=source), log
 

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.lqr import regulator
-from airpuck.control.reference import SetPoints
+from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.flight.pilot import PilotMaker
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
@@ -32,8 +33,8 @@ class Tracked:
 
     #: Name of the model that the controller believed.
     model: str
-    #: Of the regulator.
-    gains: Gains
+    #: Of the regulator; None where another pilot flew.
+    gains: Gains | None
     #: The flight on the twin.
     twin: Track
     #: The real flight that it imitates.
@@ -68,7 +69,7 @@ class Tracked:
         """Return the figures for ``--json``."""
         figures: dict[str, Any] = {
             "model": self.model,
-            "gains": vars(self.gains),
+            "gains": None if self.gains is None else vars(self.gains),
             "setpoints": [result.to_json() for result in self.results],
             "outcomes": dict(self.outcomes),
         }
@@ -89,16 +90,18 @@ def tracking_study(
     truth: Model,
     *,
     flights: Sequence[Recording | None] = (),
+    set_points: SetPoints | None = None,
     dwell: float = DWELL,
     seed: int = 0,
     full_controller: bool = False,
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
+    make_pilot: PilotMaker | None = None,
 ) -> list[Tracked]:
-    """Fly the paper's set points on the twin with several models.
+    """Fly set points, by default the paper's, on the twin with several models.
 
     Beside a real flight the twin flies that flight's set points at its times, from where it
-    started, with the regulator's gains fitted to its log; otherwise the paper's set points with the
+    started, with the regulator's gains fitted to its log; otherwise the set points with the
     tuning's gains.
 
     Parameters
@@ -109,8 +112,10 @@ def tracking_study(
         The truth of the twin.
     flights : sequence of Recording or None, optional
         The real flight of each model, if there is one.
+    set_points : SetPoints, optional
+        Where to go, where no flight is imitated; by default the paper's.
     dwell : float, default 2
-        Time from one set point to the next, where no flight is imitated [s].
+        Time from one of the paper's set points to the next, and at the last one [s].
     seed : int, default 0
         Seed of noise and radio.
     full_controller : bool, default False
@@ -120,6 +125,8 @@ def tracking_study(
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
         Of the controller; by default the packaged one.
+    make_pilot : callable, optional
+        Makes a pilot of one's own from (model, reference), to fly in place of the controller.
 
     Returns
     -------
@@ -129,43 +136,70 @@ def tracking_study(
     Raises
     ------
     InputError
-        If a model does not fit the twin, or a recording lacks a stream.
+        If a model does not fit the twin, a recording lacks a stream, a set point is beyond the
+        rails, or the pilot is none.
     """
     tuning = tuning or default_tuning()
     settings = settings or default_twin_settings()
+    border = settings.table.reach(truth.vehicle.radius_m)
+    if set_points is not None:
+        check_inside(set_points, border, "the rails")
     plant = build_plant(truth, settings)
     found = []
     padded = [*flights, *[None] * (len(models) - len(flights))]
     for model, flight in zip(models, padded, strict=True):
-        if flight is None:
-            real = None
-            *changes, duration = (_LEAD + dwell * np.arange(len(SET_POINTS))).tolist()
-            set_points, pose = SetPoints([0.0, *changes], SET_POINTS), (0.0, 0.0, 0.0)
-            gains = Gains.of(regulator(tuning.weights, tuning.period_s))
-        else:
-            real = Track.of(flight, model.vehicle, f"{model.name}, real")
+        course = _Course.planned(set_points, dwell)
+        gains = Gains.of(regulator(tuning.weights, tuning.period_s))
+        if flight is not None:
+            course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains
-            set_points, duration = real.set_points, float(real.command_time[-1])
-            first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
-            # Noise, or another radius, may put one that leans on a rail beyond it.
-            reach = np.array([*settings.table.reach(truth.vehicle.radius_m), np.inf])
-            x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
-            pose = (x, y, yaw)
         recording, log = track(
             model,
-            set_points,
-            duration,
+            course.set_points,
+            course.duration,
             truth=truth,
             seed=seed,
-            pose=pose,
+            pose=course.pose,
             gain=gains.matrix(),
             compensate_delay=full_controller,
             reject_disturbance=full_controller,
             settings=settings,
             tuning=tuning,
             plant=plant,
+            make_pilot=make_pilot,
         )
         outcomes = {status: log.status.count(status) for status in sorted(set(log.status))}
         twin = Track.of(recording, truth.vehicle, f"{model.name}, twin")
-        found.append(Tracked(model.name, gains, twin, real, outcomes, recording))
+        known = gains if make_pilot is None else None
+        found.append(Tracked(model.name, known, twin, course.real, outcomes, recording))
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """What a flight of the study is to do."""
+
+    set_points: SetPoints
+    #: Length [s].
+    duration: float
+    #: Where the craft stands at first.
+    pose: tuple[float, float, float]
+    #: The real flight that it imitates.
+    real: Track | None
+
+    @classmethod
+    def planned(cls, set_points: SetPoints | None, dwell: float) -> _Course:
+        """Return a flight from the middle to set points, by default the paper's."""
+        if set_points is None:
+            changes = _LEAD + dwell * np.arange(len(SET_POINTS) - 1)
+            set_points = SetPoints([0.0, *changes.tolist()], SET_POINTS)
+        return cls(set_points, float(set_points.times[-1]) + dwell, (0.0, 0.0, 0.0), None)
+
+    @classmethod
+    def flown(cls, real: Track, border: tuple[float, float]) -> _Course:
+        """Return a real flight's set points at its times, from where it started."""
+        first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
+        # Noise, or another radius, may put one that leans on a rail beyond it.
+        reach = np.array([*border, np.inf])
+        x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
+        return cls(real.set_points, float(real.command_time[-1]), (x, y, yaw), real)

@@ -1,0 +1,136 @@
+"""Pilots of one's own: flown on the twin, by name from a file, and refused when wrong."""
+
+import json
+import textwrap
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.flight.pilot import check_pilot, pilot_maker
+from airpuck.model.model_file import published_model
+from airpuck.twin.experiments import track
+from tests import command_line
+
+M3 = published_model("M3")
+
+#: As docs/control.md has it.
+SPRING = """
+import numpy as np
+import airpuck
+from airpuck.physics.thrust import InverseThrust
+
+
+class Spring(airpuck.Pilot):
+    reference = airpuck.SetPoint(0.0, 0.0, 0.0)
+
+    def __init__(self, model, reference):
+        self.reference, self.matrix = reference, model.dynamics.configuration
+        self.speed_for = InverseThrust(model.parameters.thrust)
+        self.before = self.now = (0.0, np.zeros(3))
+
+    def pose(self, time, pose):
+        self.before, self.now = self.now, (time, np.array(pose))
+
+    def step(self, time):
+        (t0, before), (t1, (x, y, yaw)) = self.before, self.now
+        velocity = (self.now[1] - before) / max(t1 - t0, 1e-3)
+        ahead = self.reference.at(time, 0.0).state[:3] - self.now[1]
+        wanted = [6, 6, 30] * ahead - [4, 4, 8] * velocity
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        body = [cos * wanted[0] + sin * wanted[1], cos * wanted[1] - sin * wanted[0], wanted[2]]
+        force = np.linalg.pinv(self.matrix) @ body + 0.1
+        return airpuck.Step(np.clip(self.speed_for(force), 0.03, 1))
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "my_pilot.py"
+    path.write_text(SPRING)
+    return path
+
+
+def test_a_pilot_of_ones_own_reaches_its_set_point_on_the_twin(file):
+    make = pilot_maker(f"{file}:Spring")
+    recording, log = track(M3, airpuck.SetPoint(0.4, -0.1, 0.5), 6.0, make_pilot=make)
+    assert set(log.status) == {"open loop"}
+    np.testing.assert_allclose(recording["pose"].values[-1], [0.4, -0.1, 0.5], atol=0.1)
+
+
+def test_it_flies_by_name_from_the_command_line(file, tmp_path):
+    points = tmp_path / "points.toml"
+    points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
+    ran = command_line.airpuck(
+        *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "5", "--json", "-"),
+        *("--setpoints", points, "--pilot", f"{file}:Spring"),
+    )
+    (flight,) = json.loads(ran.stdout)["flights"]
+    assert flight["gains"] is None and list(flight["outcomes"]) == ["open loop"]
+    (result,) = flight["setpoints"]
+    assert result["set_point"] == {"x_m": 0.2, "y_m": 0.1, "yaw_rad": 0.3}
+    assert abs(result["steady_state_error"]["x_m"]) < 0.1
+
+
+def pilot(**changes):
+    """An instance of a class that lacks or changes something."""
+    methods = {"step": lambda self, time: airpuck.Step(np.full(6, 0.03)), **changes}
+    return type("Mine", (airpuck.Pilot,), methods)()
+
+
+def test_what_inherits_from_pilot_needs_only_a_step():
+    check_pilot(pilot())
+    check_pilot(airpuck.TrackingController(M3, airpuck.SetPoint(0, 0, 0)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        (object(), "must have a `reference`"),
+        (pilot(reference="here"), "must have a `reference`"),
+        (pilot(sent=None), "lacks sent()"),
+        (pilot(pose=lambda self, pose: None), "pose() must take 2 arguments"),
+    ],
+)
+def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):
+    with pytest.raises(InputError, match="pilot") as refused:
+        check_pilot(wrong)
+    assert problem in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("step", "problem"),
+    [
+        (lambda self, time: np.zeros(6), "step() must return airpuck.Step(command), not ndarray"),
+        (lambda self, time: airpuck.Step(np.zeros(4)), "needs 6 finite numbers"),
+        (lambda self, time: airpuck.Step(np.full(6, np.nan)), "needs 6 finite numbers"),
+    ],
+)
+def test_a_wrong_command_is_refused(step, problem):
+    with pytest.raises(InputError) as refused:
+        airpuck.fly(pilot(step=step), airpuck.Twin(M3), 0.1)
+    assert problem in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "problem"),
+    [
+        (SPRING, "{}:Springs", "has no class 'Springs'"),
+        (SPRING, "{}", "give FILE.py:NAME"),
+        ("import nowhere_to_be_found", "{}:Spring", "cannot be imported: ModuleNotFoundError"),
+        ("def (", "{}:Spring", "cannot be imported: SyntaxError"),
+        ("class Spring:\n    pass", "{}:Spring", "must be made from (model, reference)"),
+    ],
+)
+def test_a_wrong_file_is_refused(tmp_path, text, name, problem):
+    path = tmp_path / "my_pilot.py"
+    path.write_text(textwrap.dedent(text))
+    with pytest.raises(InputError) as refused:
+        pilot_maker(name.format(path))(M3, airpuck.SetPoint(0, 0, 0))
+    assert problem in str(refused.value) and "--pilot" in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_refused():
+    with pytest.raises(InputError, match="no such file"):
+        pilot_maker("nowhere.py:Spring")
