@@ -306,40 +306,9 @@ class Model:
             If python-control is not installed, there is not one command for each propeller, or a
             number is out of range.
         """
-        try:
-            import control
-        except ImportError:
-            raise InputError(
-                "to_statespace needs python-control; install airpuck[control]"
-            ) from None
-        from airpuck.physics.linearization import linearize, trim
+        from airpuck.model.statespace import statespace
 
-        names = self.vehicle.propeller_names
-        command = (
-            trim(self.dynamics, yaw=yaw) if command is None else np.asarray(command, dtype=float)
-        )
-        if command.shape != (len(names),):
-            raise InputError(f"needs {len(names)} numbers, one for each motor", field="command")
-        if not ((command >= 0) & (command <= 1)).all():
-            raise InputError("must lie in [0, 1]", field="command")
-        if not np.isfinite(yaw):
-            raise InputError("must be a finite number", field="yaw")
-        # To python-control a period of zero means continuous time.
-        if period is not None and not (np.isfinite(period) and period > 0):
-            raise InputError("must be a positive number of seconds", field="period")
-        a, b = linearize(self.dynamics, yaw, command)
-        states = ["x", "y", "yaw", "vx", "vy", "spin", *(f"speed_{name}" for name in names)]
-        system = control.StateSpace(
-            a,
-            b,
-            np.eye(3, len(a)),
-            np.zeros((3, len(names))),
-            inputs=list(names),
-            outputs=states[:3],
-            states=states[: len(a)],
-            name=self.name,
-        )
-        return system if period is None else system.sample(period, method="zoh")
+        return statespace(self, yaw, command, period)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as TOML; `read_model` reads every number back bit-equal.
