@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.evaluation.evaluate import PROTOCOLS, Evaluation
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
 from tests.synthetic import fly
@@ -73,10 +72,9 @@ class _Cells(HTMLParser):
 
 
 def shown() -> list[object]:
-    errors = np.full((50, 3, 4), 0.01)
-    evaluation = Evaluation("M3", PROTOCOLS["paper"], "paper", errors, np.arange(4.0), 1 / 240, 0)
     hostile = replace(uncertain(), source="<b>bag</b>")
     trajectory = fly(M4, 1.0)
+    evaluation = airpuck.evaluate(M4, trajectory)
     return [hostile, evaluation, trajectory, airpuck.present(hostile)]
 
 
