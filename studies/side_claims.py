@@ -33,7 +33,7 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import Model, published_model
 from airpuck.physics.thrust import lowest_slope, thrust_slope
 from airpuck.recording.dataset import dataset_folder
-from airpuck.report.fit_sections import errors_as_text
+from airpuck.report.judged_sections import errors_as_text
 from airpuck.report.page import Picture, Section, Table, write_page
 from airpuck.report.reproduce import TRAINING, VALIDATION
 from airpuck.report.style import (

@@ -20,11 +20,13 @@ def bag(tmp_path_factory):
 
 def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
     out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "fit.json", "--report", tmp_path / "r")
+    out = (*out, "--validation", bag, "-v")
     process = airpuck("identify", bag, *out, "--model", "M4", "--bootstrap", 10, "--seed", 3)
     assert process.returncode == 0, process.stderr
     assert "±" in process.stdout
     assert "F(0.5) motor_c_2" in process.stdout
     assert "10 resampled" in process.stdout
+    assert "for control" in process.stdout.splitlines()[0]
     assert "scale is fixed by Newton's law" in process.stdout
     assert "resampled 10 of 10" in process.stderr
     figures = json.loads((tmp_path / "fit.json").read_text())
@@ -40,6 +42,10 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
     page = (tmp_path / "r" / "index.html").read_text()
     assert "fixed by Newton" in page
     assert " ± " in page
+    assert "airpuck identify" in page
+    assert (tmp_path / "r" / "figures" / "prediction.pdf").read_bytes()[:4] == b"%PDF"
+    assert figures["verdict"]["sentences"][0] in process.stdout
+    assert figures["validation"]["rmse"]["x_m"] > 0
 
 
 @pytest.mark.parametrize(

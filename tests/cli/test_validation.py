@@ -28,6 +28,7 @@ def flown(tmp_path_factory):
 def test_present_prints_and_writes(flown):
     process = airpuck("present", flown / "early.toml")
     assert process.returncode == 0, process.stderr
+    assert "for control" in process.stdout.splitlines()[0]
     for words in ("free: first-order lag", "±", "bandwidth", "loss", "data "):
         assert words in process.stdout
     figures = json.loads(airpuck("present", flown / "early.toml", "--json", "-").stdout)
@@ -47,6 +48,25 @@ def test_resid_prints_and_writes(flown, tmp_path):
     assert len(figures["cross_correlation"]) == 18
     assert "Residual tests" in (tmp_path / "page" / "index.html").read_text()
     assert (tmp_path / "page" / "figures" / "residuals.png").stat().st_size > 10_000
+
+
+def test_evaluate_and_compare_write_pages(flown, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    early, late, bag = flown / "early.toml", flown / "late.toml", flown / "bag"
+    words = "evaluate", early, bag, "-o", tmp_path / "one", "--json", "-"
+    figures = json.loads(airpuck(*words).stdout)
+    page = (tmp_path / "one" / "index.html").read_text()
+    assert figures["verdict"]["sentences"][0] in page
+    assert "2023-11-14 22:13 UTC" in page
+    assert f"airpuck evaluate {early} {bag} -o" in page
+    assert airpuck(*words).returncode == 0
+    assert (tmp_path / "one" / "index.html").read_text() == page
+    process = airpuck("compare", early, late, bag, "-o", tmp_path / "two")
+    assert process.returncode == 0, process.stderr
+    page = (tmp_path / "two" / "index.html").read_text()
+    assert "late against early" in page
+    assert (tmp_path / "two" / "figures" / "path.pdf").read_bytes()[:4] == b"%PDF"
+    assert refused(airpuck("compare", early, late, "-o", tmp_path / "three"), "RECORDING", "-o")
 
 
 def test_compare_of_two_models_tells_drift(flown):

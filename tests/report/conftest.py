@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Span
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import compare
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
+from airpuck.identification.problem import Loss
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
 from airpuck.report.fit_sections import FitStudy
+from airpuck.report.judged_sections import Judged
 from airpuck.report.reproduce import Reproduction, reproduce
 
 from ..synthetic import fly
@@ -53,25 +55,32 @@ def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
     return Model(name, vehicle, parameters, named_rung(name).mask(parameters), fit=fit)
 
 
-def fit_of(model: Model) -> Fit:
+def fit_of(model: Model, training: Trajectory | None = None) -> Fit:
     """What a fit would look like, without the work."""
     history = tuple(Iteration(k, 1e-4 * (1 + 2.0**-k)) for k in range(4))
-    return Fit(model, history[-1].loss, history, True, "converged", 100, 0.1, ())
+    loss = None if training is None else Loss().on([training], model.vehicle)
+    found = history[-1].loss
+    return Fit(model, found, history, True, "converged", 100, 0.1, (), objective=loss)
 
 
 @pytest.fixture(scope="session", params=["six", "four"])
 def study(request) -> FitStudy:
     vehicle = VEHICLES[request.param]()
-    truth = model_of(vehicle, "M3")
-    training, validation = fly(truth, 8.0, seed=1), fly(truth, 8.0, seed=2)
+    training = fly(model_of(vehicle, "M3"), 8.0, seed=1)
     models = [model_of(vehicle, name, 1.02 + 0.01 * k) for k, name in enumerate(RUNGS)]
     reference = {name: model_of(vehicle, name, 0.99) for name in RUNGS}
-    return FitStudy(
-        training=training,
-        fits=tuple(map(fit_of, models)),
-        fitted=tuple(compare(models, validation)),
-        reference=reference,
-        reference_evaluations=tuple(compare(list(reference.values()), validation)),
+    fits = tuple(fit_of(model, training) for model in models)
+    return FitStudy(training, fits, reference)
+
+
+@pytest.fixture(scope="session")
+def judged(study) -> Judged:
+    """The models of the study on another flight."""
+    validation = fly(model_of(study.models[0].vehicle, "M3"), 8.0, seed=2)
+    return Judged(
+        validation,
+        tuple(compare(study.models, validation)),
+        tuple(compare(list(study.reference.values()), validation)),
         faults=(Span(1.0, 1.5, "made up"), Span(1.9, 2.0, "made up too")),
     )
 

@@ -21,22 +21,25 @@ from airpuck.report.error_figures import (
     horizon_figure,
 )
 from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
-from airpuck.report.style import RESOLUTION, png, propeller_colors, propeller_groups
+from airpuck.report.flight_figures import path_figure, prediction_figure
+from airpuck.report.style import RESOLUTION, drawn, png, propeller_colors, propeller_groups
 
 from .conftest import fit_of, model_of
 
 FIGURES = {
-    "craft": lambda s: craft_figure(s.models[0].vehicle),
-    "horizon": lambda s: horizon_figure(s.fitted, s.reference_evaluations),
-    "horizon alone": lambda s: horizon_figure(s.fitted),
-    "timeline": lambda s: error_timeline_figure(s.fitted[3], s.faults),
-    "timeline without faults": lambda s: error_timeline_figure(s.fitted[3]),
-    "distribution": lambda s: error_distribution_figure(s.fitted),
-    "thrust": lambda s: thrust_figure(s.models[3:], s.training, list(s.reference.values())[3:]),
-    "thrust alone": lambda s: thrust_figure(s.models[:1]),
-    "loss": lambda s: loss_history_figure(s.fits, s.reference_losses),
-    "loss alone": lambda s: loss_history_figure(s.fits[:1]),
-    "parameters": lambda s: parameter_figure(s.models, s.reference),
+    "craft": lambda s, j: craft_figure(s.models[0].vehicle),
+    "horizon": lambda s, j: horizon_figure(j.evaluations, j.reference),
+    "horizon alone": lambda s, j: horizon_figure(j.evaluations),
+    "timeline": lambda s, j: error_timeline_figure(j.evaluations[3], j.faults),
+    "timeline without faults": lambda s, j: error_timeline_figure(j.evaluations[3]),
+    "distribution": lambda s, j: error_distribution_figure(j.evaluations),
+    "prediction": lambda s, j: prediction_figure(j.trajectory, j.evaluations[2:4]),
+    "path": lambda s, j: path_figure(j.trajectory, s.models[0].vehicle),
+    "thrust": lambda s, j: thrust_figure(s.models[3:], s.training, list(s.reference.values())[3:]),
+    "thrust alone": lambda s, j: thrust_figure(s.models[:1]),
+    "loss": lambda s, j: loss_history_figure(s.fits, s.reference_losses),
+    "loss alone": lambda s, j: loss_history_figure(s.fits[:1]),
+    "parameters": lambda s, j: parameter_figure(s.models, s.reference),
 }
 UNIT = re.compile(r"\[.+\]$")
 
@@ -59,22 +62,24 @@ def unlabelled(figure: Figure) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_figures_are_drawn_with_units_on_all_axes(study, name):
+def test_figures_are_drawn_with_units_on_all_axes(study, judged, name):
     before = dict(mpl.rcParams)
-    figure = FIGURES[name](study)
-    drawn = png(figure)
+    figure = FIGURES[name](study, judged)
+    picture = png(figure)
     assert dict(mpl.rcParams) == before
-    width, height = Image.open(io.BytesIO(drawn)).size
+    width, height = Image.open(io.BytesIO(picture)).size
     assert 600 <= width <= 1200
     assert 300 <= height <= 900
-    assert len(drawn) < 250_000
+    assert len(picture) < 250_000
     np.testing.assert_allclose((width, height), RESOLUTION * figure.get_size_inches(), atol=1)
     assert any(axes.axison for axes in figure.axes)
     assert not unlabelled(figure)
 
 
-def test_drawing_is_repeatable_and_needs_no_pyplot(study):
-    assert png(FIGURES["thrust"](study)) == png(FIGURES["thrust"](study))
+def test_drawing_is_repeatable_and_needs_no_pyplot(study, judged):
+    first, again = (FIGURES["thrust"](study, judged) for _ in range(2))
+    assert png(first) == png(again)
+    assert drawn(first, "pdf") == drawn(again, "pdf")
     code = (
         "import sys, airpuck.report.reproduce, airpuck.report.fit_report, airpuck.report.craft; "
         "print('matplotlib.pyplot' in sys.modules)"

@@ -11,6 +11,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.report.fit_report import fit_report
+from airpuck.report.judged_sections import Judged
 from airpuck.report.page import Picture, Section, Table, Text, write_page
 from airpuck.report.style import new_figure
 
@@ -109,14 +110,24 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
     assert (tmp_path / "out").read_text() == "mine"
 
 
-@pytest.mark.parametrize("judged", [True, False])
-def test_fit_report_of_any_craft(study, tmp_path, judged):
+@pytest.mark.parametrize("on_another", [True, False])
+def test_fit_report_of_any_craft(study, judged, tmp_path, on_another):
     truth = model_of(study.models[0].vehicle, "M3")
-    evaluations = study.fitted if judged else ()
-    path = fit_report(study.fits, evaluations, study.training, tmp_path, truth=truth)
+    on = judged if on_another else None
+    path = fit_report(study.fits, study.training, tmp_path, judged=on, truth=truth)
     page = check_self_contained(path.read_text(encoding="utf-8"))
-    assert ("prediction" in page.ids) == ("time" in page.ids) == judged
-    assert {"craft", "thrust", "optimiser", "parameters", "sources"} <= page.ids
+    assert ("prediction" in page.ids) == ("time" in page.ids) == on_another
+    assert ("figure-prediction" in page.ids) == on_another
+    assert {
+        "summary",
+        "flight",
+        "figure-path",
+        "craft",
+        "thrust",
+        "optimiser",
+        "parameters",
+        "sources",
+    } <= page.ids
     for name in study.models[0].vehicle.propeller_names:
         assert name in page.text
 
@@ -130,16 +141,17 @@ def test_fit_report_shows_when_packets_arrived(study, tmp_path):
         packet_delays=(delays,),
     )
     page = check_self_contained(
-        fit_report(fit, (), study.training, tmp_path).read_text(encoding="utf-8")
+        fit_report(fit, study.training, tmp_path).read_text(encoding="utf-8")
     )
     assert {"delay", "figure-packet_delays"} <= page.ids
     assert "jitter 6.3 ± 0.2 ms over 3 packets" in page.text
 
 
-def test_fit_report_of_one_fit_without_truth(study, tmp_path):
-    path = fit_report(study.fits[3], study.fitted[3:4], study.training, tmp_path)
+def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path):
+    alone = Judged(judged.trajectory, judged.evaluations[3:4])
+    path = fit_report(study.fits[3], study.training, tmp_path, judged=alone)
     page = check_self_contained(path.read_text(encoding="utf-8"))
     assert "figure-parameters" not in page.ids
     assert "delay" not in page.ids
     with pytest.raises(InputError, match="no fit"):
-        fit_report((), (), study.training, tmp_path)
+        fit_report((), study.training, tmp_path)

@@ -85,11 +85,11 @@ def test_page_shows_everything(reproduction, data):
     page = check_self_contained(reproduction.page.read_text(encoding="utf-8"))
     assert {
         *("summary", "craft", "learning", "prediction", "time", "thrust", "optimiser"),
-        *("parameters", "conventions", "sources"),
+        *("flight", "parameters", "conventions", "sources"),
     } <= page.ids
     names = {path.stem for path in (reproduction.page.parent / "figures").iterdir()}
     assert {f"figure-{name}" for name in names} == {i for i in page.ids if i.startswith("figure-")}
-    assert len(names) == 9
+    assert len(names) == 11
     assert "15 of the 15 numbers" in page.text
     for row in PRINTED.values():
         for number in row:
@@ -100,7 +100,7 @@ def test_page_shows_everything(reproduction, data):
 
 @pytest.mark.data
 def test_known_faults_hold_the_largest_errors(reproduction):
-    best = reproduction.study.best
+    best = reproduction.judged.best
     faulty = touched_by(best, FAULTS)
     assert 0.03 < faulty.mean() < 0.09
     for errors in best.at_horizon:

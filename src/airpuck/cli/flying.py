@@ -12,7 +12,7 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import report
+from airpuck.cli.output import origin, report
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -52,7 +52,7 @@ def replay(
     if output is not None:
         from airpuck.report.replay_report import replay_report
 
-        page = replay_report(result, craft, settings.period_s, output)
+        page = replay_report(result, craft, settings.period_s, output, origin())
     report(result.to_json(), json_file, *_replay_lines(result), page)
 
 
@@ -171,7 +171,7 @@ def track(
     if output is not None:
         from airpuck.report.tracking_report import tracking_report
 
-        page = tracking_report(tracked, plant.name, output)
+        page = tracking_report(tracked, plant.name, output, origin())
     # The keys of the last model stand at the top, too: for one model nothing need be looked up.
     flown = [flight.to_json() for flight in tracked]
     report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), page)
@@ -234,13 +234,17 @@ def _excitation_line(excited: Excited) -> str:
 
 def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
     """Yield what became of the set points."""
+    from airpuck.flight.track import TOLERANCE
+
+    x, _, yaw = TOLERANCE
+    yield f"settled: stays within {1e3 * x:g} mm and {yaw:g} rad; rests: mean at the end"
     for flight in flights:
         for result in flight.results:
             time, end = result.settling_time, "no poses at the end"
-            settled = "did not settle" if time is None else f"settled in {time:.2f} s"
+            settled = "did not settle" if time is None else f"settled after {time:.2f} s"
             if result.steady_state_error is not None:
                 x, y, yaw = result.steady_state_error
-                end = f"off by {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad at the end"
+                end = f"rests {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad away"
             x, y, yaw = result.pose
             yield f"{flight.model:8s} to ({x:4.1f}, {y:4.1f}, {yaw:4.1f}): {settled:18s} {end}"
         if flight.rmse is not None:

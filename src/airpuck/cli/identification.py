@@ -15,13 +15,25 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_craft
-from airpuck.cli.output import is_stdout, print_tenths, report, show_progress, table, warn
+from airpuck.cli.output import (
+    error_table,
+    is_stdout,
+    origin,
+    print_tenths,
+    report,
+    show_progress,
+    table,
+    warn,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from airpuck.data.trajectory import Trajectory
+    from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
+    from airpuck.evaluation.verdict import Verdict
     from airpuck.identification.fit_result import Fit
     from airpuck.model.model_file import Model
 
@@ -109,6 +121,10 @@ def identify(
             callback=options.writable,
         ),
     ] = None,
+    validation: Annotated[
+        Path | None,
+        Option(metavar="RECORDING", help="Another recording, to judge the model on."),
+    ] = None,
     delay: Annotated[
         Literal["fit", "fixed"] | None,
         Option(
@@ -131,6 +147,7 @@ def identify(
         Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
     ] = None,
     seed: options.Seed = 0,
+    verbose: options.Verbose = False,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -153,6 +170,7 @@ def identify(
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     craft = read_craft(vehicle)
     trajectories = [load(path, craft, topics, span=span, quiet=quiet) for path in recordings]
+    other = None if validation is None else load(validation, craft, topics, quiet=quiet)
     adam = airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
     times = {
         "encoder_time": encoder_time,
@@ -181,15 +199,32 @@ def identify(
             show = partial(print_tenths, words, total=bootstrap)
             fit = resample(fit, bootstrap, seed=seed, progress=show)
     fit.model.save(output)
+    found = None if other is None else airpuck.evaluate(fit.model, other)
     if report_folder is not None:
         from airpuck.report.fit_report import fit_report
+        from airpuck.report.judged_sections import Judged
 
-        fit_report(fit, [], trajectories[0], report_folder)
+        judged = None if other is None or found is None else Judged(other, (found,))
+        fit_report(fit, trajectories[0], report_folder, judged=judged, origin=origin())
     warn(fit.warnings, quiet)
-    report(fit.to_json(), json_file, *_fit_summary(fit), output, quiet=quiet)
+    said = verdict_of(fit.model, found, other)
+    figures = {**fit.to_json(), "verdict": said.to_json()}
+    shown = []
+    if found is not None:
+        figures["validation"] = found.to_json()
+        shown = [error_table([fit.model.name], [found])]
+    summary = _fit_summary(fit, verbose)
+    report(figures, json_file, *said.sentences, *shown, *summary, output, quiet=quiet)
 
 
-def _fit_summary(fit: Fit) -> Iterator[str | Table]:
+def verdict_of(model: Model, found: Evaluation | None, on: Trajectory | None) -> Verdict:
+    """Return whether a model can be trusted, also by its predictions of a recording."""
+    from airpuck.evaluation.verdict import missed_motion, verdict
+
+    return verdict(model, None if found is None or on is None else missed_motion(found, on))
+
+
+def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
     """Yield how a fit ended, the main quantities with errors, and what is not determined."""
     from airpuck.identification.fit_result import knowledge_words, outcome_words
 
@@ -206,7 +241,8 @@ def _fit_summary(fit: Fit) -> Iterator[str | Table]:
         title=f"Learned values ± standard error, from {uncertainty.clusters} blocks of time",
         left=("", "unit"),
     )
-    yield from knowledge_words(fit)
+    if verbose:
+        yield from knowledge_words(fit)
 
 
 def _rows(model: Model) -> list[list[str]]:

@@ -44,6 +44,9 @@ Json = Annotated[
     Path | None, output("FILE", "Write the figures as JSON; - for standard output.", "--json")
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but results.")]
+Verbose = Annotated[
+    bool, Option("--verbose", "-v", help="Say more: conditioning, correlations, constraints.")
+]
 VehicleFile = Annotated[
     Path | None,
     Option("--vehicle", metavar="FILE", help="Vehicle file; by default the paper's craft."),

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import shlex
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +21,22 @@ if TYPE_CHECKING:
 
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.identification.method import Iteration
+    from airpuck.report.page import Origin
+
+
+def origin() -> Origin:
+    """Return the command line that runs, and the date, for the foot of a page.
+
+    The date is $SOURCE_DATE_EPOCH where that is set, so that pages can be reproduced
+    (reproducible-builds.org). Home folders are nobody else's business.
+    """
+    from airpuck.report.page import Origin
+
+    seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
+    moment = float(seconds) if seconds.isdecimal() else time.time()
+    date = datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    words = [word.replace(str(Path.home()), "~", 1) for word in sys.argv[1:]]
+    return Origin(date, shlex.join(["airpuck", *words]))
 
 
 def say(quiet: bool) -> Any:

@@ -10,7 +10,7 @@ from typer import Option
 import airpuck
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.output import report, say
+from airpuck.cli.output import origin, report, say
 
 PANEL = "The paper's study"
 
@@ -43,7 +43,7 @@ def reproduce(
     quiet: options.Quiet = False,
 ) -> None:
     """Reproduce the paper's tables and figures, published against ours."""
-    result = airpuck.reproduce(data, output, progress=say(quiet))
+    result = airpuck.reproduce(data, output, progress=say(quiet), origin=origin())
     report(result.to_json(), json_file, output / "index.html")
 
 
@@ -52,4 +52,4 @@ def demo(output: Out = Path("demo"), quiet: options.Quiet = False) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.demo import demo
 
-    print(demo(output, progress=say(quiet)))
+    print(demo(output, progress=say(quiet), origin=origin()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,9 +13,9 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.identification import PANEL, value_texts
+from airpuck.cli.identification import PANEL, value_texts, verdict_of
 from airpuck.cli.inputs import about, load, read_craft
-from airpuck.cli.output import error_table, every_start_table, report, table, warn
+from airpuck.cli.output import error_table, every_start_table, origin, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,6 +33,7 @@ _MODEL_FILES = (".toml", ".json")
 def evaluate(
     model: options.ModelName,
     recording: options.RecordingPath,
+    output: options.PageFolder = None,
     span: options.Span = None,
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
@@ -47,8 +49,15 @@ def evaluate(
     trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
+    said = verdict_of(judged, found, trajectory)
+    page = None
+    if output is not None:
+        from airpuck.report.evaluation_report import evaluation_report
+
+        page = evaluation_report([judged], [found], trajectory, output, origin=origin())
     shown = error_table([model], [found]), every_start_table([model], [found])
-    report({**found.to_json(), "name": model}, json_file, *shown)
+    figures = {**found.to_json(), "name": model, "verdict": said.to_json()}
+    report(figures, json_file, *said.sentences, *shown, page)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -106,7 +115,7 @@ def faults(
     if output is not None:
         from airpuck.report.fault_report import fault_report
 
-        page = fault_report(trajectory, found, healthy, output)
+        page = fault_report(trajectory, found, healthy, output, origin())
     spans = sorted((*trajectory.excluded, *found), key=lambda s: s.start)
     usable = float(trajectory.leave_out(found).usable.mean())
     names = {"start_s": "start", "stop_s": "stop", "cause": "cause", "confidence": "confidence"}
@@ -126,8 +135,10 @@ def faults(
 @app.command(rich_help_panel=PANEL)
 def present(model: options.ModelName, json_file: options.Json = None) -> None:
     """Present a model: structure, parameters with errors, what follows, how it was learned."""
-    presentation = airpuck.present(airpuck.read_model(model))
-    report(presentation.to_json(), json_file, *_presented(presentation))
+    read = airpuck.read_model(model)
+    presentation, said = airpuck.present(read), verdict_of(read, None, None)
+    figures = {**presentation.to_json(), "verdict": said.to_json()}
+    report(figures, json_file, *said.sentences, *_presented(presentation))
 
 
 @app.command(rich_help_panel=PANEL)
@@ -139,6 +150,7 @@ def compare(
             help="Models, then the recording; two models alone: what drifted.",
         ),
     ],
+    output: options.PageFolder = None,
     span: options.Span = None,
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
@@ -157,6 +169,8 @@ def compare(
     names = models if alone else models[:-1]
     if not names or (alone and len(names) != 2):
         raise InputError("give at least one MODEL and a RECORDING, or two MODELs")
+    if alone and output is not None:
+        raise InputError("needs a RECORDING that models are judged on", field="-o")
     read = [airpuck.read_model(name) for name in names]
     figures: dict[str, Any] = {}
     shown: list[Any] = []
@@ -174,14 +188,39 @@ def compare(
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
         fits = [measure_fit(model, trajectory, horizon=horizon) for model in read]
         figures["evaluations"] = [
-            {**evaluation.to_json(), **fit.to_json(), "name": name}
-            for name, evaluation, fit in zip(names, evaluations, fits, strict=True)
+            {
+                **evaluation.to_json(),
+                **fit.to_json(),
+                "name": name,
+                "verdict": verdict_of(model, evaluation, trajectory).to_json(),
+            }
+            for name, model, evaluation, fit in zip(names, read, evaluations, fits, strict=True)
         ]
         differences = model_differences(names, evaluations)
         figures["differences"] = [difference.to_json() for difference in differences]
         verdicts = [difference.verdict for difference in differences]
         tables = error_table(names, evaluations), every_start_table(names, evaluations)
         shown = [*tables, *verdicts, _fit_table(names, fits), *shown]
+        if output is not None:
+            from airpuck.report.evaluation_report import evaluation_report
+
+            called = [Path(name).stem if Path(name).suffix else name for name in names]
+            called = called if len(set(called)) == len(called) else names
+            label = dict(zip(names, called, strict=True))
+            said = [
+                replace(one, first=label[one.first], second=label[one.second]).verdict
+                for one in differences
+            ]
+            page = evaluation_report(
+                read,
+                evaluations,
+                trajectory,
+                output,
+                names=called,
+                differences=said,
+                origin=origin(),
+            )
+            shown.append(page)
     report(figures, json_file, *shown)
 
 
@@ -210,7 +249,7 @@ def resid(
     if output is not None:
         from airpuck.report.residual_report import residual_report
 
-        page = residual_report(judged, trajectory, tests, fit, output, bands)
+        page = residual_report(judged, trajectory, tests, fit, output, bands, origin())
     figures = {**tests.to_json(), **fit.to_json(), "bands": [one.to_json() for one in bands]}
     outcome = "nothing rejected" if tests.passed else "rejected"
     lines = [f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level"]

@@ -16,7 +16,7 @@ from airpuck.model.rungs import RUNGS
 from airpuck.physics.thrust import thrust
 
 #: Ways to accelerate: row of Π, sign.
-_WAYS = (
+WAYS = (
     ("forward", 0, 1, "m/s²"),
     ("backward", 0, -1, "m/s²"),
     ("left", 1, 1, "m/s²"),
@@ -172,14 +172,14 @@ def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
     coefficients = np.asarray(model.parameters.thrust)
     ends = np.array([[vehicle.command_min], [vehicle.command_max]]) * np.ones(len(coefficients))
     forces = np.array([thrust(coefficients, command) for command in ends])
-    pushes = [(sign * matrix[row] * forces).max(axis=0).sum() for _, row, sign, _ in _WAYS]
+    pushes = [(sign * matrix[row] * forces).max(axis=0).sum() for _, row, sign, _ in WAYS]
     return np.array(pushes)
 
 
 def _derived(model: Model) -> list[Value]:
     """Return what follows from the parameters."""
     values = []
-    for k, (way, _, _, unit) in enumerate(_WAYS):
+    for k, (way, _, _, unit) in enumerate(WAYS):
 
         def push(m: Model, k: int = k) -> float:
             return largest_acceleration(m)[k]

@@ -78,9 +78,10 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
     radii = np.hypot(*vehicle.positions.T)
     notes = []
     if np.ptp(radii) < _SAME_RADIUS and radii[0] > 0:
-        d = 1e3 * float(radii.mean())
-        axes.add_patch(Circle((0, 0), d, fill=False, edgecolor=style.GREY, lw=0.7, ls=(0, (4, 3))))
-        notes.append(f"$d$ = {d:.2f} mm")
+        radius = 1e3 * float(radii.mean())
+        line = {"edgecolor": style.GREY, "lw": 0.7, "ls": (0, (4, 3))}
+        axes.add_patch(Circle((0, 0), radius, fill=False, **line))
+        notes.append(f"dashed: radius {radius:.2f} mm")
     pairs = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2)
     angles = np.arctan2(vehicle.positions[:, 1], vehicle.positions[:, 0])[pairs]
     half = np.abs(wrapped(np, angles[:, 1] - angles[:, 0])) / 2

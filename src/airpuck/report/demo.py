@@ -6,10 +6,14 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from airpuck.boundary.errors import InputError
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS
+
+if TYPE_CHECKING:
+    from airpuck.report.page import Origin
 
 #: Excitation experiments: seeds of the one to learn from and the one to validate on.
 _SEEDS = {"training": 1, "validation": 2}
@@ -24,6 +28,7 @@ def demo(
     *,
     duration: float = 90.0,
     progress: Callable[[str], None] = lambda _: None,
+    origin: Origin | None = None,
 ) -> Path:
     """Fly the excitation experiment twice on the twin, identify M0 … M4, fly with the result.
 
@@ -38,6 +43,8 @@ def demo(
         Length of each excitation experiment [s].
     progress : callable, optional
         Called with a line of text after each step.
+    origin : Origin, optional
+        Command line and date, for the foot of the page.
 
     Returns
     -------
@@ -54,7 +61,7 @@ def demo(
     from airpuck.identification.fit import identify
     from airpuck.preprocessing.pipeline import preprocess
     from airpuck.report.fit_report import fit_report
-    from airpuck.report.fit_sections import errors_as_text
+    from airpuck.report.judged_sections import Judged, errors_as_text
     from airpuck.report.tracking_report import tracking_sections
     from airpuck.twin.experiments import excite
     from airpuck.twin.plant import build_plant
@@ -78,7 +85,10 @@ def demo(
         fits.append(identify(trajectories["training"], name))
         fits[-1].model.save(out / "models" / f"{name}.toml")
         progress(f"identified {name} ({RUNGS[name].summary}) in {fits[-1].wall_s:.1f} s")
-    evaluations = compare([fit.model for fit in fits], trajectories["validation"])
+    *evaluations, best_possible = compare(
+        [*(fit.model for fit in fits), truth], trajectories["validation"]
+    )
+    judged = Judged(trajectories["validation"], tuple(evaluations), (best_possible,), "true")
     for evaluation in evaluations:
         x, y, yaw = errors_as_text(evaluation.rmse)
         progress(f"{evaluation.model}: after 0.2 s off by {x} mm, {y} mm, {yaw} rad")
@@ -90,12 +100,13 @@ def demo(
     progress("writing the report")
     return fit_report(
         fits,
-        evaluations,
         trajectories["training"],
         out,
+        judged=judged,
         truth=truth,
         title="The paper's study on the twin",
         more=tracking_sections(flights),
+        origin=origin,
     )
 
 

@@ -62,20 +62,20 @@ def horizon_figure(
     broad = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
     dashed: dict[str, Any] = {"lw": 1.1, "ls": style.DASHED, "zorder": 3}
     panels = figure.subplots(1, 3)
+    colors = style.model_colors(evaluation.model for evaluation in (*fitted, *reference))
     for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         for evaluations, line in ((fitted, broad), (reference, dashed)):
             for one in evaluations:
                 time = one.sample_period * np.arange(1, len(one.errors) + 1)
                 rmse = factor * one.rmse_over_horizon[:, channel]
-                axes.plot(time, rmse, color=style.rung_color(one.model), **line)
+                axes.plot(time, rmse, color=colors[one.model], **line)
         reported = fitted[0].horizon_step * fitted[0].sample_period
         axes.axvline(reported, color=style.GREY, lw=0.8, ls=":")
         place = {"transform": axes.get_xaxis_transform(), "ha": "right", "va": "top"}
         axes.text(reported, 0.99, f"{reported:.2g} s ", color=style.GREY, fontsize=8, **place)
         axes.set(xlabel="time predicted [s]", ylabel=f"RMSE of {name} [{unit}]")
         axes.set(xlim=(0, None), ylim=(0, None))
-    names = dict.fromkeys(evaluation.model for evaluation in (*fitted, *reference))
-    handles = [style.key(name, style.rung_color(name), lw=3) for name in names]
+    handles = [style.key(name, color, lw=3) for name, color in colors.items()]
     if reference:
         handles.append(style.key("broad: fitted here", lw=3, alpha=0.45))
         handles.append(style.key(f"dashed: {label}", lw=1.1, ls=style.DASHED))
@@ -91,12 +91,13 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.3)
     panels = figure.subplots(1, 3, sharey=True)
+    colors = style.model_colors(evaluation.model for evaluation in evaluations)
     for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         lowest = []
         for evaluation in evaluations:
             size = np.sort(factor * np.abs(evaluation.at_horizon[channel]))
             share = 100 * np.arange(1, len(size) + 1) / len(size)
-            color = style.rung_color(evaluation.model)
+            color = colors[evaluation.model]
             axes.plot(size, share, color=color, lw=1.4)
             rmse = factor * evaluation.rmse[channel]
             axes.plot(rmse, np.interp(rmse, size, share), "o", color=color, mec="white", ms=6)
@@ -106,7 +107,7 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
         axes.set_xlim(left=max(min(lowest), 1e-12))
         axes.xaxis.set_major_formatter("{x:g}")
     panels[0].set_ylabel("windows with a smaller error [%]")
-    handles = [style.key(one.model, style.rung_color(one.model)) for one in evaluations]
+    handles = [style.key(name, color) for name, color in colors.items()]
     style.top_legend(figure, [*handles, style.key("RMSE", ls="", marker="o", mec="white")])
     return figure
 

@@ -16,7 +16,7 @@ from airpuck.faults.find import CONTACT, NOT_ARMED
 from airpuck.model.model_file import Model
 from airpuck.report import style
 from airpuck.report.error_figures import squares_held, touched_by
-from airpuck.report.page import Picture, Section, Table, write_page
+from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
 
 _COLORS = {
     NOT_ARMED: style.PURPLE,
@@ -31,6 +31,9 @@ _FAINTEST = 0.25
 def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> Section:
     """Show when a recording cannot be trusted."""
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
+    if not spans:
+        words = f"None was found in {trajectory.duration:.1f} s with {model.name}."
+        return Section("faults", "Faults", (Text([words]),))
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
     words = (
@@ -56,7 +59,11 @@ def confidence(span: Span) -> str:
 
 
 def fault_report(
-    trajectory: Trajectory, faults: Sequence[Span], model: Model, out: str | os.PathLike[str]
+    trajectory: Trajectory,
+    faults: Sequence[Span],
+    model: Model,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
 ) -> Path:
     """Write a page on the faults of a recording."""
     usable = trajectory.leave_out(faults).usable.mean()
@@ -65,7 +72,7 @@ def fault_report(
         f"{100 * usable:.1f} % of them without any fault."
     )
     section = fault_section(trajectory, faults, model)
-    return write_page(out, "Faults of a recording", lead, [section])
+    return write_page(out, "Faults of a recording", lead, [section], origin)
 
 
 def fault_color(cause: str) -> str:

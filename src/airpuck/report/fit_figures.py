@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,7 @@ def thrust_figure(
     trajectory: Trajectory | None = None,
     reference: Sequence[Model] = (),
     label: str = "published",
+    commands: str = "commands in training",
 ) -> Figure:
     """Draw the thrust of every motor over its speed, and which speeds were commanded.
 
@@ -85,6 +86,7 @@ def thrust_figure(
     vehicle = models[0].vehicle
     order, columns = _arrangement(vehicle)
     rows = -(-len(order) // columns)
+    colors = style.model_colors(model.name for model in (*models, *reference))
     figure = style.new_figure(style.PAGE_WIDTH if columns > 2 else 6.4, 0.6 + 2.25 * rows)
     grid = style.panels(figure, len(order), columns, sharex=True, sharey=True)
     speed = np.linspace(0, 1, 201)
@@ -94,9 +96,9 @@ def thrust_figure(
     bands = [(m, _band(m, speed)) for m in models if m.uncertainty is not None]
     for axes, motor in zip(grid, order, strict=True):
         for model, curve, line in curves:
-            axes.plot(speed, curve[motor], color=style.rung_color(model.name), **line)
+            axes.plot(speed, curve[motor], color=colors[model.name], **line)
         for model, band in bands:
-            look = {"color": style.rung_color(model.name), "alpha": 0.18, "lw": 0, "zorder": 1.5}
+            look = {"color": colors[model.name], "alpha": 0.18, "lw": 0, "zorder": 1.5}
             axes.fill_between(speed, *band[:, motor], **look)
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
     # A band that knows nothing must not flatten the curves.
@@ -111,15 +113,15 @@ def thrust_figure(
             used = trajectory.input[trajectory.usable, motor]
             _draw_commands(axes, used, last=number % columns == columns - 1)
     handles: list[Artist] = [
-        style.key(_label(model), style.rung_color(model.name), lw=3, alpha=0.6) for model in models
+        style.key(_label(model), colors[model.name], lw=3, alpha=0.6) for model in models
     ]
     if bands:
-        color = style.rung_color(models[0].name) if len(models) == 1 else style.SKY
+        color = colors[models[0].name] if len(models) == 1 else style.SKY
         handles.append(Patch(color=color, alpha=0.25, lw=0, label="95 % interval"))
     if reference:
         handles.append(style.key(label, **dashed))
     if trajectory is not None:
-        handles.append(Patch(color=style.LIGHT, label="commands in training"))
+        handles.append(Patch(color=style.LIGHT, label=commands))
     style.top_legend(figure, handles)
     return figure
 
@@ -178,50 +180,66 @@ def _draw_commands(axes: Axes, commands: Float[np.ndarray, " N"], *, last: bool)
 def parameter_figure(
     fitted: Sequence[Model], reference: Mapping[str, Model], label: str = "published"
 ) -> Figure:
-    """Draw relative differences between fitted and reference parameters.
+    """Draw relative differences between fitted and reference parameters, with 95 % intervals.
 
     Shows the linear and angular acceleration of each propeller at full speed, then inertia and time
     constant where they are learned. Accelerations are products of Π and thrust, so that models that
-    learn Π can be compared too.
+    learn Π can be compared too. Intervals are those of the fits.
     """
     models = [model for model in fitted if model.name in reference]
     names = models[0].vehicle.propeller_names
     figure = style.new_figure(style.PAGE_WIDTH, 1.35 + 0.3 * len(names))
     linear, angular, scalars = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
-    full = {
-        m.name: np.divide(largest_accelerations(m), largest_accelerations(reference[m.name]))
-        for m in models
-    }
+    full = {m.name: _ratios(m, reference[m.name], largest_accelerations) for m in models}
     for kind, axes, quantity in ((0, linear, "linear"), (1, angular, "angular")):
-        _draw_ratios(axes, names, {name: ratio[kind] for name, ratio in full.items()})
+        _draw_ratios(axes, names, {name: ratio[:, kind] for name, ratio in full.items()})
         axes.set_title(f"{quantity} acceleration at φ = 1", loc="left")
     angular.set_yticklabels([])
-    learned = ("inertia", "motor_time_constant")
-    ratios = {m.name: np.array([_ratio(m, reference[m.name], q) for q in learned]) for m in models}
+    ratios = {m.name: _ratios(m, reference[m.name], _scalars) for m in models}
+    for m in models:
+        learned = [m.free[m.parameters.mask(frozenset({name}))].any() for name in _SCALARS]
+        ratios[m.name][:, ~np.array(learned)] = np.nan
     _draw_ratios(scalars, ("inertia I", "lag τ"), ratios)
     scalars.set_title("where learned", loc="left")
     for axes in (linear, angular, scalars):
         axes.set_xlabel(f"fitted against {label} [%]")
-    handles = [style.key(m.name, style.rung_color(m.name), ls="", marker="o") for m in models]
+    colors = style.model_colors(ratios)
+    handles = [style.key(n, color, ls="", marker="o") for n, color in colors.items()]
     style.top_legend(figure, handles)
     return figure
 
 
-def _ratio(model: Model, reference: Model, quantity: str) -> float:
-    """Divide a quantity by the reference's; NaN where the model does not learn it."""
-    if not model.free[model.parameters.mask(frozenset({quantity}))].any():
-        return float("nan")
-    return getattr(model.parameters, quantity) / getattr(reference.parameters, quantity)
+#: Quantities beside the accelerations.
+_SCALARS = ("inertia", "motor_time_constant")
+
+
+def _scalars(model: Model) -> Float[np.ndarray, " 2"]:
+    """Return the quantities beside the accelerations."""
+    return np.array([float(getattr(model.parameters, name)) for name in _SCALARS])
+
+
+def _ratios(
+    model: Model, reference: Model, quantity: Callable[[Model], Any]
+) -> Float[np.ndarray, "2 *shape"]:
+    """Divide quantities, and half their 95 % intervals, by the reference's; NaN: not known."""
+    ours, theirs = np.asarray(quantity(model)), np.asarray(quantity(reference))
+    known = model.uncertainty
+    reach = known.quantile * model.standard_error(quantity) if known else np.zeros_like(ours)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([ours / theirs, np.abs(reach / theirs)])
 
 
 def _draw_ratios(
-    axes: Axes, labels: Sequence[str], ratios: Mapping[str, Float[np.ndarray, " K"]]
+    axes: Axes, labels: Sequence[str], ratios: Mapping[str, Float[np.ndarray, "2 K"]]
 ) -> None:
     """Draw ratios as differences in percent: a line of dots for each label, a colour per model."""
     rows = style.label_rows(axes, labels)
     spread = np.linspace(0.26, -0.26, max(len(ratios), 2))
-    for offset, (name, ratio) in zip(spread, ratios.items(), strict=False):
-        axes.plot(100 * (ratio - 1), rows + offset, "o", color=style.rung_color(name), ms=4.5)
+    colors = style.model_colors(ratios)
+    for offset, (name, (ratio, reach)) in zip(spread, ratios.items(), strict=False):
+        reach = 100 * np.where(np.isfinite(reach), reach, 0.0)
+        look: dict[str, Any] = {"color": colors[name], "ls": "", "marker": "o", "ms": 4.5}
+        axes.errorbar(100 * (ratio - 1), rows + offset, xerr=reach, elinewidth=1.1, **look)
     for row in rows[:-1]:
         axes.axhline(row - 0.5, color="#e6e6e6", lw=0.6)
     axes.axvline(0, color=style.BLACK, lw=0.8)

@@ -9,25 +9,27 @@ from pathlib import Path
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import delay_words
+from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.identification.fit_result import Fit
 from airpuck.model.model_file import Model
 from airpuck.report.fault_report import fault_section
 from airpuck.report.fit_figures import packet_delay_figure
 from airpuck.report.fit_sections import FitStudy, craft_section, sources_section, study_sections
-from airpuck.report.page import Picture, Section, write_page
+from airpuck.report.judged_sections import Judged, judged_sections, path_section, verdict_section
+from airpuck.report.page import Origin, Picture, Section, write_page
 
 
 def fit_report(
     fits: Fit | Sequence[Fit],
-    evaluations: Sequence[Evaluation],
     training: Trajectory,
     out: str | os.PathLike[str],
     *,
+    judged: Judged | None = None,
     truth: Model | None = None,
     title: str | None = None,
     more: Sequence[Section] = (),
+    origin: Origin | None = None,
 ) -> Path:
     """Write a report on one or several fits.
 
@@ -35,18 +37,20 @@ def fit_report(
     ----------
     fits : Fit or sequence of Fit
         Fits of one craft to one recording.
-    evaluations : sequence of Evaluation
-        How well they predict another recording, in the same order; can be empty.
     training : Trajectory
         What they were learned from.
     out : path-like
         Folder to write to.
+    judged : Judged, optional
+        How well they predict another recording, in the same order.
     truth : Model, optional
         What flew, where it is known; the report compares the fits with it.
     title : str, optional
         By default the name of the craft.
     more : sequence of Section, optional
         Sections to add at the end.
+    origin : Origin, optional
+        Command line and date, for the foot of the page.
 
     Returns
     -------
@@ -67,17 +71,22 @@ def fit_report(
     study = FitStudy(
         training=training,
         fits=fits,
-        fitted=tuple(evaluations),
         reference={} if truth is None else {truth.name: truth},
         reference_label="true" if truth is not None else "reference",
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
-    sections = [craft_section(vehicle), *study_sections(study)]
+    sections = [_verdicts(fits, judged)]
+    if judged is None:
+        sections.append(path_section(training, vehicle))
+    else:
+        sections += judged_sections(judged, vehicle)
+    sections += [*study_sections(study), craft_section(vehicle)]
     if last.packet_delays and len(last.packet_delays[0]):
         sections.append(_delay_section(last, training))
     if last.exclusion is not None:
         sections.append(fault_section(training, last.exclusion.faults[0], last.model))
-    sections += [*more, sources_section(training)]
+    sources = (training,) if judged is None else (training, judged.trajectory)
+    sections += [*more, sources_section(*sources)]
     lead = (
         f"{', '.join(fit.model.name for fit in fits)}: identified from {training.duration:.1f} s "
         f"of flight, {len(training)} samples, {vehicle.n_propellers} propellers"
@@ -86,7 +95,20 @@ def fit_report(
         lead += f", transport delay {delay_words(last.model)}"
     elif training.delay_known:
         lead += f", transport delay {1e3 * training.delay:.1f} ms"
-    return write_page(out, title or f"Identification of {vehicle.name}", lead + ".", sections)
+    title = title or f"Identification of {vehicle.name}"
+    return write_page(out, title, lead + ".", sections, origin)
+
+
+def _verdicts(fits: Sequence[Fit], judged: Judged | None) -> Section:
+    """Say in words which fits can be trusted."""
+    if judged is None:
+        verdicts = {fit.model.name: verdict(fit.model) for fit in fits}
+        return verdict_section(verdicts, fits[-1].model.name)
+    verdicts = {
+        found.model: verdict(fit.model, missed_motion(found, judged.trajectory))
+        for fit, found in zip(fits, judged.evaluations, strict=True)
+    }
+    return verdict_section(verdicts, judged.best.model)
 
 
 def _delay_section(fit: Fit, training: Trajectory) -> Section:

@@ -13,7 +13,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from airpuck.boundary.files import replacing
-from airpuck.report.style import png
+from airpuck.report.style import drawn
+
+#: Letters in a line of a table that still fits on a page.
+_WIDE = 110
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,12 @@ class Table:
     #: Row and column of cells to stress.
     marked: frozenset[tuple[int, int]] = frozenset()
 
+    @property
+    def wide(self) -> bool:
+        """Whether it needs smaller letters to fit on a page."""
+        columns = zip(self.headings, *self.rows, strict=True)
+        return sum(3 + max(map(len, column)) for column in columns) > _WIDE
+
 
 @dataclass(frozen=True)
 class Text:
@@ -55,6 +64,19 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Details:
+    """What only some readers want: folded away until they open it."""
+
+    #: What it holds.
+    summary: str
+    #: Its content.
+    blocks: Sequence[Table | Text]
+
+
+Block = Picture | Table | Text | Details
+
+
+@dataclass(frozen=True)
 class Section:
     """A section of a page."""
 
@@ -63,16 +85,31 @@ class Section:
     #: Its heading.
     title: str
     #: Its content.
-    blocks: Sequence[Picture | Table | Text]
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a page comes from."""
+
+    #: When it was made.
+    date: str
+    #: The command line that made it.
+    command: str
 
 
 def write_page(
-    out: str | os.PathLike[str], title: str, lead: str, sections: Sequence[Section]
+    out: str | os.PathLike[str],
+    title: str,
+    lead: str,
+    sections: Sequence[Section],
+    origin: Origin | None = None,
 ) -> Path:
     """Write a page as ``index.html`` and its pictures as files in ``figures``.
 
-    The page holds its pictures within itself, so that it can be sent alone. Each file is written to
-    a temporary name and renamed; the page comes last.
+    The page holds its pictures within itself, so that it can be sent alone. Beside the PNG that it
+    shows, each figure is there as a PDF. Each file is written to a temporary name and renamed; the
+    page comes last.
 
     Parameters
     ----------
@@ -82,6 +119,8 @@ def write_page(
         Plain text.
     sections : sequence of Section
         Content.
+    origin : Origin, optional
+        Command line and date, for the foot of the page.
 
     Returns
     -------
@@ -98,14 +137,16 @@ def write_page(
     pictures = (b for section in sections for b in section.blocks if isinstance(b, Picture))
     for picture in pictures:
         if isinstance(picture.figure, str):
-            drawn, suffix, media = picture.figure.encode(), "svg", "svg+xml"
+            files, media = {"svg": picture.figure.encode()}, "svg+xml"
         else:
-            drawn, suffix, media = png(picture.figure), "png", "png"
-        encoded = base64.b64encode(drawn).decode("ascii")
+            files, media = {name: drawn(picture.figure, name) for name in ("png", "pdf")}, "png"
+        encoded = base64.b64encode(next(iter(files.values()))).decode("ascii")
         images[picture.name] = f"data:image/{media};base64,{encoded}"
-        with replacing(folder / "figures" / f"{picture.name}.{suffix}") as temporary:
-            temporary.write_bytes(drawn)
-    page = render("report.html.jinja", title=title, lead=lead, sections=sections, images=images)
+        for suffix, content in files.items():
+            with replacing(folder / "figures" / f"{picture.name}.{suffix}") as temporary:
+                temporary.write_bytes(content)
+    content = {"title": title, "lead": lead, "sections": sections, "origin": origin}
+    page = render("report.html.jinja", **content, images=images)
     path = folder / "index.html"
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")

@@ -17,7 +17,7 @@ from airpuck.flight.replay import Replay
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.report import style
-from airpuck.report.page import Picture, Section, Table, Text, write_page
+from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
 
 #: What the outcomes of a control step mean.
 OUTCOMES = {
@@ -33,7 +33,13 @@ OUTCOMES = {
 }
 
 
-def replay_report(replay: Replay, model: Model, period: float, out: str | os.PathLike[str]) -> Path:
+def replay_report(
+    replay: Replay,
+    model: Model,
+    period: float,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
+) -> Path:
     """Write a report on a replayed flight, flown with a control period [s]."""
     figures = replay.to_json()
     used = replay.time[replay.compared]
@@ -61,7 +67,7 @@ def replay_report(replay: Replay, model: Model, period: float, out: str | os.Pat
         f"median difference {figures['median_abs']:.4f}, lowest correlation "
         f"{min(m['correlation'] for m in figures['motors']):.3f}."
     )
-    return write_page(out, "Replay of a recorded flight", lead, sections)
+    return write_page(out, "Replay of a recorded flight", lead, sections, origin)
 
 
 def _agreement_table(replay: Replay) -> Table:

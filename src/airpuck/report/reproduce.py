@@ -16,19 +16,14 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
+from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.identification.fit import identify
 from airpuck.identification.problem import Preparation
 from airpuck.model.model_file import published_model
 from airpuck.report.error_figures import WORST, squares_held, worst_windows
-from airpuck.report.fit_sections import (
-    FitStudy,
-    craft_section,
-    errors_as_text,
-    protocol_words,
-    sources_section,
-    study_sections,
-)
-from airpuck.report.page import Picture, Section, Table, Text, packaged_text, write_page
+from airpuck.report.fit_sections import FitStudy, craft_section, sources_section, study_sections
+from airpuck.report.judged_sections import Judged, errors_as_text, judged_sections
+from airpuck.report.page import Origin, Picture, Section, Table, Text, packaged_text, write_page
 from airpuck.report.parameter_table import ladder_table
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
@@ -87,8 +82,10 @@ _CONVENTIONS = (
 class Reproduction:
     """The paper's study, done again."""
 
-    #: Fits, evaluations and published models.
+    #: Fits and published models.
     study: FitStudy
+    #: How well both predict.
+    judged: Judged
     #: The report.
     page: Path
     #: Time that everything took [s].
@@ -96,7 +93,7 @@ class Reproduction:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
-        judged = {"published": self.study.reference_evaluations, "fitted": self.study.fitted}
+        judged = {"published": self.judged.reference, "fitted": self.judged.evaluations}
         channels = ("x_mm", "y_mm", "yaw_rad")
         return {
             **{kind: {e.model: e.to_json() for e in those} for kind, those in judged.items()},
@@ -119,6 +116,7 @@ def reproduce(
     out: str | os.PathLike[str],
     *,
     progress: Callable[[str], None] = lambda _: None,
+    origin: Origin | None = None,
 ) -> Reproduction:
     """Reproduce the paper's tables and figures, published against ours.
 
@@ -133,6 +131,8 @@ def reproduce(
         Folder to write to.
     progress : callable, optional
         Called with a line of text after each step.
+    origin : Origin, optional
+        Command line and date, for the foot of the page.
 
     Returns
     -------
@@ -155,22 +155,17 @@ def reproduce(
         # As in the paper, whose fits saw the faults of the recording, too.
         fits.append(identify(training, name, preparation=Preparation(faults="keep")))
         progress(f"identified {name} in {fits[-1].wall_s:.1f} s, {fits[-1].iterations} iterations")
-    study = FitStudy(
-        training=training,
-        fits=tuple(fits),
-        fitted=tuple(compare([fit.model for fit in fits], validation)),
-        reference=published,
-        reference_evaluations=reference,
-        faults=FAULTS,
-    )
+    study = FitStudy(training, tuple(fits), published)
+    fitted = tuple(compare(study.models, validation))
+    judged = Judged(validation, fitted, reference, faults=FAULTS)
     computed = time.perf_counter() - started
 
     progress("drawing")
     folder = Path(out)
-    page = _write_report(folder, study, validation, computed)
+    page = _write_report(folder, study, judged, computed, origin)
     for fit in study.fits:
         fit.model.save(folder / "models" / f"{fit.model.name}.toml")
-    result = Reproduction(study, page, time.perf_counter() - started)
+    result = Reproduction(study, judged, page, time.perf_counter() - started)
     with replacing(folder / "reproduce.json") as temporary:
         temporary.write_text(json.dumps(result.to_json(), indent=2) + "\n", encoding="utf-8")
     return result
@@ -194,15 +189,19 @@ def _experiments(data: str | os.PathLike[str] | None) -> tuple[Trajectory, Traje
     return training, validation
 
 
-def _write_report(out: Path, study: FitStudy, validation: Trajectory, wall_s: float) -> Path:
+def _write_report(
+    out: Path, study: FitStudy, judged: Judged, wall_s: float, origin: Origin | None
+) -> Path:
     """Write the page."""
+    vehicle = study.models[0].vehicle
     sections = [
-        _summary_section(study, wall_s),
-        craft_section(study.models[0].vehicle),
+        _summary_section(study, judged, wall_s),
+        *judged_sections(judged, vehicle, _table_2(judged)),
+        craft_section(vehicle),
         _learning_section(study),
-        *study_sections(study, _table_2(study)),
+        *study_sections(study),
         Section("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),)),
-        sources_section(study.training, validation),
+        sources_section(study.training, judged.trajectory),
     ]
     return write_page(
         out,
@@ -212,20 +211,22 @@ def _write_report(out: Path, study: FitStudy, validation: Trajectory, wall_s: fl
         "58-15, 2024, 289–294). Its published parameters and our own fits, learned from the same "
         "recording, judged on the same other recording.",
         sections,
+        origin,
     )
 
 
-def _summary_section(study: FitStudy, wall_s: float) -> Section:
+def _summary_section(study: FitStudy, judged: Judged, wall_s: float) -> Section:
     """Summarise the findings in a few lines."""
-    published, forms = study.reference_evaluations, (".1f", ".1f", ".3f")
+    published, forms = judged.reference, (".1f", ".1f", ".3f")
     agree = sum(
         f"{error:{form}}" == printed
         for one in published
         for error, form, printed in zip(_shown(one), forms, PRINTED[one.model], strict=True)
     )
-    ratio = np.array([e.rmse for e in study.fitted]) / [e.rmse for e in published]
+    ratio = np.array([e.rmse for e in judged.evaluations]) / [e.rmse for e in published]
     steps = [fit.iterations for fit in study.fits]
-    best = study.best
+    best = judged.best
+    model = next(model for model in study.models if model.name == best.model)
     medians, rmse = (" / ".join(errors_as_text(e)) for e in (best.median_abs, best.rmse))
     share = squares_held(best.at_horizon, worst_windows(best.at_horizon))
     findings = (
@@ -240,6 +241,7 @@ def _summary_section(study: FitStudy, wall_s: float) -> Section:
         f"has medians of {medians} against RMSE of {rmse} (x mm / y mm / γ rad), because the worst "
         f"{100 * WORST:.0f} % of the windows hold {share} % of the squared error. Many of these "
         "lie at faults of the recording.",
+        " ".join(verdict(model, missed_motion(best, judged.trajectory)).sentences),
     )
     return Section("summary", "In short", (Text(findings, bullets=True),))
 
@@ -257,7 +259,7 @@ def _learning_section(study: FitStudy) -> Section:
     return Section("learning", "The models, and how they are learned", blocks)
 
 
-def _table_2(study: FitStudy) -> Table:
+def _table_2(judged: Judged) -> Table:
     """Tabulate the paper's Table 2: published parameters against ours."""
     rows = [
         [
@@ -267,13 +269,13 @@ def _table_2(study: FitStudy) -> Table:
             *errors_as_text(ours.rmse),
             *map(_percent, ours.rmse / theirs.rmse),
         ]
-        for ours, theirs in zip(study.fitted, study.reference_evaluations, strict=True)
+        for ours, theirs in zip(judged.evaluations, judged.reference, strict=True)
     ]
     groups = ["as printed", "published parameters, here", "fitted here", "fitted against published"]
     return Table(
         "Table 2 of the paper: root mean square prediction error on the validation recording. "
-        f"{protocol_words(study.fitted[0])} Published parameters with the published encoder "
-        "convention, ours with the consistent one (see Conventions).",
+        "Published parameters with the published encoder convention, ours with the consistent one "
+        "(see Conventions).",
         ["model", *3 * ["x mm", "y mm", "γ rad"], "x", "y", "γ"],
         rows,
         [("", 1), *((name, 3) for name in groups)],

@@ -21,7 +21,7 @@ from airpuck.evaluation.residuals import ResidualTests
 from airpuck.model.model_file import Model
 from airpuck.report import style
 from airpuck.report.fit_sections import sources_section
-from airpuck.report.page import Picture, Section, Table, Text, write_page
+from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
 
 #: Opacity of the total band, and of that of the parameters on it.
 _TOTAL, _PARAMETERS = 0.35, 0.55
@@ -34,6 +34,7 @@ def residual_report(
     fit: FitMeasures,
     out: str | os.PathLike[str],
     bands: Sequence[PredictionBands] = (),
+    origin: Origin | None = None,
 ) -> Path:
     """Write a page on the residual tests."""
     caption = (
@@ -56,7 +57,7 @@ def residual_report(
         "remains of each pose when it is predicted from those before; with the true model they are "
         "white and independent of the commands."
     )
-    return write_page(out, f"Residuals of {model.name}", lead, sections)
+    return write_page(out, f"Residuals of {model.name}", lead, sections, origin)
 
 
 def _bands_section(bands: Sequence[PredictionBands]) -> Section:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from importlib import resources
-from typing import Any, ParamSpec
+from typing import Any, Literal, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -34,8 +35,8 @@ ASKED = "#a93f7c"
 #: One colour for each rung of the model ladder, in every figure.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
 _OTHER_RUNGS = (PURPLE, SKY, BLACK)
-#: One colour for each pair of propellers, in every figure.
-_PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+#: One colour for each pair of propellers, or propeller without a partner, in every figure.
+_PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, "#8c6d31", GREY, "#b3a700")
 
 #: What is drawn dashed stands for a reference.
 DASHED = (0, (4, 2))
@@ -73,17 +74,36 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def png(figure: Figure) -> bytes:
-    """Draw a figure."""
+def drawn(figure: Figure, suffix: Literal["png", "pdf"]) -> bytes:
+    """Draw a figure in a format: PNG for pages and screens, PDF for papers."""
     buffer = io.BytesIO()
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}}[suffix]
     with mpl.rc_context(_STYLE):  # ticks are made when they are first drawn
-        figure.savefig(buffer, format="png", dpi=RESOLUTION, metadata={"Software": None})
+        if figure.get_layout_engine() is not None:
+            # Once for all formats: a layout costs as much as drawing.
+            figure.draw_without_rendering()
+            figure.set_layout_engine(None)
+        figure.savefig(buffer, format=suffix, dpi=RESOLUTION, metadata=metadata)
     return buffer.getvalue()
+
+
+def png(figure: Figure) -> bytes:
+    """Draw a figure as a PNG."""
+    return drawn(figure, "png")
 
 
 def rung_color(name: str) -> str:
     """Return the colour of a model."""
     return RUNG_COLORS.get(name) or _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
+
+
+def model_colors(names: Iterable[str]) -> dict[str, str]:
+    """Return a colour for each name of a model in a figure; rungs have theirs."""
+    names = list(dict.fromkeys(names))
+    taken = {RUNG_COLORS[name] for name in names if name in RUNG_COLORS}
+    free = [color for color in (BLUE, VERMILLION, GREEN, *_PAIR_COLORS) if color not in taken]
+    others = itertools.cycle(dict.fromkeys(free))
+    return {name: RUNG_COLORS.get(name) or next(others) for name in names}
 
 
 def propeller_colors(vehicle: Vehicle) -> list[str]:

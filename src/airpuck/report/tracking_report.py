@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from airpuck.flight.track import SetPointResult, Track
+from airpuck.flight.track import TOLERANCE, SetPointResult, Track
 from airpuck.report import style
-from airpuck.report.page import Picture, Section, Table, write_page
+from airpuck.report.page import Origin, Picture, Section, Table, write_page
 from airpuck.twin.tracking_study import Tracked
 
 _LINES: dict[str, Any] = {
@@ -26,11 +26,16 @@ _COMMANDS: dict[str, Any] = {
 }
 
 
-def tracking_report(flights: Sequence[Tracked], truth: str, out: str | os.PathLike[str]) -> Path:
+def tracking_report(
+    flights: Sequence[Tracked],
+    truth: str,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
+) -> Path:
     """Write a report on a tracking study."""
     names = " and ".join(flight.model for flight in flights)
     lead = f"The set points of the paper, flown with {names} on a twin of {truth}."
-    return write_page(out, "Tracking of set points", lead, tracking_sections(flights))
+    return write_page(out, "Tracking of set points", lead, tracking_sections(flights), origin)
 
 
 def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
@@ -42,10 +47,11 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
         for result in track.moves()
     ]
     results = Table(
-        "What became of each set point. Settled: within 20 mm and 0.05 rad. Steady-state error: "
-        "mean over the last second, or the last quarter of a short dwell. Effort: mean of the sum "
-        "of squared commands above the lowest.",
-        ["flight", "set point", "settled [s]", "overshoot", "steady-state error", "effort"],
+        f"What became of each set point. Settled: after so long the craft stays within "
+        f"{1e3 * TOLERANCE[0]:g} mm and {TOLERANCE[2]:g} rad of it. Rests: mean distance over the "
+        "last second, or the last quarter of a short dwell; within that band where it settled. "
+        "Effort: mean of the sum of squared commands above the lowest.",
+        ["flight", "set point", "settled after [s]", "overshoot", "rests away by", "effort"],
         rows,
     )
     caption = (
@@ -75,7 +81,7 @@ def _tracks(flight: Tracked) -> dict[str, Track]:
 
 def _row(result: SetPointResult) -> list[str]:
     """Lay out the figures of one set point."""
-    settled = "no" if result.settling_time is None else f"{result.settling_time:.2f}"
+    settled = "not" if result.settling_time is None else f"{result.settling_time:.2f}"
     return [
         f"{result.pose[0]:.1f}, {result.pose[1]:.1f} m, {result.pose[2]:.1f} rad",
         settled,

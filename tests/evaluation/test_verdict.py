@@ -1,0 +1,130 @@
+"""Whether a model can be trusted: shares and limits against what is known by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.evaluate import evaluate
+from airpuck.evaluation.verdict import MISSED_LIMIT, missed_motion, verdict
+from airpuck.model.model_file import Model, published_model
+from airpuck.model.uncertainty import Uncertainty
+
+from ..synthetic import fly
+
+MODEL = replace(published_model("M3"), frame="body", indexing="start")
+LABELS = MODEL.parameters.labels(MODEL.vehicle.propeller_names)
+
+
+def scaled(factor: float) -> Model:
+    parameters = MODEL.parameters
+    return replace(
+        MODEL, parameters=replace(parameters, thrust=factor * np.asarray(parameters.thrust))
+    )
+
+
+def known(**errors: float) -> Model:
+    """The model with standard errors of 1 % of each parameter, or as given by label [SI]."""
+    vector = MODEL.parameters.to_vector()
+    spread = np.where(MODEL.free, 0.01 * np.abs(vector), np.nan)
+    for label, error in errors.items():
+        spread[LABELS.index(label)] = error
+    covariance = np.diag(np.nan_to_num(spread) ** 2)
+    nothing = np.zeros((0, len(vector)))
+    return replace(MODEL, uncertainty=Uncertainty(vector, covariance, spread, nothing, 30, 2.0))
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return fly(MODEL, 12.0, seed=3)
+
+
+@pytest.mark.parametrize("missing", [0.1, 0.4])
+def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, missing):
+    # All accelerations are proportional to thrust, but for the slow turning of the craft.
+    model = scaled(1 - missing)
+    found = missed_motion(evaluate(model, flight), flight)
+    np.testing.assert_allclose(found, missing, rtol=0.25)
+    np.testing.assert_allclose(found[2], missing, rtol=0.03)
+    assert verdict(model, found).trusted == (missing < MISSED_LIMIT)
+
+
+def test_a_model_without_thrust_misses_all_and_the_truth_nearly_nothing(flight):
+    np.testing.assert_allclose(missed_motion(evaluate(scaled(0.0), flight), flight), 1, rtol=0.05)
+    assert (missed_motion(evaluate(MODEL, flight), flight) < 0.02).all()
+
+
+def test_errors_are_relative_to_natural_sizes():
+    parameters = MODEL.parameters
+    model = known(angle_offset=0.02, **{"center_of_mass x": 0.001})
+    found = verdict(model).relative_errors
+    assert found["I"] == pytest.approx(0.01)
+    assert found["τ"] == pytest.approx(0.01)
+    assert found["α"] == pytest.approx(0.02)
+    arm = np.mean([np.hypot(*p.position_m) for p in MODEL.vehicle.propellers])
+    assert found["r x"] == pytest.approx(0.001 / arm)
+    a, b, c = np.asarray(parameters.thrust)[0]
+    by_hand = 0.01 * np.sqrt(a**2 + b**2 + c**2) / (a + b + c)
+    assert found["F(1) motor_a_1"] == pytest.approx(by_hand, rel=1e-4)
+
+
+def test_a_lag_that_is_not_known_is_said_with_a_remedy():
+    found = verdict(known(motor_time_constant=0.076))
+    assert found.trusted is False
+    words = " ".join(found.sentences)
+    assert "Unknown: τ (± 76 ms)" in words
+    assert "τ + d is ± 76 ms" in words
+    assert "excitation" in words
+    assert found.sentences[0].startswith("M3 cannot be trusted for control")
+
+
+def test_a_response_time_whose_parts_trade_off_is_known():
+    model = known()
+    assert model.uncertainty is not None
+    lag, delay = LABELS.index("motor_time_constant"), LABELS.index("transport_delay")
+    covariance = model.uncertainty.covariance.copy()
+    covariance[np.ix_([lag, delay], [lag, delay])] = 0.02**2 * np.array([[1, -1], [-1, 1]])
+    errors = model.uncertainty.standard_errors.copy()
+    errors[[lag, delay]] = 0.02
+    uncertainty = replace(model.uncertainty, covariance=covariance, standard_errors=errors)
+    free = model.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
+    found = verdict(replace(model, free=free, uncertainty=uncertainty))
+    assert found.trusted
+    assert any("Unknown: τ" in sentence for sentence in found.sentences)
+
+
+def test_a_thrust_that_is_not_known_is_not_trusted():
+    weak = {f"thrust motor_a_1 φ^{k}": 0.3 for k in (1, 2, 3)}
+    found = verdict(known(**weak))
+    assert found.trusted is False
+    assert "clockwise" in found.sentences[1]
+    assert "F(1) motor_a_1" in " ".join(found.sentences)
+
+
+def test_what_the_data_say_nothing_about_is_not_determined():
+    model = known()
+    assert model.uncertainty is not None
+    entry = LABELS.index("inertia")
+    errors = model.uncertainty.standard_errors.copy()
+    errors[entry] = np.nan
+    nowhere = np.eye(len(LABELS))[entry : entry + 1]
+    uncertainty = replace(model.uncertainty, undetermined=nowhere, standard_errors=errors)
+    found = verdict(replace(model, uncertainty=uncertainty))
+    assert found.trusted is False
+    assert "I (not determined)" in " ".join(found.sentences)
+    assert found.to_json()["relative_errors"]["I"] == np.inf
+
+
+def test_without_errors_and_predictions_nothing_is_known():
+    found = verdict(published_model("M3"))
+    assert found.trusted is None
+    assert "not known" in found.sentences[0]
+    assert found.relative_errors == {}
+    assert verdict(published_model("M0")).trusted is False  # it has no lag
+    assert verdict(published_model("M3"), np.full(3, 0.2)).trusted is True
+
+
+def test_a_fit_that_did_not_end_is_not_trusted():
+    found = verdict(replace(known(), fit={"converged": False}))
+    assert found.trusted is False
+    assert "not converged" in found.sentences[1]
