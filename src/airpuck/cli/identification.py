@@ -201,20 +201,27 @@ def identify(
     fit.model.save(output)
     found = None if other is None else airpuck.evaluate(fit.model, other)
     if report_folder is not None:
-        from airpuck.report.fit_report import fit_report
-        from airpuck.report.judged_sections import Judged
-
-        judged = None if other is None or found is None else Judged(other, (found,))
-        fit_report(fit, trajectories[0], report_folder, judged=judged, origin=origin())
+        _write_report(fit, trajectories[0], other, found, report_folder)
     warn(fit.warnings, quiet)
     said = verdict_of(fit.model, found, other)
     figures = {**fit.to_json(), "verdict": said.to_json()}
-    shown = []
+    judged = None
     if found is not None:
         figures["validation"] = found.to_json()
-        shown = [error_table([fit.model.name], [found])]
+        judged = error_table([fit.model.name], [found])
     summary = _fit_summary(fit, verbose)
-    report(figures, json_file, *said.sentences, *shown, *summary, output, quiet=quiet)
+    report(figures, json_file, *said.sentences, judged, *summary, output, quiet=quiet)
+
+
+def _write_report(
+    fit: Fit, training: Trajectory, other: Trajectory | None, found: Evaluation | None, folder: Path
+) -> None:
+    """Write a page on a fit, and on how it predicts another recording, if one is given."""
+    from airpuck.report.fit_report import fit_report
+    from airpuck.report.judged_sections import Judged
+
+    judged = None if other is None or found is None else Judged(other, (found,))
+    fit_report(fit, training, folder, judged=judged, origin=origin())
 
 
 def verdict_of(model: Model, found: Evaluation | None, on: Trajectory | None) -> Verdict:
