@@ -33,8 +33,8 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.data.trajectory import (
         Span as Span,
         Trajectory as Trajectory,
-        read_trajectory as read_trajectory,
     )
+    from airpuck.data.trajectory_file import read_trajectory as read_trajectory
     from airpuck.estimate.encoder import PaperEncoder as PaperEncoder
     from airpuck.evaluation.drift import Drift as Drift, drift as drift
     from airpuck.evaluation.evaluate import (
@@ -93,7 +93,8 @@ _NAMES = {
     "control.tracking": "Step TrackingController",
     "control.tuning": "Tuning read_tuning",
     "craft.vehicle": "Vehicle default_vehicle read_vehicle",
-    "data.trajectory": "Span Trajectory read_trajectory",
+    "data.trajectory": "Span Trajectory",
+    "data.trajectory_file": "read_trajectory",
     "estimate.encoder": "PaperEncoder",
     "evaluation.drift": "Drift drift",
     "evaluation.evaluate": "Evaluation compare evaluate",

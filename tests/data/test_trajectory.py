@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span, read_trajectory
+from airpuck.data.trajectory import Span
+from airpuck.data.trajectory_file import read_trajectory
 from airpuck.data.windows import make_windows
 from airpuck.model.model_file import published_model
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -19,7 +17,8 @@ from airpuck.boundary.notebook import html_table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.zero_order_hold import hold, mean_hold
 
-_FORMAT = "airpuck trajectory 1"
+#: Of the file; another one is refused.
+FORMAT = "airpuck trajectory 1"
 
 #: Steps below this many medians are no pauses; they alternate where their mean is this share off.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
@@ -191,7 +190,8 @@ class Trajectory:
         """Shape (N,): False at every sample inside an excluded span."""
         usable = np.ones(len(self), dtype=bool)
         for span in self.excluded:
-            usable[(self.time >= span.start) & (self.time <= span.stop)] = False
+            first = np.searchsorted(self.time, span.start)
+            usable[first : np.searchsorted(self.time, span.stop, side="right")] = False
         return usable
 
     @cached_property
@@ -283,7 +283,7 @@ class Trajectory:
             ``command`` (K, n) and, as JSON in ``about``, everything else.
         """
         about = {
-            "format": _FORMAT,
+            "format": FORMAT,
             "delay_s": self.delay,
             "delay_known": self.delay_known,
             "propellers": self.propellers,
@@ -303,92 +303,6 @@ class Trajectory:
                 command=self.command,
                 about=np.array(json.dumps(about)),
             )
-
-
-def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read what `Trajectory.save` wrote.
-
-    Parameters
-    ----------
-    path : path-like
-        An .npz file.
-
-    Returns
-    -------
-    Trajectory
-        Equal to the one saved.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged, or was not written by `Trajectory.save`.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        about = json.loads(str(content["about"]))
-        if about["format"] != _FORMAT:
-            raise InputError(
-                f"has format {about['format']!r}, this version reads {_FORMAT!r}; preprocess the "
-                "recording again",
-                file=path,
-            )
-        trajectory = Trajectory(
-            time=content["t"],
-            state=content["state"],
-            acceleration=content["acceleration"],
-            command_time=content["command_time"],
-            command=content["command"],
-            propellers=tuple(about["propellers"]),
-            delay=about["delay_s"],
-            delay_known=about["delay_known"],
-            excluded=tuple(Span(**span) for span in about["excluded"]),
-            source=about["source"],
-            hashes=about["hashes"],
-            warnings=tuple(about["warnings"]),
-        )
-        _check(trajectory, path)
-        return trajectory
-    except FileNotFoundError:
-        raise InputError("there is no such file", file=path) from None
-    except InputError:
-        raise
-    except KeyError as error:
-        raise InputError(
-            "is missing; write the file with `airpuck preprocess`", file=path, field=str(error)
-        ) from error
-    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"is not a trajectory that `airpuck preprocess` wrote ({error})", file=path
-        ) from error
-
-
-def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Refuse content that `Trajectory.save` cannot have written."""
-    t, n, k = trajectory, len(trajectory.time), len(trajectory.command_time)
-    shapes = (
-        ("t", t.time, (n,)),
-        ("state", t.state, (n, 6)),
-        ("acceleration", t.acceleration, (n, 3)),
-        ("command_time", t.command_time, (k,)),
-        ("command", t.command, (k, len(t.propellers))),
-    )
-    for name, values, shape in shapes:
-        if values.shape != shape or values.dtype != np.float64:
-            problem = f"has shape {values.shape}, not {shape}, or is not of float64"
-        elif not np.isfinite(values).all():
-            problem = "has numbers that are not finite"
-        else:
-            continue
-        raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
-    wrong = (
-        ("t", n < 2 or (np.diff(t.time) <= 0).any(), "must increase"),
-        ("command_time", k < 1 or (np.diff(t.command_time) < 0).any(), "must not decrease"),
-        ("command", ((t.command < 0) | (t.command > 1)).any(), "must be in [0, 1]"),
-    )
-    for name, is_wrong, problem in wrong:
-        if is_wrong:
-            raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
 
 
 def usual_period(time: Float[np.ndarray, " N"]) -> float:

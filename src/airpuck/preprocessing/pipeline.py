@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
-from airpuck.data.trajectory import Span, Trajectory, read_trajectory, usual_period
+from airpuck.data.trajectory import Span, Trajectory, usual_period
+from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.clock import Aligned, align_clocks

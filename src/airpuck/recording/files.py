@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,6 +19,8 @@ _LONGEST = 80
 def sha256(path: str | os.PathLike[str]) -> str:
     """Return the SHA-256 of a file, by which results are traced back to their data."""
     try:
+        if not stat.S_ISREG(Path(path).stat().st_mode):
+            raise InputError("cannot be read (it is no regular file)", file=path)
         with Path(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:

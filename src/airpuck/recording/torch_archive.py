@@ -13,7 +13,6 @@ import os
 import pickle
 import pickletools
 import re
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import Archive, within_means
 from airpuck.data.trajectory import Trajectory
 from airpuck.recording.files import listing, one_line, sha256
 from airpuck.recording.message import HOLOHOVER_MOTORS
@@ -197,9 +197,12 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
         file = file / "data.pt"
     fingerprint = sha256(file)
     try:
-        tensors = _read(file, name)
+        with within_means(file):
+            tensors = _read(file, name)
     except Refused as error:
         raise InputError(f"is not an experiment of the authors: {error}", file=file) from error
+    except InputError:
+        raise
     # A damaged archive can make zipfile fail in any way.
     except Exception as error:
         raise InputError("is not a readable torch file; is it damaged?", file=file) from error
@@ -222,22 +225,21 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
 
 def _read(file: Path, name: str | None) -> dict[str, Float[np.ndarray, "..."]]:
     """Return the tensors of one experiment."""
-    with zipfile.ZipFile(file) as archive:
-        members = {member.filename: member for member in archive.infolist()}
-        pickles = [member for member in members if member.endswith("/data.pkl")]
+    with Archive(file) as archive:
+        pickles = [name for name in set(archive.names) if name.endswith("/data.pkl")]
         if len(pickles) != 1:
             raise Refused("a torch file has one data.pkl inside")
         # Torch never compresses; stored members cannot be larger than the file.
-        if any(member.compress_type != zipfile.ZIP_STORED for member in members.values()):
+        if archive.is_packed():
             raise Refused("its content is compressed")
         root = pickles[0].removesuffix("data.pkl")
         order = b"little"
-        if f"{root}byteorder" in members:
-            order = archive.open(f"{root}byteorder").read(9).strip()
+        if f"{root}byteorder" in archive.names:
+            order = bytes(archive.read(f"{root}byteorder", _LONGEST)).strip()
         dtype = {b"little": "<f8", b"big": ">f8"}.get(order)
         if dtype is None:
             raise Refused("its byte order is unknown")
-        described = _choose(read_inert(archive.open(pickles[0]).read(_LONGEST + 1)), name)
+        described = _choose(read_inert(bytes(archive.read(pickles[0], _LONGEST))), name)
         return {
             key: _tensor(archive, f"{root}data/", dtype, key, tensor)
             for key, tensor in described.items()
@@ -266,21 +268,23 @@ def _choose(content: Any, name: str | None) -> dict[str, _Tensor]:
 
 
 def _tensor(
-    archive: zipfile.ZipFile, folder: str, dtype: str, key: str, tensor: _Tensor
+    archive: Archive, folder: str, dtype: str, key: str, tensor: _Tensor
 ) -> Float[np.ndarray, "..."]:
     """Read one tensor's numbers."""
     storage, offset, shape, stride = tensor
     if storage.kind != "torch.DoubleStorage":
         raise Refused(f"{key!r} is a {storage.kind}, not torch.DoubleStorage")
-    member = archive.NameToInfo.get(folder + storage.key)
-    if member is None or member.file_size != 8 * storage.n:
-        raise Refused(f"the storage of {key!r} is missing or has a wrong length")
+    if folder + storage.key not in archive.names:
+        raise Refused(f"the storage of {key!r} is missing")
+    content = archive.read(folder + storage.key)
+    if len(content) != 8 * storage.n:
+        raise Refused(f"the storage of {key!r} has a wrong length")
     elements = math.prod(shape)
     reach = offset + sum((size - 1) * step for size, step in zip(shape, stride, strict=True))
     # An expanded tensor (stride 0) would claim more elements than there are bytes for.
     if elements == 0 or elements > storage.n or reach >= storage.n:
         raise Refused(f"{key!r} is empty or reaches beyond its storage")
-    flat = np.frombuffer(archive.read(member), dtype).astype(np.float64)
+    flat = np.frombuffer(content, dtype).astype(np.float64, copy=False)
     strides = tuple(8 * step for step in stride)
     # A copy, because the trajectory must own what the strides only point to.
     return np.lib.stride_tricks.as_strided(flat[offset:], shape, strides).copy()

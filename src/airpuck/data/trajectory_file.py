@@ -1,0 +1,157 @@
+"""Reading what `Trajectory.save` wrote, or what claims to be that."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from typing import Annotated, Any
+
+import numpy as np
+import pydantic
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Fraction, Section, checked
+from airpuck.boundary.limits import ABOUT_BYTES, ARCHIVE_BYTES, SPANS, Archive, within_means
+from airpuck.boundary.parsing import parse_json
+from airpuck.data.trajectory import FORMAT, Span, Trajectory
+
+#: Members that are read; ``input`` follows from the others.
+_ARRAYS = ("t", "state", "acceleration", "command_time", "command")
+#: Of an array, before its numbers [bytes]; NumPy writes 128.
+_LONGEST_HEADER = 4096
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read what `Trajectory.save` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+        An .npz file.
+
+    Returns
+    -------
+    Trajectory
+        Equal to the one saved.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or was not written by `Trajectory.save`.
+    """
+    try:
+        with within_means(path):
+            arrays, about = _read_archive(path)
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError("there is no such file", file=path) from None
+    except KeyError as error:
+        raise InputError(
+            "is missing; write the file with `airpuck preprocess`", file=path, field=error.args[0]
+        ) from error
+    # A damaged archive can make zipfile and NumPy fail in any way.
+    except Exception as error:
+        raise InputError(
+            f"is not a trajectory that `airpuck preprocess` wrote ({error})", file=path
+        ) from error
+    if about.get("format") != FORMAT:
+        raise InputError(
+            f"has another format than this version reads ({FORMAT!r}); preprocess the recording "
+            "again",
+            file=path,
+        )
+    known = checked(about, _About, file=path)
+    trajectory = Trajectory(
+        time=arrays["t"],
+        state=arrays["state"],
+        acceleration=arrays["acceleration"],
+        command_time=arrays["command_time"],
+        command=arrays["command"],
+        propellers=known.propellers,
+        delay=known.delay_s,
+        delay_known=known.delay_known,
+        excluded=tuple(Span(**span.model_dump()) for span in known.excluded),
+        source=known.source,
+        hashes=known.hashes,
+        warnings=known.warnings,
+    )
+    _check(trajectory, path)
+    return trajectory
+
+
+class _SpanSection(Section):
+    """A span as JSON."""
+
+    start: float
+    stop: float
+    cause: str
+    confidence: Fraction = 1.0
+
+
+class _About(Section):
+    """What a trajectory's file holds beside arrays; what later versions add is passed over."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    format: str
+    delay_s: float
+    delay_known: bool
+    propellers: tuple[str, ...]
+    excluded: Annotated[tuple[_SpanSection, ...], pydantic.Field(max_length=SPANS)]
+    source: str
+    hashes: dict[str, str]
+    warnings: tuple[str, ...]
+
+
+def _read_archive(
+    path: str | os.PathLike[str],
+) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
+    """Return the arrays of the file, and what is said about them."""
+    with Archive(path) as archive:
+        text = str(_array(archive, "about", ABOUT_BYTES))
+        return {name: _array(archive, name) for name in _ARRAYS}, parse_json(text, file=path)
+
+
+def _array(archive: Archive, name: str, most: int = ARCHIVE_BYTES) -> np.ndarray:
+    """Read an array, whose size must be that of its member."""
+    content = archive.read(f"{name}.npy", most)
+    stream = io.BytesIO(memoryview(content)[:_LONGEST_HEADER])
+    version = np.lib.format.read_magic(stream)
+    if version != (1, 0):
+        raise ValueError(f"{name} is of another version of NumPy's format")
+    shape, by_column, dtype = np.lib.format.read_array_header_1_0(stream)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise ValueError(f"{name} has another size than it says")
+    flat = np.frombuffer(content, dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if by_column else "C")
+
+
+def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Refuse content that `Trajectory.save` cannot have written."""
+    t, n, k = trajectory, len(trajectory.time), len(trajectory.command_time)
+    shapes = (
+        ("t", t.time, (n,)),
+        ("state", t.state, (n, 6)),
+        ("acceleration", t.acceleration, (n, 3)),
+        ("command_time", t.command_time, (k,)),
+        ("command", t.command, (k, len(t.propellers))),
+    )
+    for name, values, shape in shapes:
+        if values.shape != shape or values.dtype != np.float64:
+            problem = f"has shape {values.shape}, not {shape}, or is not of float64"
+        elif not np.isfinite(values).all():
+            problem = "has numbers that are not finite"
+        else:
+            continue
+        raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
+    wrong = (
+        ("t", n < 2 or (np.diff(t.time) <= 0).any(), "must increase"),
+        ("command_time", k < 1 or (np.diff(t.command_time) < 0).any(), "must not decrease"),
+        ("command", ((t.command < 0) | (t.command > 1)).any(), "must be in [0, 1]"),
+    )
+    for name, is_wrong, problem in wrong:
+        if is_wrong:
+            raise InputError(f"{problem}; preprocess the recording again", file=path, field=name)
