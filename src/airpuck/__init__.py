@@ -71,6 +71,12 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.recording.bag_writer import write_bag as write_bag
     from airpuck.recording.csv_folder import write_csv as write_csv
     from airpuck.recording.dataset import fetch as fetch
+    from airpuck.recording.mapping import (
+        CommandMapping as CommandMapping,
+        PoseMapping as PoseMapping,
+        RecordingMapping as RecordingMapping,
+        read_mapping as read_mapping,
+    )
     from airpuck.recording.read import read_recording as read_recording
     from airpuck.recording.stream import Recording as Recording, Stream as Stream
     from airpuck.report.animation import animate as animate
@@ -121,6 +127,7 @@ _NAMES = {
     "recording.bag_writer": "write_bag",
     "recording.csv_folder": "write_csv",
     "recording.dataset": "fetch",
+    "recording.mapping": "CommandMapping PoseMapping RecordingMapping read_mapping",
     "recording.read": "read_recording",
     "recording.stream": "Recording Stream",
     "report.animation": "animate",

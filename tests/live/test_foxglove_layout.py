@@ -11,8 +11,8 @@ from mcap.reader import make_reader
 
 from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.recording.bag_writer import BagFile
+from airpuck.recording.mapping import Topics
 from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec, definitions
-from airpuck.recording.stream import Topics
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove_layout.json"
 STREAMS = {

@@ -14,8 +14,8 @@ from airpuck.live.clock import Clock
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, Graph, Sample
 from airpuck.live.process import Inbox, LiveSettings, Process, prioritize
+from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
-from airpuck.recording.stream import Topics
 
 from .processes import CODECS, COMMANDS
 

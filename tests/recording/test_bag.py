@@ -11,8 +11,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from airpuck.boundary.errors import InputError
+from airpuck.recording.mapping import Topics
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import COLUMNS, Topics
+from airpuck.recording.stream import COLUMNS
 
 from .bags import (
     COMMAND_TEXT,
@@ -212,7 +213,7 @@ def test_a_wrong_type_names_file_topic_found_and_wanted(tmp_path: Path, topics, 
         read_recording(path, topics=Topics(**{stream: "/rosout"}))
     message = str(caught.value)
     assert "\n" not in message
-    wanted = {"pose": POSE_TYPE, "command": "float64 for each motor", "imu": "IMUStamped"}[stream]
+    wanted = {"pose": POSE_TYPE, "command": "one for each motor", "imu": "IMUStamped"}[stream]
     for part in (str(path), "/rosout", "std_msgs/msg/String", wanted):
         assert part in message
 

@@ -13,9 +13,10 @@ from ruamel.yaml import YAML
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.bag_writer import BagFile, write_bag
+from airpuck.recording.mapping import Topics
 from airpuck.recording.message import HOLOHOVER_MOTORS, StreamCodec
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Stream, Topics
+from airpuck.recording.stream import Recording, Stream
 
 from .bags import SIX, flight, stream
 
@@ -59,7 +60,7 @@ def test_what_is_written_is_read_back_equal(tmp_path: Path):
 
 @given(yaw=st.floats(-np.pi, np.pi, exclude_min=True))
 def test_yaw_survives_the_quaternion(yaw: float):
-    from airpuck.recording.message import yaw_of
+    from airpuck.recording.conversion import yaw_of
 
     half, none = np.array([yaw / 2]), np.zeros(1)
     back = yaw_of(none, none, np.sin(half), np.cos(half))

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
+from airpuck.recording.conversion import yaw_of
 from airpuck.recording.csv_folder import write_csv
-from airpuck.recording.message import yaw_of
+from airpuck.recording.mapping import Topics
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Stream, Topics
+from airpuck.recording.stream import Recording, Stream
 
 from .bags import SIX, flight
 
@@ -184,7 +185,12 @@ X, SEC, LOG = "pose.position.x", "header.stamp.sec", "log_time_ns"
         ([*POSE_LINES[:2], "1,2,3", POSE_LINES[2]], None, "line 3 has 3 fields"),
         ([""], None, "is empty"),
         (["", "", ""], None, "is empty"),
-        ([line.replace(",", ";") for line in POSE_LINES], "header.stamp.sec", "no such column"),
+        (
+            [line.replace(",", "|") for line in POSE_LINES],
+            "header.stamp.sec, header.stamp.nanosec, pose.position.x, pose.position.y, "
+            "pose.orientation.yaw",
+            "no such column",
+        ),
     ],
 )
 def test_what_is_wrong_is_said_with_file_column_and_line(

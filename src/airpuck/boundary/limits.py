@@ -240,7 +240,7 @@ class Unpacking:
             )
 
 
-def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def csv_rows(path: Path, separator: str = ",") -> Iterator[tuple[int, list[str]]]:
     """Yield the lines of a CSV file that are not empty, each with its number in the file."""
     unfinished = cells = 0
 
@@ -257,7 +257,7 @@ def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         if path.stat().st_size > CSV_BYTES:
             raise refused("is too long", CSV_BYTES, "cut it into parts", file=path)
         with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(lines(file))
+            reader = csv.reader(lines(file), delimiter=separator)
             try:
                 for row in reader:
                     unfinished = 0

@@ -54,7 +54,7 @@ def design(
     ] = None,
     twin: options.TwinFile = None,
     tuning: options.TuningFile = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     seed: options.Seed = 0,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -64,7 +64,7 @@ def design(
 
     craft = airpuck.read_model(model)
     if after:
-        craft = _fitted(craft, after, topics, quiet)
+        craft = _fitted(craft, after, mapping, quiet)
     with show_counts("trial flights", "", quiet) as progress:
         found = airpuck.design(
             craft,
@@ -91,12 +91,12 @@ def design(
     report(figures, json_file, *tables, *summary(found), output, figure)
 
 
-def _fitted(craft: Model, recordings: list[Path], topics: Path | None, quiet: bool) -> Model:
+def _fitted(craft: Model, recordings: list[Path], mapping: Path | None, quiet: bool) -> Model:
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.forecast import loss_of
     from airpuck.model.rungs import named_rung
 
-    trajectories = [load(path, craft.vehicle, topics, quiet=quiet) for path in recordings]
+    trajectories = [load(path, craft.vehicle, mapping, quiet=quiet) for path in recordings]
     fit = airpuck.identify(
         trajectories,
         named_rung(craft.name, frame=craft.frame),

@@ -33,7 +33,7 @@ def replay(
     ] = False,
     tuning: options.TuningFile = None,
     span: options.Span = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     output: options.PageFolder = None,
     json_file: options.Json = None,
 ) -> None:
@@ -42,7 +42,7 @@ def replay(
 
     craft, settings = inputs.read_belief(model), inputs.read_controls(tuning) or default_tuning()
     result = airpuck.replay(
-        inputs.read_flight(flight, topics),
+        inputs.read_flight(flight, mapping),
         craft,
         tuning=settings,
         fit_gains=fit_gains,
@@ -185,7 +185,7 @@ def animate(
     output: Annotated[Path, options.output("FILE", "flight.gif or flight.html")],
     span: options.Span = None,
     vehicle: options.VehicleFile = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     speed: Annotated[float, Option(help="Seconds of flight per second.")] = 1.0,
     fps: Annotated[float, Option(help="Frames of a GIF per second.")] = 25.0,
     table: Annotated[
@@ -197,7 +197,7 @@ def animate(
     from airpuck.report.animation_frames import TABLE
 
     written = airpuck.animate(
-        inputs.read_flight(recording, topics),
+        inputs.read_flight(recording, mapping),
         output,
         vehicle=inputs.read_craft(vehicle),
         span=span or (0.0, 1.0),

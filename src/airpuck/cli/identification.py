@@ -45,7 +45,7 @@ def preprocess(
     recording: options.RecordingPath,
     output: Annotated[Path, options.output("FILE", "traj.npz")],
     vehicle: options.VehicleFile = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     delay: Annotated[
         float | None, Option(metavar="S", help="Transport delay; by default it is found.")
     ] = None,
@@ -56,7 +56,7 @@ def preprocess(
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
     silent = quiet or is_stdout(json_file)
-    trajectory = load(recording, read_craft(vehicle), topics, delay=delay, quiet=silent)
+    trajectory = load(recording, read_craft(vehicle), mapping, delay=delay, quiet=silent)
     trajectory.save(output)
     figures = {
         "samples": len(trajectory),
@@ -87,7 +87,7 @@ def identify(
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
     span: options.Span = None,
     vehicle: options.VehicleFile = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     method: Annotated[
         Literal["lm", "adam"], Option(help="lm (Levenberg-Marquardt) or adam.")
     ] = "lm",
@@ -169,8 +169,8 @@ def identify(
     if seed and bootstrap is None:
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     craft = read_craft(vehicle)
-    trajectories = [load(path, craft, topics, span=span, quiet=quiet) for path in recordings]
-    other = None if validation is None else load(validation, craft, topics, quiet=quiet)
+    trajectories = [load(path, craft, mapping, span=span, quiet=quiet) for path in recordings]
+    other = None if validation is None else load(validation, craft, mapping, quiet=quiet)
     adam = airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
     times = {
         "encoder_time": encoder_time,

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from airpuck.craft.vehicle import Vehicle
     from airpuck.data.trajectory import Trajectory
     from airpuck.model.model_file import Model
-    from airpuck.recording.stream import Recording, Topics
+    from airpuck.recording.mapping import RecordingMapping
+    from airpuck.recording.stream import Recording
     from airpuck.twin.settings import TwinSettings
 
 
@@ -32,30 +33,28 @@ def read_twin(path: Path | None) -> TwinSettings | None:
     return None if path is None else airpuck.read_twin_settings(path)
 
 
-def topic_names(path: Path | None) -> Topics | None:
-    """Read the names of topics, if a file is given."""
-    from airpuck.recording.stream import read_topics
-
-    return None if path is None else read_topics(path)
+def mapping_in(path: Path | None) -> RecordingMapping | None:
+    """Read the mapping of recordings, if a file is given."""
+    return None if path is None else airpuck.read_mapping(path)
 
 
-def read_flight(recording: Path, topics: Path | None) -> Recording:
+def read_flight(recording: Path, mapping: Path | None) -> Recording:
     """Read a recording as it was logged."""
-    return airpuck.read_recording(recording, topics=topic_names(topics))
+    return airpuck.read_recording(recording, mapping=mapping_in(mapping))
 
 
 def load(
     recording: Path,
     vehicle: Vehicle | None,
-    topics: Path | None,
+    mapping: Path | None,
     *,
     span: tuple[float, float] | None = None,
     delay: float | None = None,
     quiet: bool = True,
 ) -> Trajectory:
     """Load and preprocess a recording, or the part of it that --span names, and print warnings."""
-    names = topic_names(topics)
-    trajectory = airpuck.load_trajectory(recording, vehicle, topics=names, delay=delay)
+    names = mapping_in(mapping)
+    trajectory = airpuck.load_trajectory(recording, vehicle, mapping=names, delay=delay)
     warn(trajectory.warnings, quiet)
     return trajectory if span is None else trajectory.slice(*span)
 

@@ -55,7 +55,7 @@ def twin(
     seed: options.Seed = 0,
     domain: Domain = None,
     interface: Interface = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     duration: Duration = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -63,7 +63,7 @@ def twin(
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
 
-    live = live_settings(domain, interface, topics, duration, quiet)
+    live = live_settings(domain, interface, mapping, duration, quiet)
     truth = airpuck.read_model(model)
     figures = serve_twin(truth, live, inputs.read_twin(settings), seed=seed, pose=pose)
     report(
@@ -124,7 +124,7 @@ def fly(
     ] = None,
     domain: Domain = None,
     interface: Interface = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     duration: Duration = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -151,7 +151,7 @@ def fly(
     experiment = inputs.read_excitation(plan, duration, amplitude, hold)
     if plan is not None:
         duration = experiment.duration_s
-    live = live_settings(domain, interface, topics, duration, quiet)
+    live = live_settings(domain, interface, mapping, duration, quiet)
     craft = inputs.model_or_nominal(model, vehicle)
     fence = _fence(geofence, craft)
     controls = inputs.read_controls(tuning) or default_tuning()
@@ -226,7 +226,7 @@ def preflight(
     ] = None,
     domain: Domain = None,
     interface: Interface = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -242,9 +242,9 @@ def preflight(
         for name, value in {**pulses, "domain": domain, "interface": interface}.items():
             if value is not None:
                 raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
-        found = judge_recording(craft, inputs.read_flight(recording, topics))
+        found = judge_recording(craft, inputs.read_flight(recording, mapping))
     else:
-        live = live_settings(domain, interface, topics, None, quiet)
+        live = live_settings(domain, interface, mapping, None, quiet)
         found = preflight_live(craft, replace(PulsePlan(), **given), live)
     checks = [f"{check.verdict:6s}{check.name:17s}{check.words}" for check in found.checks]
     report(found.to_json(), json_file, *checks)
@@ -258,7 +258,7 @@ def watch(
     model: Belief,
     domain: Domain = None,
     interface: Interface = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     duration: Duration = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -266,7 +266,7 @@ def watch(
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    live = live_settings(domain, interface, topics, duration, quiet)
+    live = live_settings(domain, interface, mapping, duration, quiet)
     silent = quiet or is_stdout(json_file)
     show = (lambda _: None) if silent else partial(print, flush=True)
     write_json(json_file, watch_live(inputs.read_belief(model), show, live))
@@ -281,7 +281,7 @@ def view(
     ] = "127.0.0.1",
     domain: Domain = None,
     interface: Interface = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     duration: Duration = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -289,7 +289,7 @@ def view(
     """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
     from airpuck.live.view import view_live
 
-    live = live_settings(domain, interface, topics, duration, quiet)
+    live = live_settings(domain, interface, mapping, duration, quiet)
     write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))
 
 
@@ -303,15 +303,15 @@ def _refuse_unless_excited(excite: bool, **given: Any) -> None:
 def live_settings(
     domain: int | None,
     interface: str | None,
-    topics: Path | None,
+    mapping: Path | None,
     duration: float | None,
     quiet: bool,
 ) -> LiveSettings:
     """Return how to join the graph; refuse what is not there before anything is compiled."""
     from airpuck.live.process import LiveSettings
-    from airpuck.recording.stream import Topics, read_topics
+    from airpuck.recording.mapping import Topics, only_topics, read_mapping
 
-    names = Topics() if topics is None else read_topics(topics)
+    names = Topics() if mapping is None else only_topics(read_mapping(mapping), mapping)
     return LiveSettings(names, domain, interface, duration, quiet)
 
 

@@ -51,9 +51,14 @@ VehicleFile = Annotated[
     Path | None,
     Option("--vehicle", metavar="FILE", help="Vehicle file; by default the paper's craft."),
 ]
-TopicsFile = Annotated[
+MappingFile = Annotated[
     Path | None,
-    Option("--topics", metavar="FILE", help="TOML file with the names of a bag's topics."),
+    Option(
+        "--mapping",
+        "--topics",
+        metavar="FILE",
+        help="TOML file: topics, files, columns, units and axes of a recording.",
+    ),
 ]
 Span = Annotated[
     tuple[float, float] | None,

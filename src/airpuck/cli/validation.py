@@ -38,7 +38,7 @@ def evaluate(
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -46,7 +46,7 @@ def evaluate(
     from airpuck.evaluation.evaluate import PROTOCOLS
 
     judged = airpuck.read_model(model)
-    trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
+    trajectory = load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said = verdict_of(judged, found, trajectory)
@@ -64,12 +64,12 @@ def evaluate(
 def check(
     recording: options.RecordingPath,
     vehicle: options.VehicleFile = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
     craft = read_craft(vehicle) or airpuck.default_vehicle()
-    result = airpuck.check_layout(load(recording, craft, topics), craft)
+    result = airpuck.check_layout(load(recording, craft, mapping), craft)
     report(
         result.to_json(),
         json_file,
@@ -96,7 +96,7 @@ def faults(
     output: options.PageFolder = None,
     span: options.Span = None,
     vehicle: options.VehicleFile = None,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -105,7 +105,7 @@ def faults(
         raise InputError("is the model's; leave out one of both", field="--vehicle")
     healthy = None if model is None else airpuck.read_model(model)
     craft = healthy.vehicle if healthy else read_craft(vehicle)
-    trajectory = load(recording, craft, topics, span=span, quiet=quiet)
+    trajectory = load(recording, craft, mapping, span=span, quiet=quiet)
     if healthy is None:
         fit = airpuck.identify(trajectory, vehicle=craft)
         warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
@@ -155,7 +155,7 @@ def compare(
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -184,7 +184,7 @@ def compare(
         figures["drift"] = drift.to_json()
         shown += _drift_lines(names, drift)
     if not alone:
-        trajectory = load(Path(models[-1]), read[0].vehicle, topics, span=span, quiet=quiet)
+        trajectory = load(Path(models[-1]), read[0].vehicle, mapping, span=span, quiet=quiet)
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
         fits = [measure_fit(model, trajectory, horizon=horizon) for model in read]
         figures["evaluations"] = [
@@ -231,7 +231,7 @@ def resid(
     span: options.Span = None,
     output: options.PageFolder = None,
     lags: Annotated[int, Option(help="Largest lag, in samples.", min=5)] = 25,
-    topics: options.TopicsFile = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -240,7 +240,7 @@ def resid(
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
 
     judged = airpuck.read_model(model)
-    trajectory = load(recording, judged.vehicle, topics, span=span, quiet=quiet)
+    trajectory = load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
     with about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)

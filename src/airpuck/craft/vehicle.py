@@ -194,6 +194,11 @@ def default_vehicle() -> Vehicle:
     return read_packaged("holohover.toml", Vehicle)
 
 
+def unnamed_columns(n: int) -> tuple[str, ...]:
+    """Name the columns of a command that was logged without names: they are in our order."""
+    return tuple(f"value_{number}" for number in range(1, n + 1))
+
+
 def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:
     """Return which column of a recorded command drives each propeller, or refuse it."""
     names = vehicle.propeller_names
@@ -203,11 +208,14 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
             f"{vehicle.name!r} has {len(names)} propellers; give the right file or model",
             file=source,
         )
+    if columns == unnamed_columns(len(columns)) and set(columns) != set(names):
+        return list(range(len(columns)))
     unknown = [column for column in columns if column not in names]
     if unknown:
         raise InputError(
             f"drives no propeller of the vehicle {vehicle.name!r} "
-            f"(it has {', '.join(names)}); rename the propellers in the vehicle file",
+            f"(it has {', '.join(names)}); rename the propellers in the vehicle file, or "
+            "name them in the mapping: command.propellers",
             file=source,
             field=unknown[0],
         )

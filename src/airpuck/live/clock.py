@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.recording.stream import SECOND_NS
+from airpuck.recording.conversion import SECOND_NS
 
 #: A stamp may lie this far ahead of its arrival: clocks of one laboratory agree to this [s].
 _AHEAD = 0.01

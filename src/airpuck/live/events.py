@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from airpuck.live.graph import LOG, STATE, Graph
+from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.message import MessageCodec, definitions
-from airpuck.recording.stream import SECOND_NS
 
 #: ROS 2's own topics for events and for heartbeats; tools know them by name.
 EVENTS, HEARTBEAT = "/rosout", "/diagnostics"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from airpuck.boundary.errors import InputError
 from airpuck.live import dds
 from airpuck.recording.cdr import Types
-from airpuck.recording.stream import SECOND_NS
+from airpuck.recording.conversion import SECOND_NS
 
 if TYPE_CHECKING:
     from uuid import UUID

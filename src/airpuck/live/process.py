@@ -20,8 +20,8 @@ from airpuck.live.clock import Clock, Every, StampClock
 from airpuck.live.dds import LEASE, domain_config, domain_id
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, STATE, Endpoint, Graph, Quality
+from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
-from airpuck.recording.stream import Topics
 
 if TYPE_CHECKING:
     from airpuck.control.tracking import Numbers

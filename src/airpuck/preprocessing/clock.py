@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int64
 
-from airpuck.recording.stream import SECOND_NS, Stream
+from airpuck.recording.conversion import SECOND_NS
+from airpuck.recording.stream import Stream
 
 #: Difference between two senders' clocks that cannot be latency [s].
 _CLOCKS_DIFFER = 0.1

@@ -34,8 +34,9 @@ from airpuck.preprocessing.quality import (
     find_jumps,
     stretches,
 )
+from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.read import read_recording
-from airpuck.recording.stream import Recording, Topics
+from airpuck.recording.stream import Recording
 from airpuck.recording.torch_archive import read_authors_experiment
 
 #: A command this far above the lowest one means that the experiment has begun.
@@ -49,6 +50,7 @@ def load_trajectory(
     path: str | os.PathLike[str],
     vehicle: Vehicle | None = None,
     *,
+    mapping: RecordingMapping | None = None,
     topics: Topics | None = None,
     delay: float | None = None,
 ) -> Trajectory:
@@ -57,12 +59,14 @@ def load_trajectory(
     Parameters
     ----------
     path : path-like
-        A bag folder, an .mcap, a folder of CSV files, the authors' data.pt (or the folder of one),
-        or an .npz that `Trajectory.save` wrote.
+        What `read_recording` reads, the authors' data.pt (or the folder of one), or an .npz that
+        `Trajectory.save` wrote.
     vehicle : Vehicle, optional
         The craft; by default the paper's.
+    mapping : RecordingMapping, optional
+        Topics, files, columns, units and axes of a recording.
     topics : Topics, optional
-        Names of a bag's topics.
+        Short for a mapping that only names topics.
     delay : float, optional
         Transport delay of a raw recording [s]; by default it is found by correlation.
 
@@ -79,17 +83,17 @@ def load_trajectory(
     path = Path(path)
     archive = path / "data.pt" if path.is_dir() else path
     preprocessed = path.suffix == ".npz" or (archive.suffix == ".pt" and archive.is_file())
-    if preprocessed and (delay is not None or topics is not None):
+    if preprocessed and (delay, mapping, topics) != (None, None, None):
         raise InputError(
-            "is preprocessed already: its transport delay is settled and it has no topics",
+            "is preprocessed already: its transport delay is settled and there is nothing to map",
             file=path,
-            field="delay" if delay is not None else "topics",
+            field="delay" if delay is not None else "mapping",
         )
     if path.suffix == ".npz":
         return read_trajectory(path)
     if preprocessed:
         return read_authors_experiment(archive)
-    return preprocess(read_recording(path, topics=topics), vehicle, delay=delay)
+    return preprocess(read_recording(path, mapping=mapping, topics=topics), vehicle, delay=delay)
 
 
 def preprocess(

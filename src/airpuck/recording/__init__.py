@@ -1,4 +1,4 @@
 """Reading and writing what a lab has.
 
-Entry points: `read.read_recording`, `torch_archive.read_authors_experiment`, `stream.Topics`.
+Entry points: `read.read_recording`, `torch_archive.read_authors_experiment`, `mapping.Topics`.
 """

@@ -10,23 +10,19 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.parsing import load_yaml
-from airpuck.recording.cdr import decode, flatten
+from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, one_line, sha256
-from airpuck.recording.log import Log, TopicLog
+from airpuck.recording.log import Log
+from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
-from airpuck.recording.message import (
-    PATHS,
-    accepted,
-    columns_of,
-    definitions,
-    motors_of,
-    stamp_paths,
-)
 from airpuck.recording.sqlite_file import read_sqlite
-from airpuck.recording.stream import COLUMNS, SECOND_NS, Recording, Stream, Topics
+from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.topic_stream import may_hold, topic_stream
 from airpuck.recording.unpacking import unpacked_file, unpacked_message
 
 METADATA = "metadata.yaml"
+#: Topics among which a missing one is looked for.
+_MOST_LOOKED_AT = 100
 #: Endings of storage files, compressed ones included.
 STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
@@ -47,9 +43,15 @@ def _stored(folder: Path) -> list[Path]:
     return sorted(found, key=order)
 
 
-def read_bag(path: Path, topics: Topics) -> Recording:
+def read_bag(path: Path, mapping: RecordingMapping) -> Recording:
     """Read a rosbag2 folder, or a bare .mcap or .db3 file."""
-    wanted = set(topics.by_stream.values())
+    for stream, section in (("pose", mapping.pose), ("command", mapping.command)):
+        if section.file:
+            problem = (
+                f'is a bag, which has no such file; name a topic: topics = {{{stream} = "/..."}}'
+            )
+            raise InputError(problem, file=path, field=f"{stream}.file")
+    wanted = set(mapping.topics.by_stream.values())
     metadata = _metadata(path / METADATA) if path.is_dir() else {}
     files = [path] if path.is_file() else _in_order(_stored(path), metadata)
     hashes = {file.name: sha256(file) for file in files}
@@ -60,7 +62,8 @@ def read_bag(path: Path, topics: Topics) -> Recording:
         log.extend(_read_file(file, wanted))
     if str(metadata.get("compression_mode")).lower() == "message":
         _unpack_messages(log, path)
-    return Recording(_streams(log, topics, path), str(path), hashes, _warnings(log, metadata))
+    streams, said = _streams(log, mapping, path)
+    return Recording(streams, str(path), hashes, _warnings(log, metadata) + said)
 
 
 def _metadata(path: Path) -> dict[str, Any]:
@@ -138,62 +141,47 @@ def _missing(log: Log, metadata: Mapping[str, Any]) -> str:
     return f"the last {seconds:.3f} s and {n_messages - log.n_messages} messages are missing"
 
 
-def _streams(log: Log, topics: Topics, source: Path) -> dict[str, Stream]:
-    """Decode the topics that are wanted and there."""
-    streams = {}
-    for stream, name in topics.by_stream.items():
+def _streams(
+    log: Log, mapping: RecordingMapping, source: Path
+) -> tuple[dict[str, Stream], tuple[str, ...]]:
+    """Decode the topics that are wanted and there, and say where stamps are missing."""
+    streams, warnings, missing = {}, [], []
+    for stream, name in mapping.topics.by_stream.items():
         topic = log.topics.get(name)
         if topic is not None:
             try:
-                streams[stream] = _stream(stream, topic)
+                streams[stream], stamped = topic_stream(stream, topic, mapping)
             except (ValueError, OverflowError) as error:
                 problem = error.problem if isinstance(error, InputError) else one_line(str(error))
-                raise InputError(problem, file=source, field=name) from error
-        elif topics.required(stream):
-            raise InputError(_no_topic(stream, log), file=source, field=name)
-    return streams
+                field = error.field if isinstance(error, InputError) else None
+                raise InputError(problem, file=source, field=field or name) from error
+            if not stamped and stream in ("pose", "command"):
+                warnings.append(
+                    f"messages on {name} carry no time: the recorder's times of arrival are used, "
+                    "and the jitter of their way is in them"
+                )
+        elif mapping.topics.required(stream):
+            missing.append(stream)
+    if missing:
+        absent = ", ".join(mapping.topics.by_stream[stream] for stream in missing)
+        raise InputError(_no_topics(missing, log), file=source, field=absent)
+    return streams, tuple(warnings)
 
 
-def _no_topic(stream: str, log: Log) -> str:
-    """Describe what the user can name instead of a missing topic."""
-    found = sorted((name, topic.msgtype) for name, topic in log.topics.items())
-    fitting = [item for item in found if stream == "command" or item[1] in PATHS[stream]]
-    shown = listing(f"{name} ({msgtype})" for name, msgtype in fitting or found)
+def _no_topics(missing: list[str], log: Log) -> str:
+    """Say which topics are missing, and show the mapping to write."""
+    shown, choices = [], []
+    # Some only: definitions have to be parsed for this.
+    topics = sorted(log.topics.items())[:_MOST_LOOKED_AT]
+    for stream in missing:
+        found = [name for name, topic in topics if may_hold(stream, topic)]
+        shown.append(f'{stream} = "{found[0] if found else "/..."}"')
+        if len(found) != 1:
+            types = found or sorted(log.topics)
+            listed = listing(f"{name} ({log.topics[name].msgtype})" for name in types)
+            choices.append(f"; {stream} out of {listed}" if types else "")
     damage = f" ({'; '.join(log.damage)})" if log.damage else ""
     return (
-        f"there is no such topic{damage}; name the {stream} topic, [topics] {stream} = "
-        f'"/...", out of {shown}'
-    )
-
-
-def _stream(stream: str, topic: TopicLog) -> Stream:
-    """Decode one topic."""
-    wrong = f"holds {one_line(topic.msgtype)}, but a {stream} is {accepted(stream)}"
-    if stream != "command" and topic.msgtype not in PATHS[stream]:
-        raise InputError(wrong)
-    types = definitions(topic.msgtype, topic.definition, idl=topic.idl)
-    if topic.msgtype not in types:
-        raise InputError(f"the recording does not say what {one_line(topic.msgtype)} holds")
-    fields = flatten(types, topic.msgtype)
-    if stream == "command":
-        paths = columns = motors_of(fields)
-    else:
-        paths, columns = PATHS[stream][topic.msgtype], COLUMNS[stream]
-    if not paths:
-        raise InputError(wrong)
-    absent = set(paths) - {path for path, code in fields if code.startswith("<")}
-    if absent:
-        raise InputError(f"{topic.msgtype} is defined without the field {min(absent)}")
-    stamps = stamp_paths(fields)
-    values = decode(topic.messages, types, topic.msgtype, (*stamps, *paths))
-    received = np.array(topic.received_ns, dtype=np.int64)
-    stamp = received
-    if stamps:
-        seconds, nanoseconds = (values[path].astype(np.int64) for path in stamps)
-        stamp = seconds * SECOND_NS + nanoseconds
-    return Stream(
-        stamp_ns=stamp,
-        received_ns=received,
-        values=columns_of(stream, [values[path].astype(np.float64) for path in paths]),
-        columns=columns,
+        f"there is no such topic{damage}; name topics in a file for --mapping: "
+        f"topics = {{{', '.join(shown)}}}{''.join(choices)}"
     )

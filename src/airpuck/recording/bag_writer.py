@@ -12,9 +12,11 @@ from ruamel.yaml import YAML
 from airpuck.boundary.errors import InputError
 from airpuck.recording.bag import METADATA
 from airpuck.recording.cdr import Types, typestore
+from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import new_folder
+from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
-from airpuck.recording.stream import SECOND_NS, Recording, Stream, Topics
+from airpuck.recording.stream import Recording, Stream
 
 #: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
 _ROSBAG2_VERSION = 8

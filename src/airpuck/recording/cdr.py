@@ -32,7 +32,6 @@ _NUMBERS = {
     "float64": "<f8",
     **dict.fromkeys(("bool", "byte", "char", "octet"), "<u1"),
 }
-FLOAT64 = _NUMBERS["float64"]
 _STRING = "string"
 _ENCAPSULATION = 4
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -44,7 +43,8 @@ class Field(NamedTuple):
 
     #: Names from the message down, joined by dots: ``pose.position.x``.
     path: str
-    #: NumPy code of a number or a fixed array (``36<f8``), ``string``, or empty: no fixed size.
+    #: NumPy code of a number or a fixed array (``36<f8``), ``string``; with ``*`` before it a
+    #: sequence of these; empty for anything else.
     code: str
 
 
@@ -65,19 +65,21 @@ def _fields(types: Types, msgtype: str, prefix: str = "", depth: int = 0) -> Ite
     if depth > _DEEPEST:
         raise ValueError(f"the definition of {msgtype} is nested too deeply")
     for name, (node, description) in types[msgtype][1]:
-        count = 1
+        count, prefixed = 1, ""
         if node == Nodetype.ARRAY:
             (node, description), count = description
-        if node == Nodetype.NAME and count == 1:
+        elif node == Nodetype.SEQUENCE:
+            (node, description), prefixed = description[0], "*"
+        if node == Nodetype.NAME and count == 1 and not prefixed:
             yield None
             yield from _fields(types, description, f"{prefix}{name}.", depth + 1)
             continue
         code = ""
         if node == Nodetype.BASE:
             if description[0] in _NUMBERS:
-                code = ("" if count == 1 else str(count)) + _NUMBERS[description[0]]
+                code = prefixed + ("" if count == 1 else str(count)) + _NUMBERS[description[0]]
             elif description[0] == _STRING and count == 1:
-                code = _STRING
+                code = prefixed + _STRING
         yield Field(prefix + name, code)
 
 
@@ -110,11 +112,11 @@ def _definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
 def decode(
     messages: Sequence[bytes], types: Types, msgtype: str, paths: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Read some number fields of many messages of one type."""
+    """Read some fields of many messages of one type; arrays in it must agree in length."""
     fields = flatten(types, msgtype)
     codes = dict(fields)
     if not messages:
-        return {path: np.zeros(0, codes[path]) for path in paths}
+        return {path: _column(path, codes[path], ()) for path in paths}
     layout = layout_of(fields, messages[0])
     if layout is not None and all(len(message) == layout.itemsize for message in messages):
         table = np.frombuffer(b"".join(messages), layout)
@@ -122,9 +124,10 @@ def decode(
         if all((table[name] == table[name][0]).all() for name in ("encapsulation", *lengths)):
             return {path: table[path] for path in paths}
     rows = _decode_singly(messages, types, msgtype, paths)
+    columns = zip(*rows, strict=True)
     return {
-        path: np.array(column, codes[path])
-        for path, column in zip(paths, zip(*rows, strict=True), strict=True)
+        path: _column(path, codes[path], column)
+        for path, column in zip(paths, columns, strict=True)
     }
 
 
@@ -138,7 +141,7 @@ def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
     names, numbers, offsets = ["encapsulation"], [np.dtype("<u4")], [0]
     end = _ENCAPSULATION
     for path, code in fields:
-        if not code:
+        if not code or code[0] == "*":
             return None
         number = np.dtype("<u4" if code == _STRING else code)
         start = end + -(end - _ENCAPSULATION) % number.base.itemsize
@@ -153,6 +156,22 @@ def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
     return np.dtype(
         {"names": names, "formats": numbers, "offsets": offsets, "itemsize": len(message)}
     )
+
+
+def _column(path: str, code: str, values: Sequence[Any]) -> np.ndarray:
+    """Make one array of a field of many messages, a row for each."""
+    number = code.removeprefix("*")
+    kind = np.dtype(str if number == _STRING else number)
+    if not values:
+        return np.zeros((0, 0) if code[0] == "*" else (0, *kind.shape), kind.base)
+    if code[0] == "*":
+        first = len(values[0])
+        for index, value in enumerate(values):
+            if len(value) != first:
+                raise ValueError(
+                    f"message {index + 1} has {len(value)} entries in {path}, the first has {first}"
+                )
+    return np.array(values, kind.base)
 
 
 def _decode_singly(

@@ -1,7 +1,8 @@
-"""The authors' CSV files: one for each topic, columns by name.
+"""CSV files, one for each stream or one for poses and commands.
 
-A file is named after its topic (``/drone/control`` is in ``drone_control.csv``), a column after its
-field in the message, and ``log_time_ns`` is the recorder's clock.
+The authors' are named after their topics (``/drone/control`` is in ``drone_control.csv``), their
+columns after the fields in the message, and ``log_time_ns`` is the recorder's clock. Of other files
+a mapping names the columns; exports of motion capture programs are recognised.
 """
 
 from __future__ import annotations
@@ -10,61 +11,149 @@ import csv
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Int64, Shaped
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import csv_rows
-from airpuck.recording.files import listing, new_folder, one_line, sha256
+from airpuck.recording.conversion import SECOND_NS
+from airpuck.recording.csv_table import Table, plain_table, read_rows
+from airpuck.recording.files import listing, new_folder, sha256
+from airpuck.recording.mapping import (
+    CommandMapping,
+    Orientation,
+    PoseMapping,
+    RecordingMapping,
+    Topics,
+)
 from airpuck.recording.message import PATHS, columns_of
-from airpuck.recording.stream import COLUMNS, SECOND_NS, Recording, Stream, Topics
+from airpuck.recording.motion_capture_export import is_export, read_export
+from airpuck.recording.stream import (
+    COLUMNS,
+    Recording,
+    Stream,
+    command_stream,
+    left_out,
+    pose_stream,
+)
 
+#: Endings of CSV files.
+TABLES = (".csv", ".tsv")
 _RECEIVED = "log_time_ns"
 _SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _FRAME = "header.frame_id"
+_POSITION = PATHS["pose"]["geometry_msgs/msg/PoseStamped"][:2]
 _YAW = "pose.orientation.yaw"
 _QUATERNION = tuple(f"pose.orientation.{axis}" for axis in "wxyz")
 #: int64 nanoseconds end in the year 2262.
 _LATEST_SECOND = 2**63 // SECOND_NS - 1
+#: What to write where columns are not the authors'.
+_TO_WRITE = {
+    "pose": 'time = "...", position = ["...", "..."], orientation = "..."',
+    "command": 'time = "...", values = ["...", ...]',
+}
 
 
-def is_csv_folder(path: Path) -> bool:
+def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
     """Return whether a folder holds the CSV files of a recording."""
-    return bool(_candidates(path, "pose") or _candidates(path, "command"))
+    return any(_candidates(path, stream, mapping) for stream in ("pose", "command"))
 
 
-def _candidates(folder: Path, stream: str) -> list[Path]:
-    """Find the files that may hold a pose or a command, by their names."""
+def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Path]:
+    """Find the files that may hold a pose or a command: as the mapping says, or by their names."""
+    named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
+    of_topic = folder / _file_name(mapping.topics.by_stream[stream])
+    for path in (folder / named if named else None, of_topic):
+        if path is not None and path.is_file():
+            return [path]
     pattern = {"pose": "*pose*.csv", "command": "*control*.csv"}.get(stream)
-    found = folder.glob(pattern) if pattern else ()
-    return sorted(file for file in found if file.is_file() and "state_ref" not in file.name)
+    if pattern is None or named:
+        return []
+    found = {file for file in folder.glob(pattern) if "state_ref" not in file.name}
+    if stream == "pose" and not found:
+        found = {file for file in folder.iterdir() if file.suffix in TABLES and file.is_file()}
+        found = {file for file in found if is_export(file)}
+    return sorted(file for file in found if file.is_file())
 
 
-def read_csv_folder(folder: Path, topics: Topics) -> Recording:
-    """Read a folder with the authors' CSV files."""
+def read_csv(folder: Path, mapping: RecordingMapping, single: Path | None) -> Recording:
+    """Read a folder with CSV files, or a `single` one in it that holds poses and commands."""
     streams: dict[str, Stream] = {}
     hashes: dict[str, str] = {}
     warnings: list[str] = []
-    for stream, topic in topics.by_stream.items():
-        path = folder / _file_name(topic)
-        candidates = [path] if path.is_file() else _candidates(folder, stream)
-        if len(candidates) > 1:
-            names = listing(file.name for file in candidates)
+    problems: list[InputError] = []
+    if single is not None and not is_export(single):
+        _require_columns(single, mapping)
+    for stream in mapping.topics.by_stream:
+        path = None
+        try:
+            path = _file_of(stream, folder, mapping, single)
+            if path is None:
+                continue
+            streams[stream], said = _stream(stream, path, mapping)
+            hashes[path.name] = sha256(path)
+            warnings += said
+        except InputError as error:
+            file = error.file or path
+            problems.append(InputError(error.problem, file=file, field=error.field))
+    if len(problems) == 1:
+        raise problems[0]
+    if problems:
+        raise InputError("; ".join(str(problem) for problem in problems))
+    return Recording(streams, str(single or folder), hashes, tuple(dict.fromkeys(warnings)))
+
+
+def _require_columns(single: Path, mapping: RecordingMapping) -> None:
+    """Refuse one file of which nothing is known."""
+    if not mapping.model_fields_set - {"topics"}:
+        written = " and ".join(f"{stream} = {{{keys}}}" for stream, keys in _TO_WRITE.items())
+        found = listing(plain_table(read_rows(single)).columns)
+        raise InputError(
+            "is one CSV file; give the folder that holds one for each stream, or name its columns "
+            f"in a file for --mapping: {written} out of {found}",
+            file=single,
+        )
+
+
+def _file_of(
+    stream: str, folder: Path, mapping: RecordingMapping, single: Path | None
+) -> Path | None:
+    """Find the file of a stream; None where there is none and none is needed."""
+    named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
+    if single is not None and not named:
+        if stream == "command" and is_export(single):
             raise InputError(
-                f"holds several files that may be the {stream} ({names}); keep one", file=folder
+                "holds poses only; name the file of the commands in a file for --mapping: "
+                f'command = {{file = "...", {_TO_WRITE["command"]}}}',
+                file=single,
             )
-        if candidates:
-            table = _read_table(candidates[0])
-            streams[stream] = _stream(stream, table)
-            hashes[table.path.name] = sha256(table.path)
-            warnings += table.warnings
-        elif topics.required(stream):
-            raise InputError(f"has no {stream} file ({path.name} or the like)", file=folder)
-    return Recording(streams, str(folder), hashes, tuple(warnings))
+        return single if stream in _TO_WRITE else None
+    candidates = _candidates(folder, stream, mapping)
+    if len(candidates) > 1:
+        names = listing(file.name for file in candidates)
+        raise InputError(
+            f"holds several files that may be the {stream} ({names}); keep one, or name it in a "
+            f'file for --mapping: {stream} = {{file = "{candidates[0].name}"}}',
+            file=folder,
+        )
+    if candidates:
+        return candidates[0]
+    if named or mapping.topics.required(stream):
+        usual = named or _file_name(mapping.topics.by_stream[stream])
+        there = listing(sorted(file.name for file in folder.iterdir() if file.suffix in TABLES))
+        hint = _TO_WRITE.get(stream)
+        raise InputError(
+            f"has no {stream} file ({usual}{'' if named else ' or the like'})"
+            + (
+                f"; name it in a file for --mapping: {stream} = {{file = "
+                f'"...", {hint}}} out of {there}'
+                if hint
+                else ""
+            ),
+            file=folder,
+        )
+    return None
 
 
 def _file_name(topic: str) -> str:
@@ -72,102 +161,99 @@ def _file_name(topic: str) -> str:
     return f"{topic.strip('/').replace('/', '_')}.csv"
 
 
-@dataclass(frozen=True)
-class _Table:
-    """A CSV file as text."""
-
-    path: Path
-    columns: dict[str, Sequence[str]]
-    #: Number of each row's line.
-    lines: list[int]
-    warnings: tuple[str, ...]
-
-    def numbers(self, name: str, kind: type[float] | type[int] = float) -> Any:
-        """Return a column as float64, or exactly as int64; NaN and infinity may be logged."""
-        if name not in self.columns:
-            raise InputError(
-                f"there is no such column (there are {listing(self.columns)})",
-                file=self.path,
-                field=name,
-            )
-        texts, numbers = self.columns[name], []
-        try:
-            for text in texts:
-                numbers.append(kind(text))
-            return np.array(numbers, dtype=np.float64 if kind is float else np.int64)
-        except ValueError:
-            line, text = self.lines[len(numbers)], one_line(repr(texts[len(numbers)]))
-            noun = "number" if kind is float else "whole number"
-            problem = f"line {line}: {text} is not a {noun}"
-        except OverflowError:
-            problem = "holds a number beyond 64 bits; times are in nanoseconds"
-        raise InputError(problem, file=self.path, field=one_line(name))
-
-
-def _read_table(path: Path) -> _Table:
-    """Split a CSV file into columns of text."""
-    numbered = list(csv_rows(path))
-    if not numbered:
-        raise InputError("is empty", file=path)
-    (_, names), *numbered = numbered
-    header = [name.strip() for name in names]
-    twice = [name for name, count in Counter(header).items() if count > 1]
-    if twice:
-        raise InputError(
-            "there are two columns of this name", file=path, field=one_line(twice[0]) or None
-        )
-    warnings: tuple[str, ...] = ()
-    # A recorder that was killed leaves half a line at the end.
-    if numbered and len(numbered[-1][1]) < len(header) and not _ends_a_line(path):
-        line, _ = numbered.pop()
-        warnings = (f"{path.name} is cut short: its last line ({line}) is not whole and left out",)
-    for line, row in numbered:
-        if len(row) != len(header):
-            raise InputError(
-                f"line {line} has {len(row)} fields, the header has {len(header)}", file=path
-            )
-    columns = zip(*(row for _, row in numbered), strict=True) if numbered else ((),) * len(header)
-    lines = [line for line, _ in numbered]
-    return _Table(path, dict(zip(header, columns, strict=True)), lines, warnings)
-
-
-def _ends_a_line(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read() == b"\n"
-
-
-def _stream(stream: str, table: _Table) -> Stream:
-    """Pick a stream's columns."""
-    stamp, received = _times(table)
-    names = _motors(table) if stream == "command" else _names(stream, table)
-    values = columns_of(stream, [table.numbers(name) for name in names])
-    return Stream(stamp, received, values, COLUMNS.get(stream, names))
-
-
-def _names(stream: str, table: _Table) -> tuple[str, ...]:
-    """Return the CSV columns that hold a stream, by the first message type that they fit."""
-    types = list(PATHS[stream].values())
+def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream, tuple[str, ...]]:
+    """Read a stream out of a file, and say what was left out."""
+    rows = read_rows(path)
     if stream == "pose":
-        # The authors' conversion added the yaw; a plain one leaves the quaternion alone.
-        quaternion = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
-        return types[0] if quaternion else (*types[0][:2], _YAW)
-    return next((names for names in types if set(names).issubset(table.columns)), types[0])
+        exported = read_export(rows, mapping.pose.body)
+        table, usual = exported or (plain_table(rows), {})
+        return _poses(table, mapping.pose.with_defaults(**usual))
+    table = plain_table(rows)
+    if stream == "command":
+        return _commands(table, mapping.command)
+    types = list(PATHS[stream].values())
+    names = next((names for names in types if set(names).issubset(table.columns)), types[0])
+    stamp, received = _times(table)
+    values = columns_of(stream, [table.numbers(name) for name in names])
+    return Stream(stamp, received, values, COLUMNS[stream]), table.warnings
 
 
-def _motors(table: _Table) -> tuple[str, ...]:
-    """Return the command's columns: those called motor..., else all but times and frames."""
-    others = [
-        name for name in table.columns if name != _RECEIVED and not name.startswith("header.")
-    ]
-    if not others:
+def _poses(table: Table, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]:
+    """Pick the columns of poses: those that the mapping names, or the authors'."""
+    # The authors' conversion added the yaw; a plain one leaves the quaternion alone.
+    plain = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
+    usual = Orientation("quaternion", _QUATERNION[1:] + _QUATERNION[:1])
+    position = mapping.position or _POSITION
+    orientation = mapping.orientation or (usual if plain else Orientation("yaw", (_YAW,)))
+    names = (*position, *orientation.columns)
+    _require("pose", table, names, mapping)
+    table, blank = table.without_blank(names)
+    time, received = _own_times(table, mapping)
+    values = np.stack([table.numbers(name) for name in names], axis=1)
+    if orientation.kind in ("quaternion", "matrix"):
+        # No rotation, but what some programs write where they lost the body.
+        kept = values[:, len(position) :].any(axis=1)
+        blank += int((~kept).sum())
+        time, values = time[kept], values[kept]
+        received = None if received is None else received[kept]
+    parts = values[:, : len(position)], values[:, len(position) :]
+    made = pose_stream(time, *parts, orientation.kind, mapping, received)
+    return made, table.warnings + left_out("poses", blank)
+
+
+def _commands(table: Table, mapping: CommandMapping) -> tuple[Stream, tuple[str, ...]]:
+    """Pick the columns of commands: as the mapping says, or the authors' motors."""
+    names = mapping.values
+    if not names and set(mapping.propellers).issubset(table.columns):
+        names = mapping.propellers
+    if not names:
+        others = [
+            name
+            for name in table.columns
+            if name not in (_RECEIVED, mapping.time) and not name.startswith("header.")
+        ]
+        names = tuple([name for name in others if name.startswith("motor")] or others)
+    _require("command", table, names, mapping)
+    if not names:
         raise InputError(
             f"has no column of a motor (it has {listing(table.columns)})", file=table.path
         )
-    return tuple([name for name in others if name.startswith("motor")] or others)
+    table, blank = table.without_blank(names)
+    time, received = _own_times(table, mapping)
+    values = np.stack([table.numbers(name) for name in names], axis=1)
+    made = command_stream(time, values, names, mapping, received)
+    return made, table.warnings + left_out("commands", blank)
 
 
-def _times(table: _Table) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
+def _require(
+    stream: str, table: Table, names: Sequence[str], mapping: PoseMapping | CommandMapping
+) -> None:
+    """Refuse a file without the columns that are needed: name all of them, and what to write."""
+    times = (mapping.time,) if mapping.time else ()
+    if not times and _RECEIVED not in table.columns:
+        times = (_SECONDS, _NANOSECONDS)
+    missing = [name for name in (*times, *names) if name not in table.columns]
+    if missing:
+        raise InputError(
+            f"there is no such column; name columns in a file for --mapping: {stream} = "
+            f"{{{_TO_WRITE[stream]}}} out of {listing(table.columns)}",
+            file=table.path,
+            field=", ".join(missing),
+        )
+
+
+def _own_times(
+    table: Table, mapping: PoseMapping | CommandMapping
+) -> tuple[Shaped[np.ndarray, " N"], Int64[np.ndarray, " N"] | None]:
+    """Return times as the mapping says, and those of arrival where the authors' recorder was."""
+    if mapping.time:
+        exact = mapping.size("time") == 1 / SECOND_NS
+        return table.numbers(mapping.time, int if exact else float), None
+    stamp, received = _times(table)
+    return stamp.astype("datetime64[ns]"), received
+
+
+def _times(table: Table) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
     """Return header stamps and recorder times; either stands in where the other is missing."""
     if _RECEIVED in table.columns and _SECONDS not in table.columns:
         received = table.numbers(_RECEIVED, int)

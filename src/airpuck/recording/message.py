@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int64
 
-from airpuck.recording.cdr import FLOAT64, Field, Types, encode, flatten, layout_of, typestore
+from airpuck.recording.cdr import Field, Types, encode, flatten, layout_of, typestore
+from airpuck.recording.conversion import SECOND_NS, yaw_of
 from airpuck.recording.definition import parse_definition
-from airpuck.recording.stream import COLUMNS, SECOND_NS
+from airpuck.recording.stream import COLUMNS
 
 HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
 HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
@@ -41,15 +42,15 @@ def _fields(*parents: str, of: str) -> tuple[str, ...]:
 
 
 def _pose(translation: str, rotation: str) -> tuple[str, ...]:
-    return _fields(translation, of="x y") + _fields(rotation, of="x y z w")
+    return _fields(translation, of="x y z") + _fields(rotation, of="x y z w")
 
 
 _POSE_WITHIN = _pose("pose.pose.position", "pose.pose.orientation")
 _STATE = _fields("", of="x y yaw v_x v_y w_z")
 _STAMPED_STATE = _fields("state_msg", of="x y yaw v_x v_y w_z")
 
-#: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, quaternion.
-#: The first type is the one that is written. Commands are of any type with one float64 per motor.
+#: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, z, quaternion.
+#: The first type is the one that is written. Commands may be of any type.
 PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         "pose": {
@@ -59,6 +60,7 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
             "geometry_msgs/msg/TransformStamped": _pose(
                 "transform.translation", "transform.rotation"
             ),
+            "geometry_msgs/msg/Pose": _pose("position", "orientation"),
         },
         "reference": {
             "holohover_msgs/msg/HolohoverState": _STATE,
@@ -79,8 +81,6 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
 _FRAMES = {"command": "body", "imu": "body", "mouse": "body"}
 
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
-#: A quaternion whose squared norm is this close to one is taken as it is.
-_UNIT = 1e-3
 
 
 def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Types:
@@ -98,47 +98,17 @@ def _known_types() -> Types:
     return MappingProxyType(types)
 
 
-def motors_of(fields: Sequence[Field]) -> tuple[str, ...]:
-    """Return the motor columns of a command message; none where it is no command."""
-    header, rest = fields[:3], fields[3:]
-    stamped = tuple(field.path for field in header) == (*_STAMP, "header.frame_id")
-    if not stamped or any(field.code != FLOAT64 for field in rest):
-        return ()
-    return tuple(field.path for field in rest)
-
-
 def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
     """Return the fields of the time stamp, if there are any."""
     return _STAMP if {field.path for field in fields}.issuperset(_STAMP) else ()
 
 
-def accepted(stream: str) -> str:
-    """List the message types that hold a stream."""
-    if stream == "command":
-        return "a message of std_msgs/msg/Header header, then one float64 for each motor"
-    return " or ".join(PATHS[stream])
-
-
 def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[np.ndarray, "N k"]:
     """Turn a message's fields, in the order of `PATHS`, into the stream's columns."""
     if stream == "pose" and len(values) > len(COLUMNS["pose"]):
-        x, y, *quaternion = values
+        x, y, _, *quaternion = values
         values = (x, y, yaw_of(*quaternion))
     return np.stack(values, axis=1, dtype=np.float64)
-
-
-def yaw_of(
-    x: Float[np.ndarray, " N"],
-    y: Float[np.ndarray, " N"],
-    z: Float[np.ndarray, " N"],
-    w: Float[np.ndarray, " N"],
-) -> Float[np.ndarray, " N"]:
-    """Return the rotation of quaternions about the vertical axis [rad]."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        square = x * x + y * y + z * z + w * w
-        # Unit up to single precision: taken as it is, as the authors' conversion does.
-        double = np.where(np.abs(square - 1) < _UNIT, 2.0, 2.0 / square)
-        return np.arctan2(double * (w * z + x * y), 1 - double * (y * y + z * z))
 
 
 def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:
@@ -235,7 +205,7 @@ class StreamCodec:
         if self._stream == "pose":
             x, y, yaw = columns
             level = np.zeros(len(yaw))
-            columns = (x, y, level, level, np.sin(yaw / 2), np.cos(yaw / 2))
+            columns = (x, y, level, level, level, np.sin(yaw / 2), np.cos(yaw / 2))
         numbers = dict(zip(self._paths, columns, strict=True))
         if self._stamps:
             numbers.update(zip(self._stamps, np.divmod(stamp_ns, SECOND_NS), strict=True))

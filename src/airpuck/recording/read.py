@@ -7,31 +7,42 @@ from pathlib import Path
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.bag import METADATA, is_bag, read_bag
-from airpuck.recording.csv_folder import is_csv_folder, read_csv_folder
+from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
 from airpuck.recording.files import listing
-from airpuck.recording.stream import Recording, Topics
+from airpuck.recording.mapping import RecordingMapping, Topics
+from airpuck.recording.stream import Recording
 
-_FORMS = "a rosbag2 folder, an .mcap or .db3 file, or a folder of CSV files"
+_FORMS = "a rosbag2 folder, an .mcap or .db3 file, a CSV file or a folder of CSV files"
 
 
-def read_recording(path: str | os.PathLike[str], *, topics: Topics | None = None) -> Recording:
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    mapping: RecordingMapping | None = None,
+    topics: Topics | None = None,
+) -> Recording:
     """Read a recording as it was logged.
 
     Parameters
     ----------
     path : path-like
-        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, or a folder of the authors'
-        CSV files. A folder that holds one such folder stands for it. Where a folder holds a bag and
-        CSV files, the bag is read, because the CSV files were made from it.
+        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a CSV file, or a folder of
+        CSV files: the authors', exports of Motive or Qualisys, or any that the mapping describes. A
+        folder that holds one such folder stands for it. Where a folder holds a bag and CSV files,
+        the bag is read, because the CSV files were made from it.
+    mapping : RecordingMapping, optional
+        Topics, files, columns, units and axes (`read_mapping`); by default those of the authors'
+        table.
     topics : Topics, optional
-        Where the streams are; by default on the topics of the authors' table.
+        Short for a mapping that only names topics.
 
     Returns
     -------
     Recording
-        At least a pose and a command stream. Nothing is judged, sorted, unwrapped or left out, but
-        a bag's messages are in the order of the recorder's clock. Of a damaged .mcap every whole
-        chunk is there, and a warning says how far it reaches.
+        At least a pose and a command stream, SI units, in our axes. Nothing is judged, sorted or
+        unwrapped, but a bag's messages are in the order of the recorder's clock. Of a damaged .mcap
+        every whole chunk is there, and a warning says how far it reaches. Where the mapping or an
+        export leaves rows blank, they are left out, and a warning says how many.
 
     Raises
     ------
@@ -44,12 +55,14 @@ def read_recording(path: str | os.PathLike[str], *, topics: Topics | None = None
     >>> recording["pose"].columns  # doctest: +SKIP
     ('x_m', 'y_m', 'yaw_rad')
     """
-    topics = topics or Topics()
+    mapping = mapping or RecordingMapping(topics=topics or Topics())
     found = Path(path)
     try:
         if found.is_dir():
-            found = _resolve(found)
-            return read_bag(found, topics) if is_bag(found) else read_csv_folder(found, topics)
+            found = _resolve(found, mapping)
+            if is_bag(found):
+                return read_bag(found, mapping)
+            return read_csv(found, mapping, None)
         if not found.exists():
             raise InputError("there is no such file or folder", file=path)
         if not found.is_file():
@@ -57,20 +70,24 @@ def read_recording(path: str | os.PathLike[str], *, topics: Topics | None = None
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if is_bag(found):
-        return read_bag(found, topics)
-    if found.suffix == ".csv":
-        raise InputError("is one of several CSV files; give the folder that holds it", file=path)
+        return read_bag(found, mapping)
+    if found.suffix in TABLES:
+        return read_csv(found.parent, mapping, found)
     if found.suffix in (".npz", ".pt"):
         raise InputError("is preprocessed already; no recording is left in it", file=path)
     raise InputError(f"is no recording; give {_FORMS}", file=path)
 
 
-def _resolve(folder: Path) -> Path:
+def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
     """Return the folder that holds the recording: this one, or the only one inside that does."""
-    if is_bag(folder) or is_csv_folder(folder):
+
+    def holds_one(place: Path) -> bool:
+        return is_bag(place) or is_csv_folder(place, mapping)
+
+    if holds_one(folder):
         return folder
     inside = sorted(entry for entry in folder.iterdir() if entry.is_dir())
-    candidates = [entry for entry in inside if is_bag(entry) or is_csv_folder(entry)]
+    candidates = [entry for entry in inside if holds_one(entry)]
     if len(candidates) == 1:
         return candidates[0]
     if candidates:
@@ -80,4 +97,6 @@ def _resolve(folder: Path) -> Path:
         raise InputError(
             "its storage file is missing: metadata.yaml is there, but no .mcap or .db3", file=folder
         )
+    if any(entry.suffix in TABLES for entry in folder.iterdir()):
+        return folder
     raise InputError(f"holds no recording; give {_FORMS}", file=folder)

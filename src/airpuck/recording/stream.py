@@ -1,21 +1,25 @@
-"""A recording: the streams a lab logged, exactly as they were logged, and their topics."""
+"""A recording: the streams a lab logged, as they were logged."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Annotated
 
 import numpy as np
-import pydantic
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Shaped
+from numpy.typing import ArrayLike
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml
+from airpuck.craft.vehicle import unnamed_columns
+from airpuck.recording.conversion import (
+    commands_of,
+    poses_of,
+    propellers_of,
+    stamps_of,
+)
+from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
 
-SECOND_NS = 10**9
 #: Columns of the streams whose meaning is fixed. A command's columns are the propellers' names.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -36,11 +40,11 @@ class Stream:
     ----------
     stamp_ns : array of int64, shape (N,)
         Time in each message's header [ns since the epoch]. Where messages carry none, the
-        recorder's time.
+        recorder's time; then a warning says so.
     received_ns : array of int64, shape (N,)
         The recorder's time of arrival [ns since the epoch].
     values : array of float64, shape (N, k)
-        The numbers, SI units.
+        The numbers, SI units, in our axes.
     columns : tuple of str
         Names of the k columns.
     """
@@ -98,6 +102,77 @@ class Recording:
     hashes: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        poses: ArrayLike,
+        command_time: ArrayLike,
+        commands: ArrayLike,
+        *,
+        propellers: Sequence[str] = (),
+        mapping: RecordingMapping | None = None,
+        source: str = "arrays",
+    ) -> Recording:
+        """Make a recording of arrays, or of columns of a data frame.
+
+        Parameters
+        ----------
+        time : array-like, shape (N,)
+            Times of the poses: seconds, or NumPy's dates.
+        poses : array-like, shape (N, 3) or (N, 7)
+            x, y [m] and yaw [rad]; or x, y, z [m] and a quaternion x, y, z, w.
+        command_time : array-like, shape (K,)
+            Times of the commands, on the same clock.
+        commands : array-like, shape (K, n)
+            A command in [0, 1] for each propeller.
+        propellers : sequence of str, optional
+            Which propeller each column drives; by default they are in the order of the vehicle.
+        mapping : RecordingMapping, optional
+            Units, axes, scale and offset, where numbers are not SI; names in it do not matter.
+        source : str, optional
+            What messages call the recording.
+
+        Returns
+        -------
+        Recording
+            Poses and commands; rows without any number are left out, and a warning says how many.
+
+        Raises
+        ------
+        InputError
+            If arrays do not fit together or are not numbers.
+
+        Examples
+        --------
+        >>> t = np.arange(0.0, 1.0, 0.01)
+        >>> poses = np.column_stack([1000 * t, 0 * t, 90 * t])
+        >>> mapping = RecordingMapping(pose=PoseMapping(units=("mm", "deg")))
+        >>> recording = Recording.from_arrays(t, poses, t, np.ones((100, 4)), mapping=mapping)
+        >>> recording["pose"].values[50].round(3).tolist()
+        [0.5, 0.0, 0.785]
+        """
+        mapping = mapping or RecordingMapping()
+        known = {"propellers": tuple(propellers)} if propellers else {}
+        stamps, pose, lost = _table("poses", time, poses, source)
+        command_stamps, command, gone = _table("commands", command_time, commands, source)
+        if pose.shape[1] not in (3, 7):
+            problem = f"has {pose.shape[1]} columns; give x, y, yaw or x, y, z and a quaternion"
+            raise InputError(problem, file=source, field="poses")
+        axes = 2 if pose.shape[1] == 3 else 3
+        kind = "yaw" if axes == 2 else "quaternion"
+        try:
+            made = pose_stream(stamps, pose[:, :axes], pose[:, axes:], kind, mapping.pose)
+            commanded = command_stream(
+                command_stamps,
+                command,
+                unnamed_columns(command.shape[1]),
+                mapping.command.model_copy(update=known),
+            )
+        except InputError as error:
+            raise InputError(error.problem, file=source, field=error.field) from error
+        return cls({"pose": made, "command": commanded}, source, warnings=lost + gone)
+
     def __repr__(self) -> str:
         streams = ", ".join(f"{name}: {len(stream)}" for name, stream in self.streams.items())
         return f"Recording({self.source!r}, {{{streams}}})"
@@ -115,69 +190,54 @@ class Recording:
         return stream
 
 
-TopicName = Annotated[str, pydantic.Field(pattern=r"^/[^\s]+$")]
+def _table(
+    name: str, time: ArrayLike, values: ArrayLike, source: str
+) -> tuple[Shaped[np.ndarray, " N"], Float[np.ndarray, "N k"], tuple[str, ...]]:
+    """Return times and numbers that fit together, without rows of NaN, and how many these were."""
+    try:
+        stamps, numbers = np.asarray(time), np.asarray(values, dtype=np.float64)
+        if stamps.dtype.kind not in "iufMm":
+            stamps = stamps.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("are not numbers", file=source, field=name) from error
+    if numbers.ndim != 2 or stamps.shape != numbers.shape[:1]:
+        raise InputError(
+            f"have the shape {numbers.shape} and their times {stamps.shape}; give a row for each "
+            "time",
+            file=source,
+            field=name,
+        )
+    kept = ~np.isnan(numbers).all(axis=1)
+    return stamps[kept], numbers[kept], left_out(name, int((~kept).sum()))
 
 
-class Topics(Section):
-    """Topic names; the defaults are those of the authors' table.
-
-    A stream whose topic is not in the bag is left out, unless it is a pose or a command, or the
-    topic was named by the user: then it is an error.
-
-    Attributes
-    ----------
-    pose : str
-        Motion capture: ``geometry_msgs/msg/PoseStamped`` or another stamped pose.
-    command : str
-        Motor commands: a header, then one float64 for each motor.
-    reference : str
-        What the craft was asked to do.
-    estimate : str
-        The state estimated on line.
-    imu, mouse : str
-        On-board sensors.
-    """
-
-    pose: TopicName = "/optitrack/drone/pose"
-    command: TopicName = "/drone/control"
-    reference: TopicName = "/control/state_ref"
-    estimate: TopicName = "/navigation/state"
-    imu: TopicName = "/drone/imu"
-    mouse: TopicName = "/drone/mouse"
-
-    @pydantic.model_validator(mode="after")
-    def _distinct(self) -> Topics:
-        names = list(self.by_stream.values())
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"{name} is named for two streams")
-        return self
-
-    @property
-    def by_stream(self) -> dict[str, str]:
-        """Stream name -> topic name."""
-        return self.model_dump()
-
-    def required(self, stream: str) -> bool:
-        """Return whether a bag must have this stream.
-
-        Parameters
-        ----------
-        stream : str
-            A stream's name.
-
-        Returns
-        -------
-        bool
-            True for poses, commands and every topic that was named explicitly.
-        """
-        return stream in ("pose", "command") or stream in self.model_fields_set
+def pose_stream(
+    time: Shaped[np.ndarray, " N"],
+    position: Float[np.ndarray, "N d"],
+    orientation: Float[np.ndarray, "N k"],
+    kind: str,
+    mapping: PoseMapping,
+    received: Int64[np.ndarray, " N"] | None = None,
+) -> Stream:
+    """Return poses in our units and axes."""
+    values = poses_of(position, orientation, kind, mapping)
+    stamps = stamps_of(time, mapping)
+    return Stream(stamps, stamps if received is None else received, values, COLUMNS["pose"])
 
 
-class _TopicsFile(Section):
-    topics: Topics = Topics()
+def command_stream(
+    time: Shaped[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    names: tuple[str, ...],
+    mapping: CommandMapping,
+    received: Int64[np.ndarray, " N"] | None = None,
+) -> Stream:
+    """Return commands as fractions of full command."""
+    stamps, commands = stamps_of(time, mapping), commands_of(values, mapping)
+    arrived = stamps if received is None else received
+    return Stream(stamps, arrived, commands, propellers_of(names, mapping))
 
 
-def read_topics(path: str | os.PathLike[str]) -> Topics:
-    """Read topic names from the ``[topics]`` section of a TOML file."""
-    return read_toml(path, _TopicsFile).topics
+def left_out(name: str, missing: int) -> tuple[str, ...]:
+    """Say how many rows held nothing: where tracking is lost, exports have blank cells."""
+    return (f"{missing} blank {name} are left out",) if missing else ()

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.stream import Topics, read_topics
+from airpuck.recording.mapping import Topics, read_mapping
 
 
 def test_names_given_replace_the_defaults(tmp_path: Path):
     (tmp_path / "t.toml").write_text('[topics]\npose = "/mocap/puck"\n')
-    topics = read_topics(tmp_path / "t.toml")
+    topics = read_mapping(tmp_path / "t.toml").topics
     assert topics.pose == "/mocap/puck"
     assert topics.command == "/drone/control"
     assert topics.by_stream["imu"] == "/drone/imu"
@@ -18,7 +18,7 @@ def test_names_given_replace_the_defaults(tmp_path: Path):
 
 def test_no_section_is_the_defaults(tmp_path: Path):
     (tmp_path / "t.toml").write_text("")
-    assert read_topics(tmp_path / "t.toml") == Topics()
+    assert read_mapping(tmp_path / "t.toml").topics == Topics()
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_no_section_is_the_defaults(tmp_path: Path):
 def test_mistakes(tmp_path: Path, text: str, says: str):
     (tmp_path / "t.toml").write_text(text)
     with pytest.raises(InputError, match=says):
-        read_topics(tmp_path / "t.toml")
+        read_mapping(tmp_path / "t.toml")
 
 
 def test_a_topic_is_required_once_it_is_named():

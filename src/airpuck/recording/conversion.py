@@ -1,0 +1,134 @@
+"""A lab's numbers become ours: seconds, metres, the yaw, fractions of full command."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int64, Shaped
+
+from airpuck.boundary.errors import InputError
+from airpuck.recording.mapping import CommandMapping, PoseMapping
+
+SECOND_NS = 10**9
+#: A quaternion whose squared norm is this close to one is taken as it is.
+_UNIT = 1e-3
+#: Numbers of a rotation matrix are exported with five digits or more.
+_ORTHOGONAL = 1e-2
+#: By so much scale and offset may leave a command outside [0, 1].
+_ROUNDING = 1e-9
+
+
+def stamps_of(
+    time: Shaped[np.ndarray, " N"], mapping: PoseMapping | CommandMapping
+) -> Int64[np.ndarray, " N"]:
+    """Return times [ns]; whole numbers and NumPy's dates are exact."""
+    if time.dtype.kind in "Mm":
+        missing, whole = np.isnat(time), time.astype(f"{time.dtype.kind}8[ns]").astype(np.int64)
+        nanoseconds = whole.astype(float)
+    else:
+        missing = ~np.isfinite(time)
+        unit = mapping.size("time")
+        nanoseconds = np.where(missing, 0.0, time) * (unit * SECOND_NS)
+        whole = time * round(unit * SECOND_NS) if time.dtype.kind in "iu" else None
+    if missing.any():
+        row = int(np.argmax(missing)) + 1
+        raise InputError(f"row {row} has no time; remove it", field="time")
+    nanoseconds += mapping.start_s * SECOND_NS
+    if len(time) and np.abs(nanoseconds).max() >= 2**63:
+        latest = np.abs(nanoseconds).max() / SECOND_NS
+        raise InputError(
+            f'reaches {latest:.3g} s, which no clock shows; name its unit, as in units = ["ns"]',
+            field="time",
+        )
+    if whole is None:
+        return np.round(nanoseconds).astype(np.int64)
+    return whole.astype(np.int64) + round(mapping.start_s * SECOND_NS)
+
+
+def poses_of(
+    position: Float[np.ndarray, "N d"],
+    orientation: Float[np.ndarray, "N k"],
+    kind: str,
+    mapping: PoseMapping,
+) -> Float[np.ndarray, "N 3"]:
+    """Return x, y [m] and yaw [rad] in our axes; `kind` as in `Orientation`."""
+    index, sign = mapping.permutation
+    if index[:2].max() >= position.shape[1]:
+        raise InputError(
+            "has two coordinates, and axes needs the third; name three", field="pose.position"
+        )
+    horizontal = position[:, index[:2]] * sign[:2] * mapping.size("length")
+    # Renaming the axes of table and craft turns the axis of a rotation, but not its angle.
+    if kind == "yaw":
+        yaw = orientation[:, 0] * (mapping.size("angle") * sign[2])
+    elif kind == "quaternion":
+        x, y, z = (orientation[:, index] * sign).T
+        yaw = yaw_of(x, y, z, orientation[:, 3])
+    else:
+        matrix = _matrices(orientation, kind, mapping.size("angle"))
+        forward = matrix[:, index, index[0]] * sign * sign[0]
+        yaw = np.arctan2(forward[:, 1], forward[:, 0])
+    return np.column_stack([horizontal, yaw])
+
+
+def _matrices(
+    orientation: Float[np.ndarray, "N k"], kind: str, angle: float
+) -> Float[np.ndarray, "N 3 3"]:
+    """Return rotation matrices, given as such or as Euler angles."""
+    if kind == "matrix":
+        found = orientation.reshape(-1, 3, 3)
+        finite = found[np.isfinite(orientation).all(axis=1)]
+        off = np.abs(finite @ finite.transpose(0, 2, 1) - np.eye(3))
+        if (off > _ORTHOGONAL).any() or (np.linalg.det(finite) < 0).any():
+            raise InputError("the nine columns are no rotation matrix", field="pose.orientation")
+        return found
+    parts = [_about(axis, orientation[:, k] * angle) for k, axis in enumerate(kind.lower())]
+    first, second, third = parts if kind.isupper() else parts[::-1]
+    return first @ second @ third
+
+
+def _about(axis: str, angle: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 3 3"]:
+    """Return rotations about one axis."""
+    found = np.zeros((len(angle), 3, 3))
+    first = "xyz".index(axis)
+    second, third = (first + 1) % 3, (first + 2) % 3
+    found[:, first, first] = 1
+    found[:, second, second] = found[:, third, third] = np.cos(angle)
+    found[:, third, second] = np.sin(angle)
+    found[:, second, third] = -np.sin(angle)
+    return found
+
+
+def yaw_of(
+    x: Float[np.ndarray, " N"],
+    y: Float[np.ndarray, " N"],
+    z: Float[np.ndarray, " N"],
+    w: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, " N"]:
+    """Return the rotation of quaternions about the vertical axis [rad]."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        square = x * x + y * y + z * z + w * w
+        # Unit up to single precision: taken as it is, as the authors' conversion does.
+        double = np.where(np.abs(square - 1) < _UNIT, 2.0, 2.0 / square)
+        return np.arctan2(double * (w * z + x * y), 1 - double * (y * y + z * z))
+
+
+def commands_of(
+    values: Float[np.ndarray, "N k"], mapping: CommandMapping
+) -> Float[np.ndarray, "N k"]:
+    """Return fractions of full command."""
+    if (mapping.scale, mapping.offset) == (1, 0):
+        return values
+    found = mapping.scale * values + mapping.offset
+    for limit in (0.0, 1.0):
+        found[np.abs(found - limit) < _ROUNDING] = limit
+    return found
+
+
+def propellers_of(names: tuple[str, ...], mapping: CommandMapping) -> tuple[str, ...]:
+    """Return the names of a command's columns: those of the mapping, if it names any."""
+    if mapping.propellers and len(mapping.propellers) != len(names):
+        raise InputError(
+            f"names {len(mapping.propellers)} propellers for {len(names)} values",
+            field="command.propellers",
+        )
+    return mapping.propellers or names

@@ -1,0 +1,128 @@
+"""CSV files as columns of text, which become numbers when they are asked for."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import ROW_LENGTH, csv_rows
+from airpuck.recording.files import listing, one_line
+
+#: Separators of columns.
+_SEPARATORS = ",\t;"
+#: What exports write where there is no number.
+_BLANK = ("", "null")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A CSV file split into cells; empty lines are left out."""
+
+    path: Path
+    cells: list[list[str]]
+    #: Number of each row's line.
+    lines: list[int]
+    #: Whether the last line ends: a recorder that was killed leaves half a line.
+    ends: bool
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a CSV file as text."""
+
+    path: Path
+    columns: dict[str, Sequence[str]]
+    #: Number of each row's line.
+    lines: list[int]
+    warnings: tuple[str, ...]
+
+    def numbers(self, name: str, kind: type[float] | type[int] = float) -> Any:
+        """Return a column as float64, or exactly as int64; NaN and infinity may be logged."""
+        if name not in self.columns:
+            raise InputError(
+                f"there is no such column (there are {listing(self.columns)})",
+                file=self.path,
+                field=name,
+            )
+        texts, numbers = self.columns[name], []
+        try:
+            for text in texts:
+                numbers.append(kind(text))
+            return np.array(numbers, dtype=np.float64 if kind is float else np.int64)
+        except ValueError:
+            line, text = self.lines[len(numbers)], one_line(repr(texts[len(numbers)]))
+            noun = "number" if kind is float else "whole number"
+            problem = f"line {line}: {text} is not a {noun}"
+        except OverflowError:
+            problem = "holds a number beyond 64 bits; times are in nanoseconds"
+        raise InputError(problem, file=self.path, field=one_line(name))
+
+    def without_blank(self, names: Sequence[str]) -> tuple[Table, int]:
+        """Leave out rows in which all these columns are blank; return how many, too."""
+        cells = zip(*(self.columns[name] for name in names), strict=True)
+        kept = [any(text.strip().lower() not in _BLANK for text in row) for row in cells]
+        if all(kept):
+            return self, 0
+        columns = {name: list(compress(texts, kept)) for name, texts in self.columns.items()}
+        lines = list(compress(self.lines, kept))
+        return replace(self, columns=columns, lines=lines), len(kept) - len(lines)
+
+
+def read_rows(path: Path) -> Rows:
+    """Split a CSV file into cells of text."""
+    numbered = list(csv_rows(path, _separator(path)))
+    if not numbered:
+        raise InputError("is empty", file=path)
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        ends = file.read() == b"\n"
+    return Rows(path, [row for _, row in numbered], [line for line, _ in numbered], ends)
+
+
+def _separator(path: Path) -> str:
+    """Return what separates columns: what is most frequent in the first line."""
+    try:
+        with path.open("rb") as file:
+            first = file.readline(ROW_LENGTH).decode(errors="replace")
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
+    return max(_SEPARATORS, key=first.count)
+
+
+def plain_table(rows: Rows) -> Table:
+    """Return the columns of a file that has their names in its first row."""
+    header = [name.strip() for name in rows.cells[0]]
+    twice = [name for name, count in Counter(header).items() if count > 1]
+    if twice:
+        raise InputError(
+            "there are two columns of this name", file=rows.path, field=one_line(twice[0]) or None
+        )
+    return table_below(rows, 0, {name: index for index, name in enumerate(header)})
+
+
+def table_below(rows: Rows, header: int, places: dict[str, int]) -> Table:
+    """Return some columns, by name, of the rows below the header."""
+    width = len(rows.cells[header])
+    cells, lines = rows.cells[header + 1 :], rows.lines[header + 1 :]
+    warnings: tuple[str, ...] = ()
+    if cells and len(cells[-1]) < width and not rows.ends:
+        cells, lines, line = cells[:-1], lines[:-1], lines[-1]
+        warnings = (
+            f"{rows.path.name} is cut short: its last line ({line}) is not whole and left out",
+        )
+    for line, row in zip(lines, cells, strict=True):
+        if len(row) != width:
+            raise InputError(
+                f"line {line} has {len(row)} fields, the header has {width}", file=rows.path
+            )
+    columns = list(zip(*cells, strict=True)) if cells else [()] * width
+    found = {name: columns[index] for name, index in places.items()}
+    return Table(rows.path, found, lines, warnings)

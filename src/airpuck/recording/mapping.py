@@ -1,0 +1,317 @@
+"""What a lab calls its topics, files, columns and units: one TOML file for bags and CSV files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import pydantic
+from jaxtyping import Float, Int64
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_toml
+
+#: Unit -> what it measures, and its size in m, rad or s.
+UNITS = {
+    "m": ("length", 1.0),
+    "cm": ("length", 1e-2),
+    "mm": ("length", 1e-3),
+    "rad": ("angle", 1.0),
+    "deg": ("angle", np.pi / 180),
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+}
+Unit = Literal["m", "cm", "mm", "rad", "deg", "s", "ms", "us", "ns"]
+#: Our x, y, z in terms of the file's axes.
+_UP = {"Z-up": ("x", "y", "z"), "Y-up": ("x", "-z", "y")}
+
+TopicName = Annotated[str, pydantic.Field(pattern=r"^/[^\s]+$")]
+#: A column's name, or where a field is in a message.
+Name = Annotated[str, pydantic.Field(min_length=1)]
+
+
+class Topics(Section):
+    """Topic names; the defaults are those of the authors' table.
+
+    A stream whose topic is not in the bag is left out, unless it is a pose or a command, or the
+    topic was named by the user: then it is an error.
+
+    Attributes
+    ----------
+    pose : str
+        Motion capture: ``geometry_msgs/msg/PoseStamped`` or another pose.
+    command : str
+        Motor commands: a header or none, then a number for each motor.
+    reference : str
+        What the craft was asked to do.
+    estimate : str
+        The state estimated on line.
+    imu, mouse : str
+        On-board sensors.
+    """
+
+    pose: TopicName = "/optitrack/drone/pose"
+    command: TopicName = "/drone/control"
+    reference: TopicName = "/control/state_ref"
+    estimate: TopicName = "/navigation/state"
+    imu: TopicName = "/drone/imu"
+    mouse: TopicName = "/drone/mouse"
+
+    @pydantic.model_validator(mode="after")
+    def _distinct(self) -> Topics:
+        names = list(self.by_stream.values())
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{name} is named for two streams")
+        return self
+
+    @property
+    def by_stream(self) -> dict[str, str]:
+        """Stream name -> topic name."""
+        return self.model_dump()
+
+    def required(self, stream: str) -> bool:
+        """Return whether a bag must have this stream.
+
+        Parameters
+        ----------
+        stream : str
+            A stream's name.
+
+        Returns
+        -------
+        bool
+            True for poses, commands and every topic that was named explicitly.
+        """
+        return stream in ("pose", "command") or stream in self.model_fields_set
+
+
+class Orientation(NamedTuple):
+    """How an orientation is written, and in which columns or fields."""
+
+    #: ``yaw``, ``quaternion``, ``matrix``, or the order of Euler angles as in SciPy (``XYZ``).
+    kind: str
+    #: Of a quaternion x, y, z, w; of a matrix row by row.
+    columns: tuple[str, ...]
+
+
+_ORIENTATION = (
+    'is "column" (yaw), {x = "column", y = …, z = …, w = …} (quaternion), nine columns (rotation '
+    'matrix, row by row) or {XYZ = [three columns]} (Euler angles, "XYZ" about moving, "xyz" about '
+    "fixed axes)"
+)
+
+
+def _orientation(given: Any) -> Orientation:
+    """Tell how an orientation is written from its form in TOML."""
+
+    def names(found: Any, count: int) -> tuple[str, ...] | None:
+        fits = isinstance(found, list | tuple) and len(found) == count
+        return tuple(found) if fits and all(isinstance(x, str) and x for x in found) else None
+
+    kind, columns = "", None
+    if isinstance(given, str):
+        kind, columns = "yaw", names([given], 1)
+    elif isinstance(given, list | tuple):
+        kind, columns = "matrix", names(given, 9)
+    elif isinstance(given, dict) and given.keys() == set("xyzw"):
+        kind, columns = "quaternion", names([given[axis] for axis in "xyzw"], 4)
+    elif isinstance(given, dict) and len(given) == 1:
+        kind, found = next(iter(given.items()))
+        if sorted(kind.lower()) == ["x", "y", "z"] and (kind.isupper() or kind.islower()):
+            columns = names(found, 3)
+    if columns is None:
+        raise ValueError(_ORIENTATION)
+    return Orientation(kind, columns)
+
+
+class _Times(Section):
+    """What poses and commands have in common."""
+
+    file: str = ""
+    time: str = ""
+    start_s: float = 0.0
+    units: tuple[Unit, ...] = ()
+
+    @pydantic.field_validator("units")
+    @classmethod
+    def _one_of_each(cls, units: tuple[Unit, ...]) -> tuple[Unit, ...]:
+        kinds = [UNITS[unit][0] for unit in units]
+        for kind in kinds:
+            if kinds.count(kind) > 1:
+                raise ValueError(f"names two units of {kind}")
+        return units
+
+    def size(self, kind: str) -> float:
+        """Return the size of the unit of length, angle or time; by default 1 (m, rad, s)."""
+        return next((UNITS[unit][1] for unit in self.units if UNITS[unit][0] == kind), 1.0)
+
+
+class PoseMapping(_Times):
+    """Where poses are, in which units and axes.
+
+    Names are those of columns in a CSV file, or of fields in a bag's messages
+    (``pose.pose.position.x``). What is left out is as usual: in the fields of ROS's pose messages,
+    in the columns of the authors' CSV files, or where the header of a Motive or Qualisys export
+    says.
+
+    Attributes
+    ----------
+    file : str
+        CSV file, relative to the recording's folder.
+    time : str
+        Time; by default the header's stamp.
+    start_s : float
+        Added to times [s], for a clock that counts from the start of a take.
+    units : tuple of str
+        One each of ``m``, ``cm``, ``mm``; ``rad``, ``deg``; ``s``, ``ms``, ``us``, ``ns``. By
+        default m, rad and s.
+    position : tuple of str
+        Two or three coordinates.
+    orientation : Orientation, optional
+        In TOML a column (yaw), ``{x = …, y = …, z = …, w = …}`` (quaternion), nine columns
+        (rotation matrix, row by row) or ``{XYZ = […]}`` (Euler angles in SciPy's notation).
+    axes : str or tuple of str
+        ``"Z-up"``, ``"Y-up"`` (the same as ``["x", "-z", "y"]``), or our x, y, z in terms of the
+        file's axes. The craft's own axes are renamed alike. A yaw counts about the file's vertical
+        axis.
+    body : str
+        Rigid body, where an export holds several.
+    """
+
+    position: tuple[Name, ...] = ()
+    orientation: Annotated[Orientation | None, pydantic.PlainValidator(_orientation)] = None
+    axes: str | tuple[str, ...] = _UP["Z-up"]
+    body: str = ""
+
+    @pydantic.field_validator("position")
+    @classmethod
+    def _two_or_three(cls, position: tuple[str, ...]) -> tuple[str, ...]:
+        if position and len(position) not in (2, 3):
+            raise ValueError(f"names {len(position)} coordinates, not two or three")
+        return position
+
+    @pydantic.field_validator("axes", mode="plain")
+    @classmethod
+    def _right_handed(cls, axes: Any) -> tuple[str, ...]:
+        found = _UP.get(axes, axes) if isinstance(axes, str) else axes
+        letters = [str(axis).removeprefix("-") for axis in found]
+        if isinstance(found, str) or sorted(letters) != ["x", "y", "z"]:
+            raise ValueError(
+                'is "Z-up", "Y-up", or our x, y and z in terms of the file\'s axes, as in '
+                '["x", "-z", "y"]'
+            )
+        index, sign = _permutation(found)
+        if np.linalg.det(np.eye(3)[index] * sign) < 0:
+            raise ValueError(f"{list(found)} is a mirror image; turn the sign of one axis")
+        return tuple(found)
+
+    @property
+    def permutation(self) -> tuple[Int64[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Which of the file's axes our x, y, z are, and with which signs."""
+        return _permutation(self.axes)
+
+    def with_defaults(self, **usual: Any) -> PoseMapping:
+        """Fill in what was not given."""
+        given = {name: getattr(self, name) for name in self.model_fields_set}
+        if "units" in usual:
+            kinds = {UNITS[unit][0] for unit in self.units}
+            rest = tuple(unit for unit in usual["units"] if UNITS[unit][0] not in kinds)
+            given["units"] = self.units + rest
+        return self.model_copy(update={**usual, **given})
+
+
+def _permutation(
+    axes: Sequence[str],
+) -> tuple[Int64[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    index = np.array(["xyz".index(axis[-1]) for axis in axes])
+    return index, np.array([-1.0 if axis.startswith("-") else 1.0 for axis in axes])
+
+
+class CommandMapping(_Times):
+    """Where commands are, of which propellers, and how they become fractions of full command.
+
+    Attributes
+    ----------
+    file, time, start_s, units
+        As for poses; of the units only that of time matters.
+    values : tuple of str
+        A column or field for each propeller, or one field that is an array. By default all columns
+        that are not times; of a message all numbers after its header.
+    propellers : tuple of str
+        Which propeller each value drives, by the names in the vehicle file. By default what the
+        columns or fields are called; values without names are in the order of the vehicle file.
+    scale, offset : float
+        Command = scale · value + offset, which should be in [0, 1].
+    """
+
+    values: tuple[Name, ...] = ()
+    propellers: tuple[Name, ...] = ()
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> CommandMapping:
+        if self.scale == 0:
+            raise ValueError("scale: must not be 0")
+        for names in (self.values, self.propellers):
+            twice = [name for name in names if names.count(name) > 1]
+            if twice:
+                raise ValueError(f"{twice[0]} is named twice")
+        return self
+
+
+class RecordingMapping(Section):
+    """What a lab calls its topics, files, columns and units.
+
+    Attributes
+    ----------
+    topics : Topics
+        A bag's topics. Of the authors' CSV files they give the file names.
+    pose : PoseMapping
+        Poses.
+    command : CommandMapping
+        Commands.
+    """
+
+    topics: Topics = Topics()
+    pose: PoseMapping = PoseMapping()
+    command: CommandMapping = CommandMapping()
+
+
+def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
+    """Read a mapping file.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file with any of the tables ``[topics]``, ``[pose]``, ``[command]``; see
+        ``docs/your_own_craft.md``.
+
+    Returns
+    -------
+    RecordingMapping
+        The mapping.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a field is wrong.
+    """
+    return read_toml(path, RecordingMapping)
+
+
+def only_topics(mapping: RecordingMapping, path: str | os.PathLike[str]) -> Topics:
+    """Return the topics of a mapping; refuse one that also changes what messages say."""
+    others = sorted(mapping.model_fields_set - {"topics"})
+    if others:
+        raise InputError(
+            "is for recordings; a live graph takes poses in m and commands in [0, 1]",
+            file=path,
+            field=others[0],
+        )
+    return mapping.topics
