@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import os
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from airpuck.recording.mapping import (
     PoseMapping,
     RecordingMapping,
     Topics,
+    completed,
 )
 from airpuck.recording.message import PATHS, columns_of
 from airpuck.recording.motion_capture_export import is_export, read_export
@@ -167,7 +167,7 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     if stream == "pose":
         exported = read_export(rows, mapping.pose.body)
         table, usual = exported or (plain_table(rows), {})
-        return _poses(table, mapping.pose.with_defaults(**usual))
+        return _poses(table, completed(mapping.pose, usual))
     table = plain_table(rows)
     if stream == "command":
         return _commands(table, mapping.command)

@@ -215,14 +215,13 @@ class PoseMapping(_Times):
         """Which of the file's axes our x, y, z are, and with which signs."""
         return _permutation(self.axes)
 
-    def with_defaults(self, **usual: Any) -> PoseMapping:
-        """Fill in what was not given."""
-        given = {name: getattr(self, name) for name in self.model_fields_set}
-        if "units" in usual:
-            kinds = {UNITS[unit][0] for unit in self.units}
-            rest = tuple(unit for unit in usual["units"] if UNITS[unit][0] not in kinds)
-            given["units"] = self.units + rest
-        return self.model_copy(update={**usual, **given})
+
+def completed(mapping: PoseMapping, usual: dict[str, Any]) -> PoseMapping:
+    """Fill in what a mapping leaves out; of its units each by itself."""
+    given = {name: getattr(mapping, name) for name in mapping.model_fields_set}
+    kinds = {UNITS[unit][0] for unit in mapping.units}
+    rest = tuple(unit for unit in usual.get("units", ()) if UNITS[unit][0] not in kinds)
+    return mapping.model_copy(update={**usual, **given, "units": mapping.units + rest})
 
 
 def _permutation(

@@ -23,6 +23,7 @@ from airpuck.recording.conversion import (
     stamps_of,
 )
 from airpuck.recording.files import listing, one_line
+from airpuck.recording.log import TopicLog
 from airpuck.recording.mapping import (
     CommandMapping,
     Orientation,
@@ -30,7 +31,6 @@ from airpuck.recording.mapping import (
     RecordingMapping,
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
-from airpuck.recording.log import TopicLog
 from airpuck.recording.stream import COLUMNS, Stream
 
 Decoded = Mapping[str, np.ndarray]

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from airpuck.boundary.errors import InputError
+from airpuck.recording.conversion import commands_of, poses_of, stamps_of
+from airpuck.recording.mapping import CommandMapping, PoseMapping
+
+#: All renamings of axes that keep a right-handed system, with their matrices.
+RENAMINGS = {}
+for order in permutations(range(3)):
+    for signs in product((1, -1), repeat=3):
+        matrix = np.zeros((3, 3))
+        matrix[range(3), order] = signs
+        if np.linalg.det(matrix) > 0:
+            names = tuple(("" if s > 0 else "-") + "xyz"[k] for k, s in zip(order, signs))  # noqa: B905
+            RENAMINGS[names] = matrix
+
+
+def mapping(**keys) -> PoseMapping:
+    return PoseMapping(**keys)
+
+
+def random_rotations(n: int = 50) -> Rotation:
+    return Rotation.random(n, random_state=3)
+
+
+def test_there_are_24_right_handed_renamings():
+    assert len(RENAMINGS) == 24
+
+
+@pytest.mark.parametrize("axes", RENAMINGS)
+def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
+    renaming, rotations = RENAMINGS[axes], random_rotations()
+    positions = np.random.default_rng(1).normal(size=(50, 3))
+    turned = renaming @ rotations.as_matrix() @ renaming.T
+    yaw = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
+    for kind, numbers in (
+        ("quaternion", rotations.as_quat()),
+        ("quaternion", 3.7 * rotations.as_quat()),
+        ("matrix", rotations.as_matrix().reshape(-1, 9)),
+        ("XYZ", rotations.as_euler("XYZ")),
+        ("zyx", rotations.as_euler("zyx")),
+    ):
+        found = poses_of(positions, numbers, kind, mapping(axes=axes))
+        np.testing.assert_array_equal(found[:, :2], (positions @ renaming.T)[:, :2])
+        apart = np.angle(np.exp(1j * (found[:, 2] - yaw)))
+        assert np.abs(apart).max() < 1e-9, kind
+
+
+@pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
+def test_euler_angles_in_every_order_in_degrees(order: str):
+    rotations = random_rotations()
+    expected = poses_of(np.zeros((50, 2)), rotations.as_quat(), "quaternion", mapping())
+    for kind in (order, order.lower()):
+        angles = rotations.as_euler(kind, degrees=True)
+        found = poses_of(np.zeros((50, 2)), angles, kind, mapping(units=("deg",)))
+        assert np.abs(np.angle(np.exp(1j * (found - expected)[:, 2]))).max() < 1e-9
+
+
+def test_y_up_by_hand():
+    # Motive's axes: y up, and seen from above z points down when x points right. A craft at
+    # x = 1 m, 2 m away from us (-z), that turned left by 30 degrees.
+    left = Rotation.from_euler("y", [[30]], degrees=True)
+    found = poses_of(
+        np.array([[1000.0, 100.0, -2000.0]]),
+        left.as_quat(),
+        "quaternion",
+        mapping(axes="Y-up", units=("mm",)),
+    )
+    np.testing.assert_allclose(found, [[1, 2, np.pi / 6]], atol=1e-15)
+
+
+def test_a_yaw_counts_about_the_vertical_axis_of_the_file():
+    yaw, positions = np.array([[90.0]]), np.array([[1.0, 2.0, 3.0]])
+    degrees = ("deg",)
+    for axes, x, y, angle in (
+        ("Z-up", 1, 2, 90),
+        ("Y-up", 1, -3, 90),
+        (("y", "-x", "z"), 2, -1, 90),
+        (("x", "-y", "-z"), 1, -2, -90),
+    ):
+        found = poses_of(positions, yaw, "yaw", mapping(axes=axes, units=degrees))
+        np.testing.assert_allclose(found, [[x, y, np.radians(angle)]])
+
+
+def test_two_coordinates_cannot_be_turned_up():
+    with pytest.raises(InputError, match="axes needs the third"):
+        poses_of(np.zeros((1, 2)), np.zeros((1, 1)), "yaw", mapping(axes="Y-up"))
+
+
+def test_nine_numbers_that_are_no_rotation():
+    rotations = random_rotations(3).as_matrix()
+    for wrong in (2 * rotations, -rotations, rotations[:, ::-1]):
+        with pytest.raises(InputError, match="no rotation matrix"):
+            poses_of(np.zeros((3, 2)), wrong.reshape(3, 9), "matrix", mapping())
+
+
+def test_a_rotation_that_is_not_finite_stays_so():
+    matrices = random_rotations(3).as_matrix().reshape(3, 9)
+    matrices[1, 4] = np.nan
+    euler = random_rotations(3).as_euler("XYZ")
+    euler[1, 0] = np.inf
+    with np.errstate(invalid="ignore"):
+        for kind, numbers in (("matrix", matrices), ("XYZ", euler)):
+            yaw = poses_of(np.zeros((3, 2)), numbers, kind, mapping())[:, 2]
+            assert np.isfinite(yaw[[0, 2]]).all()
+
+
+def test_whole_numbers_and_dates_are_exact():
+    late = 1_709_651_570_788_520_097
+    assert stamps_of(np.array([late]), mapping(units=("ns",))).tolist() == [late]
+    assert stamps_of(np.array([late // 1000]), mapping(units=("us",))).tolist() == [
+        late // 1000 * 1000
+    ]
+    dates = np.array([late], dtype="datetime64[ns]")
+    assert stamps_of(dates, mapping(start_s=-0.5)).tolist() == [late - 5 * 10**8]
+    assert stamps_of(dates.astype("datetime64[us]"), mapping()).tolist() == [late // 1000 * 1000]
+
+
+def test_times_in_every_unit():
+    for unit, time in (("s", 1.25), ("ms", 1250.0), ("us", 1.25e6), ("ns", 1.25e9)):
+        found = stamps_of(np.array([time]), mapping(units=(unit,), start_s=2.0))
+        assert found.tolist() == [3_250_000_000]
+
+
+@pytest.mark.parametrize(
+    ("time", "says"),
+    [
+        (np.array([0.0, np.nan]), "row 2 has no time"),
+        (np.array([np.inf, 0.0]), "row 1 has no time"),
+        (np.array(["2024-01-01", "NaT"], dtype="datetime64[s]"), "row 2 has no time"),
+        (np.array([1.7e18]), "name its unit"),
+        (np.array([2**62]), "name its unit"),
+    ],
+)
+def test_times_that_are_none(time: np.ndarray, says: str):
+    with pytest.raises(InputError, match=says):
+        stamps_of(time, mapping())
+
+
+def test_percent_and_pulse_widths_end_at_0_and_1_exactly():
+    percent = commands_of(np.array([[0.0, 30.0, 100.0]]), CommandMapping(scale=0.01))
+    np.testing.assert_allclose(percent, [[0, 0.3, 1]], rtol=1e-15)
+    for low, high in ((1000.0, 2000.0), (1100.0, 1900.0), (1094.0, 1941.0)):
+        scale = 1 / (high - low)
+        found = commands_of(
+            np.array([[low, (low + high) / 2, high]]),
+            CommandMapping(scale=scale, offset=-low * scale),
+        )
+        assert found[0, 0] == 0
+        assert found[0, 2] == 1
+        assert found[0, 1] == pytest.approx(0.5, abs=1e-12)
+    reversed_ = commands_of(np.array([[0.0, 1.0]]), CommandMapping(scale=-1, offset=1))
+    assert reversed_.tolist() == [[1.0, 0.0]]

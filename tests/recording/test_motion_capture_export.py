@@ -1,0 +1,234 @@
+"""Exports are written here from a known motion, in the layouts that both makers document."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from airpuck.boundary.errors import InputError
+from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
+from airpuck.recording.read import read_recording
+
+N = 40
+TIME = np.arange(N) / 100
+#: In our axes: x, y [m], yaw [rad], with some tilt as well.
+POSES = np.column_stack([0.4 * np.sin(TIME), 0.3 * TIME, 5 * TIME - 1])
+HEIGHT = 0.02 + 0.001 * TIME
+ROTATION = Rotation.from_euler("ZYX", np.column_stack([POSES[:, 2], 0.05 * TIME, -0.04 * TIME]))
+#: From our axes to Motive's: x, up, and towards us.
+TO_MOTIVE = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+COMMANDS = "t,m1,m2\n" + "".join(f"{t},0.5,0.25\n" for t in TIME)
+COMMAND = CommandMapping(file="motors.csv", time="t", values=("m1", "m2"))
+
+
+def motive(
+    *,
+    rotation: str = "Quaternion",
+    unit: str = "Millimeters",
+    bodies: tuple[str, ...] = ("puck",),
+    labels: bool = False,
+    lost: tuple[int, ...] = (),
+    types: tuple[str, str] = ("Rigid Body", "Marker"),
+) -> str:
+    """The export of bodies that all move alike, each 1 m further along x, then a marker."""
+    turned = Rotation.from_matrix(TO_MOTIVE @ ROTATION.as_matrix() @ TO_MOTIVE.T)
+    axes = "XYZW" if rotation == "Quaternion" else "XYZ"
+    if rotation == "Quaternion":
+        angles = turned.as_quat()
+    else:
+        angles = turned.as_euler(rotation, degrees=True)[:, np.argsort(list(rotation))]
+    size = {"Meters": 1, "Centimeters": 100, "Millimeters": 1000}[unit]
+    columns, data = [], []
+    for number, name in enumerate(bodies):
+        position = np.column_stack([POSES[:, 0] + number, HEIGHT, -POSES[:, 1]]) * size
+        columns += [(types[0], name, "Rotation", axis) for axis in axes]
+        columns += [(types[0], name, "Position", axis) for axis in "XYZ"]
+        columns += [(types[0], name, "Mean Marker Error", "")]
+        data += [angles, position, np.full((N, 1), 0.1)]
+    columns += [(types[1], f"{bodies[0]}:Marker1", "Position", axis) for axis in "XYZ"]
+    data += [np.ones((N, 3))]
+    table = np.hstack(data)
+    about = (
+        f"Format Version,1.23,Take Name,Take 1,Take Notes,,Capture Frame Rate,100.000000,"
+        f"Export Frame Rate,100.000000,Total Exported Frames,{N},Rotation Type,{rotation},"
+        f"Length Units,{unit},Coordinate Space,Global"
+    )
+    head = ["Type", "Name", ""] if labels else ["", "", ""]
+    lines = [about, ""]
+    kinds, names, parts, last = zip(*columns, strict=True)
+    lines.append(",".join(["", head[0], *kinds]))
+    lines.append(",".join(["", head[1], *names]))
+    lines.append(
+        ",".join(["", "ID" if labels else "", *(f'"{k:032X}"' for k in range(len(names)))])
+    )
+    if labels:
+        lines.append(",".join(["", "Parent", *("" for _ in names)]))
+    lines.append(",".join(["", "", *parts]))
+    lines.append(",".join(["Frame", "Time (Seconds)", *last]))
+    for frame, (time, row) in enumerate(zip(TIME, table, strict=True)):
+        cells = ["" for _ in row] if frame in lost else [f"{number:.9f}" for number in row]
+        lines.append(",".join([str(frame), f"{time:.6f}", *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def qualisys(
+    *, bodies: tuple[str, ...] = ("puck",), lost: tuple[int, ...] = (), nothing: str = "0.00000"
+) -> str:
+    """A 6D export: mm and degrees; the rotation matrix column by column; rows end in a tab."""
+    named = ["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{k}]" for k in range(9))]
+    header, data = ["Frame", "Time"], []
+    for number, name in enumerate(bodies):
+        header += [f"{name} X", *named[1:]]
+        matrices = ROTATION.as_matrix().transpose(0, 2, 1).reshape(N, 9)
+        position = np.column_stack([POSES[:, 0] + number, POSES[:, 1], HEIGHT]) * 1000
+        angles = ROTATION.as_euler("XYZ", degrees=True)
+        data += [position, angles, np.full((N, 1), 0.2), matrices]
+    lines = [
+        f"NO_OF_FRAMES\t{N}",
+        "NO_OF_CAMERAS\t8",
+        f"NO_OF_BODIES\t{len(bodies)}",
+        "FREQUENCY\t100",
+        "DESCRIPTION\t--",
+        "TIME_STAMP\t2024-03-05, 16:12:50\t22107.99179716",
+        "DATA_INCLUDED\t6D",
+        "\t".join(["BODY_NAMES", *bodies]),
+        "\t".join([*header, ""]),
+    ]
+    for frame, row in enumerate(np.hstack(data)):
+        cells = [nothing] * len(row) if frame in lost else [f"{number:.5f}" for number in row]
+        lines.append("\t".join([str(frame + 1), f"{TIME[frame]:.5f}", *cells, ""]))
+    return "\r\n".join(lines) + "\r\n"
+
+
+def read(folder: Path, name: str, text: str, command: CommandMapping = COMMAND, **pose):
+    (folder / name).write_bytes(text.encode("utf-8-sig" if name.endswith("csv") else "utf-8"))
+    (folder / "motors.csv").write_text(COMMANDS)
+    return read_recording(
+        folder, mapping=RecordingMapping(pose=PoseMapping(**pose), command=command)
+    )
+
+
+def assert_is_the_motion(recording, *, kept=slice(None), shift: float = 0.0, off: float = 1e-8):
+    pose = recording["pose"]
+    np.testing.assert_allclose(pose.values[:, 0], POSES[kept, 0] + shift, atol=off)
+    np.testing.assert_allclose(pose.values[:, 1], POSES[kept, 1], atol=off)
+    turned = np.angle(np.exp(1j * (pose.values[:, 2] - POSES[kept, 2])))
+    assert np.abs(turned).max() < max(off, 1e-7)
+    assert np.abs(pose.stamp_ns - 1e9 * TIME[kept]).max() < 600
+    assert len(recording["command"]) == N
+
+
+@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("unit", ["Meters", "Centimeters", "Millimeters"])
+def test_motive(tmp_path: Path, unit: str, labels: bool):
+    found = read(tmp_path, "take.csv", motive(unit=unit, labels=labels))
+    assert_is_the_motion(found)
+    assert found.warnings == ()
+    assert set(found.hashes) == {"take.csv", "motors.csv"}
+
+
+@pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
+def test_motive_with_euler_angles(tmp_path: Path, order: str):
+    assert_is_the_motion(read(tmp_path, "take.csv", motive(rotation=order)), off=1e-7)
+
+
+def test_frames_in_which_the_body_was_lost(tmp_path: Path):
+    lost = (0, 7, 8, 39)
+    kept = np.delete(np.arange(N), lost)
+    found = read(tmp_path, "take.csv", motive(lost=lost))
+    assert_is_the_motion(found, kept=kept)
+    assert found.warnings == ("4 blank poses are left out",)
+    (tmp_path / "take.csv").unlink()
+    for nothing in ("0.00000", "", "NULL"):
+        found = read(tmp_path, "take.tsv", qualisys(lost=lost, nothing=nothing))
+        assert_is_the_motion(found, kept=kept, off=2e-5)
+        assert found.warnings == ("4 blank poses are left out",)
+
+
+@pytest.mark.parametrize(("name", "write"), [("take.csv", motive), ("take_6D.tsv", qualisys)])
+def test_several_rigid_bodies_are_named(tmp_path: Path, name: str, write):
+    text = write(bodies=("puck", "mallet", "corner"))
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, name, text)
+    message = str(caught.value)
+    assert "holds the rigid bodies puck, mallet, corner; choose one" in message
+    assert 'pose = {body = "puck"}' in message
+    assert_is_the_motion(read(tmp_path, name, text, body="mallet"), shift=1.0, off=2e-5)
+    with pytest.raises(InputError, match=r"pose\.body: holds the rigid bodies puck, mallet"):
+        read(tmp_path, name, text, body="rink")
+
+
+def test_qualisys(tmp_path: Path):
+    # Five digits of a rotation matrix.
+    assert_is_the_motion(read(tmp_path, "take.tsv", qualisys()), off=2e-5)
+
+
+def test_the_mapping_overrules_what_an_export_says(tmp_path: Path):
+    # Exported with z up, as one can choose: Motive's header does not say so.
+    keys = {"axes": "Z-up", "units": ("cm",), "start_s": 5.0}
+    found = read(tmp_path, "take.csv", motive(unit="Meters"), **keys)
+    pose = found["pose"]
+    np.testing.assert_allclose(pose.values[:, 0], POSES[:, 0] / 100, atol=1e-9)
+    np.testing.assert_allclose(pose.values[:, 1], HEIGHT / 100, atol=1e-9)
+    assert pose.stamp_ns[0] == 5 * 10**9
+
+
+def test_the_export_itself_may_be_given(tmp_path: Path):
+    (tmp_path / "take.csv").write_text(motive())
+    (tmp_path / "motors.csv").write_text(COMMANDS)
+    found = read_recording(tmp_path / "take.csv", mapping=RecordingMapping(command=COMMAND))
+    assert_is_the_motion(found)
+    with pytest.raises(InputError, match="holds poses only; name the file of the commands"):
+        read_recording(tmp_path / "take.csv")
+
+
+def cut(text: str, line: int) -> str:
+    return "\n".join(text.splitlines()[:line]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (cut(motive(), 1), "has no row Frame, Time"),
+        (cut(motive(), 5), "has no row Frame, Time"),
+        (cut(qualisys(), 8), "has no row Frame, Time"),
+        (motive(types=("Bone", "Marker")), "holds no rigid body"),
+        (motive().replace("Length Units,Millimeters", "Length Units,Feet"), "is Feet, not one of"),
+        (motive().replace("Length Units,Millimeters,", ""), "Length Units: is missing"),
+        (motive(rotation="XYZ").replace("Type,XYZ", "Type,ABC"), "has no rotation type"),
+        (motive().replace("Position", "Place"), "has no column Position X, Position Y"),
+        (qualisys().replace("Rot[8]", "Rot[9]"), r"has no column Rot\[8\]"),
+        (qualisys().replace("puck X", "puck"), "holds no rigid body"),
+        (motive().replace("0.100000,", "soon,"), "line 18: 'soon' is not a number"),
+        (motive() + "40,0.4,1,2\n", "line 48 has 4 fields"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, says: str):
+    with pytest.raises(InputError, match=says) as caught:
+        read(tmp_path, "take.csv", text)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / "take.csv") in str(caught.value)
+
+
+def test_a_last_line_that_is_cut(tmp_path: Path):
+    found = read(tmp_path, "take.csv", motive()[:-30])
+    assert_is_the_motion(found, kept=np.arange(N - 1))
+    assert "cut short" in found.warnings[0]
+
+
+@pytest.mark.parametrize("write", [motive, qualisys])
+def test_no_byte_makes_it_fail_in_another_way(tmp_path: Path, write):
+    text = write()
+    rng = np.random.default_rng(4)
+    for _ in range(150):
+        broken = list(text)
+        for place in rng.integers(0, len(text), 3):
+            broken[place] = rng.choice(list('",\t\n;0eX-'))
+        try:
+            read(tmp_path, "take.csv", "".join(broken[: rng.integers(1, len(text))]))
+        except InputError as error:
+            assert "\n" not in str(error)
