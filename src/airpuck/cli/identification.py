@@ -53,6 +53,8 @@ def preprocess(
     quiet: options.Quiet = False,
 ) -> None:
     """Turn a recording into a trajectory: states, commands, delay, what not to use."""
+    from airpuck.data.left_out import left_out_json, left_out_words
+
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
     silent = quiet or is_stdout(json_file)
@@ -62,7 +64,7 @@ def preprocess(
         "samples": len(trajectory),
         "duration_s": trajectory.duration,
         "delay_s": trajectory.delay if trajectory.delay_known else None,
-        "excluded": [vars(span) for span in trajectory.excluded],
+        **left_out_json(trajectory),
         "warnings": list(trajectory.warnings),
     }
     found = f"{1e3 * trajectory.delay:.1f} ms" if trajectory.delay_known else "compensated"
@@ -70,7 +72,7 @@ def preprocess(
         figures,
         json_file,
         f"{len(trajectory)} samples, {trajectory.duration:.1f} s, transport delay {found}",
-        *(f"left out {s.start:.3f} to {s.stop:.3f} s: {s.cause}" for s in trajectory.excluded),
+        left_out_words(trajectory),
         output,
         quiet=quiet,
     )

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from airpuck.evaluation.fit_measures import FitMeasures
     from airpuck.evaluation.presentation import Presentation
 
+#: Most faults that a table lists.
+_MOST_SPANS = 30
 #: What a model's name ends with, which no recording's does.
 _MODEL_FILES = (".toml", ".json")
 
@@ -43,6 +45,7 @@ def evaluate(
     quiet: options.Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
+    from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.evaluate import PROTOCOLS
 
     judged = airpuck.read_model(model)
@@ -56,8 +59,13 @@ def evaluate(
 
         page = evaluation_report([judged], [found], trajectory, output, origin=origin())
     shown = error_table([model], [found]), every_start_table([model], [found])
-    figures = {**found.to_json(), "name": model, "verdict": said.to_json()}
-    report(figures, json_file, *said.sentences, *shown, page)
+    figures = {
+        **found.to_json(),
+        "name": model,
+        "verdict": said.to_json(),
+        **left_out_json(trajectory),
+    }
+    report(figures, json_file, *said.sentences, *shown, left_out_words(trajectory), page)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -101,6 +109,8 @@ def faults(
     quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
+    from airpuck.data.left_out import left_out_words
+
     if model is not None and vehicle is not None:
         raise InputError("is the model's; leave out one of both", field="--vehicle")
     healthy = None if model is None else airpuck.read_model(model)
@@ -117,7 +127,8 @@ def faults(
 
         page = fault_report(trajectory, found, healthy, output, origin())
     spans = sorted((*trajectory.excluded, *found), key=lambda s: s.start)
-    usable = float(trajectory.leave_out(found).usable.mean())
+    healthy_part = trajectory.leave_out(found)
+    usable = float(healthy_part.usable.mean())
     names = {"start_s": "start", "stop_s": "stop", "cause": "cause", "confidence": "confidence"}
     figures = {
         "model": healthy.name,
@@ -127,9 +138,11 @@ def faults(
     }
     rows = [[f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)] for s in spans]
     headings = ("from s", "to s", "cause", "confidence")
-    shown = table(headings, rows, left=("cause",)) if spans else None
+    shown = table(headings, rows[:_MOST_SPANS], left=("cause",)) if spans else None
+    more = len(rows) - _MOST_SPANS
+    folded = f"and {more} more; --json has all" if more > 0 else None
     share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without any fault"
-    report(figures, json_file, shown, share, page)
+    report(figures, json_file, shown, folded, left_out_words(healthy_part), share, page)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -236,6 +249,7 @@ def resid(
     quiet: options.Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and what commands still explain."""
+    from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
 
@@ -250,10 +264,11 @@ def resid(
         from airpuck.report.residual_report import residual_report
 
         page = residual_report(judged, trajectory, tests, fit, output, bands, origin())
-    figures = {**tests.to_json(), **fit.to_json(), "bands": [one.to_json() for one in bands]}
+    figures = {**tests.to_json(), **fit.to_json(), **left_out_json(trajectory)}
+    figures["bands"] = [one.to_json() for one in bands]
     outcome = "nothing rejected" if tests.passed else "rejected"
     lines = [f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level"]
-    lines += [f"  {sentence}" for sentence in tests.verdicts]
+    lines += [left_out_words(trajectory), *(f"  {sentence}" for sentence in tests.verdicts)]
     for one in bands:
         shares = ", ".join(f"{share:.0f} %" for share in one.coverage)
         lines.append(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.fault_exclusion import Exclusion
@@ -22,8 +24,9 @@ from airpuck.physics.thrust import lowest_slope
 
 #: A motor whose command stays within this range says nothing about its thrust.
 _IDLE_RANGE = 0.02
-#: A recording whose own delay is so many samples off the fitted one has other clocks or radio.
-_FAR_SAMPLES = 3.0
+#: A recording whose own delay is so far off the fitted one, and by more than a sample, has other
+#: clocks or radio: three samples at 240 Hz [s].
+_FAR = 3 / 240
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,7 @@ def _other_delays(model: Model, trajectories: Sequence[Trajectory]) -> list[str]
         f"{t.source}: preprocessing found a delay of {1e3 * t.delay:.1f} ms, the fit "
         f"{1e3 * model.transport_delay:.1f} ms for all recordings; check clocks and nominal lag"
         for t in trajectories
-        if t.delay_known and abs(t.delay - model.transport_delay) > _FAR_SAMPLES * t.sample_period
+        if t.delay_known and abs(t.delay - model.transport_delay) > max(_FAR, t.sample_period)
     ]
 
 
@@ -221,10 +224,14 @@ def outcome_words(fit: Fit) -> list[str]:
         f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
         f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
     ]
+    data = fit.objective.windows.trajectories if fit.objective is not None else ()
+    for trajectory in data:
+        name = f"{Path(trajectory.source).name}: " if len(data) > 1 else ""
+        text.append(name + left_out_words(trajectory))
     if fit.exclusion is not None and fit.exclusion.share > 0:
         faults = sum(map(len, fit.exclusion.faults))
         text.append(
-            f"left out {faults} faults, {100 * fit.exclusion.share:.1f} % of the windows; "
+            f"of that {faults} faults took {100 * fit.exclusion.share:.1f} % of the windows; "
             "`airpuck faults` shows them, --faults keep keeps them"
         )
     return text

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from airpuck.craft.vehicle import Vehicle
+from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import prediction_errors
@@ -219,7 +220,7 @@ def sources_section(*trajectories: Trajectory) -> Section:
             str(len(t)),
             f"{t.duration:.2f}",
             " ".join(t.hashes.values()) or "none",
-            "; ".join(f"{s.start:.2f}–{s.stop:.2f} s: {s.cause}" for s in t.excluded) or "nothing",
+            left_out_words(t).removeprefix("left out: "),
         ]
         for t in trajectories
     ]
