@@ -1,15 +1,19 @@
 """The check of motor order and signs against a recording."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.faults.layout_check import check_layout
+from airpuck.model.model_file import nominal_model
 from airpuck.preprocessing.pipeline import preprocess
+from airpuck.twin.experiments import excite
 
 from ..conftest import BLUE
+from ..synthetic import edited as with_edit
 from ..synthetic import record
 
 
@@ -84,7 +88,65 @@ def test_a_turned_layout_is_remarked(flight):
 def test_a_mirrored_layout_is_remarked(flight):
     check = check_layout(flight, edited(lambda _, p: moved(p, 0.0, mirror=True)))
     assert check.mirrored
-    assert "mirrored" in check.remarks[0]
+    assert not check.agrees
+    assert check.remarks[0].startswith("the y axis and the yaw are flipped")
+
+
+def quad() -> Vehicle:
+    """The square craft of docs/your_own_craft.md."""
+    places = {"fl": (1, 1, 315), "fr": (1, -1, 45), "rl": (-1, 1, 225), "rr": (-1, -1, 135)}
+    return Vehicle.model_validate(
+        {
+            "name": "quad",
+            "mass_kg": 0.21,
+            "radius_m": 0.08,
+            "command_min": 0.05,
+            "propellers": [
+                {"name": name, "position_m": (0.045 * x, 0.045 * y), "direction_deg": angle}
+                for name, (x, y, angle) in places.items()
+            ],
+            "nominal": {"thrust_N": (0.0, 0.6), "inertia_kg_m2": 6.7e-4},
+        }
+    )
+
+
+SIGNS = list(product((1, -1), repeat=3))
+
+
+@pytest.fixture(scope="module", params=[6, 4])
+def recorded(request):
+    """Half a minute on the twin, and the craft."""
+    vehicle = default_vehicle() if request.param == 6 else quad()
+    return excite(nominal_model(vehicle), 20.0, seed=1), vehicle
+
+
+@pytest.mark.parametrize("signs", SIGNS)
+def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
+    recording, vehicle = recorded
+    logged = edited_poses(recording, signs)
+    check = check_layout(preprocess(logged, vehicle), vehicle)
+    assert check.conclusive
+    if signs == (1, 1, 1):
+        assert check.agrees
+        assert not check.remarks
+        return
+    assert not check.agrees
+    remark = " ".join(check.remarks)
+    axes = [axis if sign > 0 else f"-{axis}" for axis, sign in zip("xyz", signs, strict=True)]
+    assert f"axes = {axes}".replace("'", '"') in remark
+    if signs != (-1, -1, 1):  # The same as a rigid body that is turned by 180 degrees.
+        names = [n for n, s in zip(("x axis", "y axis", "yaw"), signs, strict=True) if s < 0]
+        assert check.signs.flipped == tuple(name.removesuffix(" axis") for name in names)
+        assert remark.startswith(" and ".join(f"the {name}" for name in names))
+        # With true signs the propellers are what the file says.
+        assert all(p.verdict == "agrees" for p in check.propellers)
+
+
+def edited_poses(recording, signs):
+    def edit(stamp, received, values):
+        return stamp, received, values * signs
+
+    return with_edit(recording, "pose", edit)
 
 
 def test_mass_thrust_and_inertia_need_not_be_right(flight):

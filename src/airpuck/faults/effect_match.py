@@ -38,18 +38,6 @@ def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 
     return float(np.angle(np.vdot(_forces(expected), _forces(measured))))
 
 
-def is_mirrored(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> bool:
-    """Return whether a mirror fits better than a rotation.
-
-    Forces f become f exp(iα) by a rotation and conj(f) exp(iα) by a mirror. A rotation leaves all
-    moments as they are and a mirror reverses them; single wrong propellers do neither.
-    """
-    turned = abs(np.vdot(_forces(expected), _forces(measured)))
-    flipped = abs(np.sum(_forces(expected) * _forces(measured)))
-    moments = float(measured[2] @ expected[2])
-    return bool(flipped - moments > 1.5 * max(turned + moments, 0.0))
-
-
 def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
     """Turn forces, and leave moments as they are."""
     cos, sin = np.cos(angle), np.sin(angle)

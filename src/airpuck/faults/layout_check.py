@@ -11,7 +11,8 @@ from jaxtyping import Float
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.zero_order_hold import hold
-from airpuck.faults.effect_match import Match, cosines, is_mirrored, match_effects, rotation
+from airpuck.faults.axis_signs import AxisSigns, body_acceleration, find_axis_signs
+from airpuck.faults.effect_match import Match, cosines, match_effects, rotation
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
@@ -50,8 +51,15 @@ class LayoutCheck:
     delay: float
     #: Angle by which the whole layout seems turned against the measured yaw [rad].
     rotation: float
-    #: Whether a mirrored layout fits better: an axis of the pose has the wrong sign.
-    mirrored: bool
+    #: Signs of x, y and yaw with which the rest was found.
+    signs: AxisSigns
+    #: What reading the recording said of its axes.
+    axis_warnings: tuple[str, ...] = ()
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether an axis of the pose, or its yaw, has the wrong sign."""
+        return bool(self.signs.flipped)
 
     @property
     def conclusive(self) -> bool:
@@ -61,24 +69,26 @@ class LayoutCheck:
     @property
     def agrees(self) -> bool:
         """Whether order and signs of all propellers agree with the recording."""
-        return self.conclusive and all(p.verdict == "agrees" for p in self.propellers)
+        right = not self.mirrored and all(p.verdict == "agrees" for p in self.propellers)
+        return self.conclusive and right
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the layout as a whole."""
         if not self.conclusive:
-            return (
+            return self.axis_warnings or (
                 "too little to judge: use a recording in which every motor was excited, and check "
                 "the clocks of poses and commands",
             )
-        remarks = []
-        if self.mirrored:
-            remarks.append("a mirrored layout fits better: an axis of the pose has the wrong sign")
-        elif abs(self.rotation) > _TURNED:
+        remarks = [self.signs.remark] if self.mirrored else []
+        if abs(self.rotation) > _TURNED:
             remarks.append(
                 f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
                 "the measured yaw: align the rigid body of the motion capture with the craft"
             )
+            if np.pi - abs(self.rotation) < _TURNED:
+                both = AxisSigns(-self.signs.x, -self.signs.y, self.signs.yaw)
+                remarks.append(f"or {both.remark}")
         return tuple(remarks)
 
     def to_json(self) -> dict[str, Any]:
@@ -90,6 +100,7 @@ class LayoutCheck:
             "delay_s": self.delay,
             "rotation_rad": self.rotation,
             "mirrored": self.mirrored,
+            "flipped": list(self.signs.flipped),
             "propellers": [vars(propeller) for propeller in self.propellers],
         }
 
@@ -119,10 +130,11 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
     # Forces and moments in one unit: the moment as a force at the radius of gyration.
     nominal = nominal_model(vehicle)
     stated = nominal.propeller_effects
-    accelerations = _body_acceleration(trajectory)
+    forces = _nominal_thrusts(trajectory, vehicle)
+    signs = find_axis_signs(trajectory, stated @ forces, _LONGEST_DELAY)
+    accelerations = body_acceleration(signs.undone(trajectory))
     accelerations[2] *= nominal.radius_of_gyration
     period = trajectory.sample_period
-    forces = _nominal_thrusts(trajectory, vehicle)
     fits = []
     for shift in range(round(_LONGEST_DELAY / period) + 1):
         # The motion at sample k is explained by the thrusts `shift` samples before.
@@ -144,15 +156,9 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
         )
         for k, name in enumerate(names)
     ]
-    turned, mirrored = rotation(measured, stated), is_mirrored(measured, stated)
-    return LayoutCheck(tuple(checks), explained, delay, turned, mirrored)
-
-
-def _body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
-    """Return measured accelerations in the body frame."""
-    ax, ay, spin_rate = trajectory.acceleration.T
-    cos, sin = np.cos(trajectory.state[:, 2]), np.sin(trajectory.state[:, 2])
-    return np.stack([cos * ax + sin * ay, cos * ay - sin * ax, spin_rate])
+    turned = rotation(measured, stated)
+    said = tuple(warning for warning in trajectory.warnings if "axes = " in warning)
+    return LayoutCheck(tuple(checks), explained, delay, turned, signs, said)
 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:

@@ -1,0 +1,119 @@
+"""Which axes of the logged pose count the wrong way, by the motion that commands should give.
+
+A pose is logged as (sx x, sy y, sγ γ). With the true yaw, forces in the world are R(γ) f, f those
+in the body frame. Logged they are S R(γ) f, S = diag(sx, sy), and turned back by the logged yaw:
+
+    R(-sγ γ) S R(γ) f = S f              where sγ = det S
+                      = S R(2γ) f        otherwise.
+
+So one sign of an axis, or of the yaw alone, tears forces apart; both together mirror the craft; and
+both axes turn it by 180°. Each can be undone, and one of four ways to undo leaves forces that the
+commands explain: y as logged or not, yaw as logged or not. Flipping x is flipping y, turned by
+180°.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.data.trajectory import Trajectory
+
+#: A turn of the forces nearer to 180 degrees than to none is two more flips, if it is within this.
+_HALF_TURN = 0.5
+#: By how much another choice of signs must explain more, of at most 2.
+_MARGIN = 0.15
+
+
+@dataclass(frozen=True)
+class AxisSigns:
+    """Signs that turn logged x, y and yaw into true ones."""
+
+    x: int = 1
+    y: int = 1
+    yaw: int = 1
+
+    @property
+    def flipped(self) -> tuple[str, ...]:
+        """Names of what counts the wrong way."""
+        return tuple(name for name in ("x", "y", "yaw") if getattr(self, name) < 0)
+
+    @property
+    def axes(self) -> str:
+        """The line of a mapping file that mends it."""
+        signs = zip("xyz", (self.x, self.y, self.yaw), strict=True)
+        return f"axes = {[axis if sign > 0 else f'-{axis}' for axis, sign in signs]}".replace(
+            "'", '"'
+        )
+
+    @property
+    def remark(self) -> str:
+        """What is wrong, and how to mend it; empty where nothing is."""
+        names = ["the yaw" if name == "yaw" else f"the {name} axis" for name in self.flipped]
+        if not names:
+            return ""
+        what = " and ".join(names)
+        counts = "counts" if len(names) == 1 else "count"
+        return (
+            f"{what} {'is' if len(names) == 1 else 'are'} flipped: {counts} the wrong way; mend it "
+            f"in the mapping file, under [pose]: {self.axes}"
+        )
+
+    def undone(self, trajectory: Trajectory) -> Trajectory:
+        """Return the trajectory with true signs."""
+        signs = np.array([self.x, self.y, self.yaw], dtype=float)
+        return replace(
+            trajectory,
+            state=trajectory.state * np.tile(signs, 2),
+            acceleration=trajectory.acceleration * signs,
+        )
+
+
+def find_axis_signs(
+    trajectory: Trajectory, modelled: Float[np.ndarray, "3 N"], longest_delay: float
+) -> AxisSigns:
+    """Find the signs with which modelled accelerations of the body explain the measured ones best.
+
+    Forces may be turned by any angle, since the rigid body may be: their complex correlation
+    counts by its size, that of moments by its value.
+    """
+    scores = {}
+    for y, yaw in product((1, -1), repeat=2):
+        signs = AxisSigns(1, y, yaw)
+        measured = body_acceleration(signs.undone(trajectory)) * trajectory.usable
+        scores[signs] = max(
+            _likeness(measured[:, shift:], modelled[:, : modelled.shape[1] - shift])
+            for shift in range(trajectory.steps(longest_delay) + 1)
+        )
+    usual = scores[AxisSigns()]
+    best = max(scores, key=lambda signs: scores[signs][0])
+    if scores[best][0] < usual[0] + _MARGIN:
+        return AxisSigns()
+    if np.pi - abs(scores[best][1]) < _HALF_TURN:
+        return replace(best, x=-best.x, y=-best.y)
+    return best
+
+
+def body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
+    """Return measured accelerations in the body frame."""
+    ax, ay, spin_rate = trajectory.acceleration.T
+    cos, sin = np.cos(trajectory.state[:, 2]), np.sin(trajectory.state[:, 2])
+    return np.stack([cos * ax + sin * ay, cos * ay - sin * ax, spin_rate])
+
+
+def _likeness(
+    measured: Float[np.ndarray, "3 M"], modelled: Float[np.ndarray, "3 M"]
+) -> tuple[float, float]:
+    """Return the sum of the two correlations, and the angle by which forces are turned [rad]."""
+    force, cause = (a[0] + 1j * a[1] for a in (measured, modelled))
+    turned = _correlation(cause, force)
+    return float(abs(turned) + _correlation(modelled[2], measured[2]).real), float(np.angle(turned))
+
+
+def _correlation(cause: np.ndarray, effect: np.ndarray) -> complex:
+    """Return the normalised inner product; zero where either is zero."""
+    size = np.linalg.norm(cause) * np.linalg.norm(effect)
+    return complex(np.vdot(cause, effect) / size) if size > 0 else 0j
