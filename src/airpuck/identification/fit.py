@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,10 +97,10 @@ def identify(
         preparation=preparation,
         progress=progress,
     )
-    fitting = _Fitting(problem)
-    fitting.leave_out_faults()
-    fitting.retime()
-    return fitting.judged(fitting.fit(last=True), began)
+    solution = Solution(problem, problem.trajectories)
+    solution = leave_out_faults(solution)
+    solution = retime(solution)
+    return judge(minimize(solution), began)
 
 
 def identifiability(
@@ -137,126 +137,156 @@ def identifiability(
     return identifiability_of(hessian, problem.start, problem.free, names)
 
 
-class _Fitting:
-    """A fit on its way: the data as they are prepared by now, and what was learned."""
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """How far a fit has come: the data as they are prepared by now, and what was learned."""
 
-    #: What the last fit minimised.
-    loss: PredictionLoss
-    #: How the last fit ended; None before the first.
-    outcome: Outcome | None = None
+    problem: Problem
+    #: As preprocessed, without the spans that are left out.
+    trajectories: tuple[Trajectory, ...]
+    #: What was left out; None where faults were not searched for.
+    exclusion: Exclusion | None = None
+    #: The trajectories with retimed packets; None where they keep their times.
+    retimed: tuple[Trajectory, ...] | None = None
+    #: When packets arrived, in each trajectory.
+    packets: tuple[PacketDelays, ...] = ()
+    #: What the last fit minimised, and how it ended; None before the first.
+    fitted: tuple[PredictionLoss, Outcome] | None = None
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        #: As preprocessed, without the spans that are left out.
-        self.trajectories = problem.trajectories
-        #: The trajectories with retimed packets, where they were.
-        self.prepared = problem.trajectories
-        #: When packets arrived, in each trajectory.
-        self.packets: tuple[PacketDelays, ...] = ()
-        #: What was left out; None where faults were not searched for.
-        self.exclusion: Exclusion | None = None
+    @property
+    def result(self) -> tuple[PredictionLoss, Outcome, Model]:
+        """What the last fit minimised, how it ended, and its model."""
+        assert self.fitted is not None
+        loss, outcome = self.fitted
+        return loss, outcome, self.problem.model(outcome.parameters)
 
-    def fit(self, *, last: bool = False) -> Outcome:
-        """Fit to the data as they are prepared by now; Levenberg-Marquardt goes on where it was."""
-        problem, method = self.problem, self.problem.method
-        self.loss = problem.loss_on(self.prepared)
-        if not last:
-            # A part of the windows is enough to prepare the data.
-            self.loss = self.loss.thinned
-            method = method if isinstance(method, LevenbergMarquardt) else LevenbergMarquardt()
-        free, progress = problem.free, problem.progress
-        if self.outcome is not None and isinstance(method, LevenbergMarquardt):
-            outcome = minimize_on(method, self.loss, self.outcome, free, progress)
+    @property
+    def loss(self) -> PredictionLoss:
+        """The loss on all windows of the data as they are prepared by now."""
+        return self.problem.loss_on(self.retimed or self.trajectories)
+
+    def fit(self, method: Method, loss: PredictionLoss) -> Solution:
+        """Minimise a loss; Levenberg-Marquardt goes on where the last fit ended."""
+        start, free, progress = self.problem.start, self.problem.free, self.problem.progress
+        if self.fitted is None or not isinstance(method, LevenbergMarquardt):
+            outcome = method.minimize(loss, start, free, progress)
         else:
-            outcome = method.minimize(self.loss, problem.start, free, progress)
-        if last and problem.loss.robust:
-            self.loss, outcome = reweighted(method, self.loss, outcome, free, progress)
-        self.outcome = outcome
-        return outcome
+            outcome = minimize_on(method, loss, self.fitted[1], free, progress)
+        return replace(self, fitted=(loss, outcome))
 
-    def first_model(self) -> Model:
-        """Return a model to prepare the data with."""
-        return self.problem.model(self.fit().parameters)
+    def prefit(self) -> Solution:
+        """Fit to what is enough to prepare the data with: a part of the windows."""
+        method = self.problem.method
+        if not isinstance(method, LevenbergMarquardt):
+            method = LevenbergMarquardt()
+        return self.fit(method, self.loss.thinned)
 
-    def leave_out_faults(self) -> None:
-        """Find faults with a first fit, and leave out the windows that they touch."""
-        before, ahead, stride = self.problem.loss.samples(self.trajectories)
-        if self.problem.excludes_faults and ahead is not None:
-            model = self.first_model()
-            self.exclusion = exclude_faults(self.trajectories, model, before + ahead, stride)
-            self.trajectories = self.prepared = self.exclusion.trajectories
 
-    def retime(self) -> None:
-        """Move packets to when they arrived by the model of a first fit; then of a second."""
-        for _ in range(self.problem.retimings):
-            self.prepared, self.packets = retime_packets(self.trajectories, self.first_model())
+def leave_out_faults(solution: Solution) -> Solution:
+    """Find faults with a first fit, and leave out the windows that they touch."""
+    if not solution.problem.excludes_faults:
+        return solution
+    solution = solution.prefit()
+    loss, _, model = solution.result
+    length = loss.windows.encoder_length + loss.windows.prediction_length
+    _, _, stride = solution.problem.loss.samples(solution.trajectories)
+    exclusion = exclude_faults(solution.trajectories, model, length, stride)
+    return replace(solution, exclusion=exclusion, trajectories=exclusion.trajectories)
 
-    def uncertainty(self, quadratic: Quadratic, model: Model) -> Uncertainty:
-        """Estimate the covariance of the parameters at the optimum."""
-        parameters, free, packets = model.parameters, model.free, self.packets
-        known = sandwich(quadratic, parameters, free, shared=shared_at_borders(self.loss))
-        if any(map(len, packets)) and np.isfinite(known.standard_errors).any():
-            mixed, hessian = score_derivatives(
-                self.loss, self.trajectories, model, packets, known.standard_errors
-            )
-            basis = varying(quadratic.hessian, parameters, free).basis
-            known = grown(known, error_growth(mixed, hessian, basis, self.problem.retimings))
-        delay = parameters.mask(frozenset({"transport_delay"}))
-        return widened(known, delay, variance_of_mean(packets, spread_of(packets)))
 
-    def conditions(self, outcome: Outcome) -> dict[str, Any]:
-        """Return the table ``[fit]`` of the model file."""
-        problem, windows = self.problem, self.loss.windows
-        return {
-            "loss": outcome.loss,
-            "iterations": outcome.history[-1].number,
-            "converged": outcome.converged,
-            "method": type(problem.method).__name__,
-            "windows": len(windows),
-            "encoder_length": windows.encoder_length,
-            "prediction_length": windows.prediction_length,
-            "stride": self.trajectories[0].steps(problem.loss.spacing),
-            "sample_period_s": self.trajectories[0].sample_period,
-            "weights": list(problem.loss.weights),
-            "robust": problem.loss.robust,
-            **({"left_out": self.exclusion.to_json()} if self.exclusion else {}),
-            "airpuck": __version__,
-        }
+def retime(solution: Solution) -> Solution:
+    """Move packets to when they arrived by the model of a first fit; then by that of a second."""
+    for _ in range(solution.problem.retimings):
+        solution = solution.prefit()
+        _, _, model = solution.result
+        retimed, packets = retime_packets(solution.trajectories, model)
+        solution = replace(solution, retimed=retimed, packets=packets)
+    return solution
 
-    def judged(self, outcome: Outcome, began: float) -> Fit:
-        """Find out how well the parameters are known, and sum up the fit."""
-        problem = self.problem
-        # Where Π is learned, Newton's law fixes its scale.
-        parameters = fix_gauge(outcome.parameters, problem.vehicle, problem.free)
-        quadratic = outcome.quadratic
-        if quadratic is None or parameters is not outcome.parameters:
-            quadratic = self.loss.quadratic(parameters)
-        model = replace(
-            problem.model(parameters),
-            indexing=problem.loss.encoder.indexing,
-            fit=self.conditions(outcome),
-            data=_hashes(problem.trajectories),
-            # The last two names of the path: a model file must not tell where its author's home is.
-            source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
-            delay_jitter=delay_jitter(self.packets),
+
+def minimize(solution: Solution) -> Solution:
+    """Fit to all windows of the prepared data; again with weights, where it is to be robust."""
+    problem = solution.problem
+    solution = solution.fit(problem.method, solution.loss)
+    if not problem.loss.robust:
+        return solution
+    loss, outcome, _ = solution.result
+    fitted = reweighted(problem.method, loss, outcome, problem.free, problem.progress)
+    return replace(solution, fitted=fitted)
+
+
+def judge(solution: Solution, began: float) -> Fit:
+    """Find out how well the parameters are known, and sum up the fit."""
+    problem = solution.problem
+    loss, outcome, model = solution.result
+    # Where Π is learned, Newton's law fixes its scale.
+    parameters = fix_gauge(outcome.parameters, problem.vehicle, problem.free)
+    quadratic = outcome.quadratic
+    if quadratic is None or parameters is not outcome.parameters:
+        quadratic = loss.quadratic(parameters)
+    model = replace(
+        model,
+        parameters=parameters,
+        indexing=problem.loss.encoder.indexing,
+        fit=_conditions(solution),
+        data=_hashes(problem.trajectories),
+        # The last two names of the path: a model file must not tell where its author's home is.
+        source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
+        delay_jitter=delay_jitter(solution.packets),
+    )
+    model = replace(model, uncertainty=_uncertainty(solution, quadratic, model))
+    return Fit(
+        model=model,
+        loss=outcome.loss,
+        history=outcome.history,
+        converged=outcome.converged,
+        message=outcome.message,
+        windows=len(loss.windows),
+        wall_s=time.perf_counter() - began,
+        warnings=fit_warnings(model, solution.trajectories, outcome, solution.exclusion),
+        identifiability=identifiability_of(
+            quadratic.hessian, parameters, problem.free, problem.vehicle.propeller_names
+        ),
+        exclusion=solution.exclusion,
+        packet_delays=solution.packets,
+        objective=loss,
+    )
+
+
+def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Uncertainty:
+    """Estimate the covariance of the parameters at the optimum."""
+    loss, _, _ = solution.result
+    parameters, free, packets = model.parameters, model.free, solution.packets
+    known = sandwich(quadratic, parameters, free, shared=shared_at_borders(loss))
+    if any(map(len, packets)) and np.isfinite(known.standard_errors).any():
+        mixed, hessian = score_derivatives(
+            loss, solution.trajectories, model, packets, known.standard_errors
         )
-        model = replace(model, uncertainty=self.uncertainty(quadratic, model))
-        return Fit(
-            model=model,
-            loss=outcome.loss,
-            history=outcome.history,
-            converged=outcome.converged,
-            message=outcome.message,
-            windows=len(self.loss.windows),
-            wall_s=time.perf_counter() - began,
-            warnings=fit_warnings(model, self.trajectories, outcome, self.exclusion),
-            identifiability=identifiability_of(
-                quadratic.hessian, parameters, problem.free, problem.vehicle.propeller_names
-            ),
-            exclusion=self.exclusion,
-            packet_delays=self.packets,
-            objective=self.loss,
-        )
+        basis = varying(quadratic.hessian, parameters, free).basis
+        known = grown(known, error_growth(mixed, hessian, basis, solution.problem.retimings))
+    delay = parameters.mask(frozenset({"transport_delay"}))
+    return widened(known, delay, variance_of_mean(packets, spread_of(packets)))
+
+
+def _conditions(solution: Solution) -> dict[str, Any]:
+    """Return the table ``[fit]`` of the model file."""
+    problem = solution.problem
+    loss, outcome, _ = solution.result
+    return {
+        "loss": outcome.loss,
+        "iterations": outcome.history[-1].number,
+        "converged": outcome.converged,
+        "method": type(problem.method).__name__,
+        "windows": len(loss.windows),
+        "encoder_length": loss.windows.encoder_length,
+        "prediction_length": loss.windows.prediction_length,
+        "stride": solution.trajectories[0].steps(problem.loss.spacing),
+        "sample_period_s": solution.trajectories[0].sample_period,
+        "weights": list(problem.loss.weights),
+        "robust": problem.loss.robust,
+        **({"left_out": solution.exclusion.to_json()} if solution.exclusion else {}),
+        "airpuck": __version__,
+    }
 
 
 def _hashes(trajectories: Sequence[Trajectory]) -> dict[str, str]:
