@@ -143,6 +143,15 @@ def test_a_cut_is_made_where_the_curve_falls_most():
     assert not constraints.cut(np.array([[0.5, 0.5, 0.5]]))
 
 
+def test_a_curve_that_is_not_free_is_not_cut():
+    """Cutting it would change nothing, again and again."""
+    free = np.array([[False] * 3, [True] * 3])
+    falling = np.array([[0.2, -1.0, 1.0], [0.5, 0.5, 0.5]])
+    constraints = SlopeConstraints(free)
+    assert not constraints.cut(falling)
+    assert constraints.cut(falling[::-1])
+
+
 def test_a_slope_that_nothing_can_change_is_not_constrained():
     only_quadratic = np.array([[False, True]])
     rows = SlopeConstraints(only_quadratic).rows()

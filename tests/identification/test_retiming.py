@@ -173,6 +173,12 @@ def test_errors_that_explain_the_spread_leave_no_jitter():
     assert 0 < jitter.standard_error_s < 1e-3
 
 
+def test_packets_that_all_come_as_late_have_no_jitter():
+    jitter = delay_jitter([some(np.full(20, 2e-3), 1e-3)])
+    assert jitter.standard_deviation_s == pytest.approx(0, abs=1e-12)
+    assert jitter.standard_error_s == pytest.approx(0, abs=1e-12)
+
+
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
 def test_means_of_recordings_are_no_jitter(first, second):
     deviation = 6e-3 * np.random.default_rng(3).normal(size=60)

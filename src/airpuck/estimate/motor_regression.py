@@ -38,11 +38,19 @@ def twice_integrated(
     acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
 ) -> Float[np.ndarray, "E ... B"]:
     """Integrate backwards from rest at the last sample, twice, linear between samples."""
+    return integrated(acceleration, duration)[1]
+
+
+def integrated(
+    acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
+) -> tuple[Float[np.ndarray, "E ... B"], Float[np.ndarray, "E ... B"]]:
+    """Return velocities and positions that end at rest, accelerations linear between samples."""
     h = duration.reshape(len(duration), *(1,) * (acceleration.ndim - 2), -1)
     here, there = acceleration[:-1], acceleration[1:]
     velocity = _sums_from_the_end(-h / 2 * (here + there))
     position = _sums_from_the_end(-h * velocity - h**2 / 6 * (2 * here + there))
-    return np.concatenate([position, np.zeros_like(acceleration[:1])])
+    rest = np.zeros_like(acceleration[:1])
+    return np.concatenate([velocity, rest]), np.concatenate([position, rest])
 
 
 def _sums_from_the_end(steps: Float[np.ndarray, "e ..."]) -> Float[np.ndarray, "e ..."]:

@@ -181,7 +181,9 @@ class SlopeConstraints:
     margin = 1e-6
 
     def __init__(self, free: Bool[np.ndarray, "n degree"], monotone: bool = True) -> None:
-        self._free, self._monotone = free, monotone
+        self._free = free
+        # A curve that is not free may fall: no step can mend it.
+        self._mended = monotone & free.any(axis=1)
         propellers = range(len(free)) if monotone else ()
         self._points = [(i, speed) for i in propellers for speed in (0.0, 1.0)]
 
@@ -192,6 +194,6 @@ class SlopeConstraints:
     def cut(self, coefficients: Float[np.ndarray, "n degree"]) -> bool:
         """Add constraints where curves fall."""
         slopes, speeds = lowest_slope(coefficients)
-        falling = (slopes < 0) & (speeds > 0) & (speeds < 1) & self._monotone
+        falling = (slopes < 0) & (speeds > 0) & (speeds < 1) & self._mended
         self._points += [(k, float(speeds[k])) for k in np.flatnonzero(falling).tolist()]
         return bool(falling.any())

@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
+from airpuck.estimate.motor_regression import integrated
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays, delay_response, packet_delays
 from airpuck.model.model_file import Model
@@ -88,7 +89,7 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     for part in stretches(time):
         if len(time[part]) < fewest:
             continue  # left out by preprocessing, which has no velocities there either
-        gained, moved = _integrated(time[part], modelled[part])
+        gained, moved = integrated(modelled[part], np.diff(time[part])[:, None])
         state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)
     return replace(trajectory, state=state)
 
@@ -99,18 +100,6 @@ def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndar
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
     speed = motor_speeds(trajectory.time, held, float(model.dynamics.motor_time_constant))
     return np.stack(acceleration(np, model.dynamics, trajectory.state[:, 2:].T, speed.T), axis=1)
-
-
-def _integrated(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
-) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k"]]:
-    """Integrate once and twice from the first sample, linear between samples."""
-    h = np.diff(time)[:, None]
-    once = np.zeros_like(values)
-    once[1:] = np.cumsum(h / 2 * (values[:-1] + values[1:]), axis=0)
-    twice = np.zeros_like(values)
-    twice[1:] = np.cumsum(h * once[:-1] + h**2 / 6 * (2 * values[:-1] + values[1:]), axis=0)
-    return once, twice
 
 
 def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
@@ -140,7 +129,7 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     return DelayJitter(
         standard_deviation_s=jitter,
         # σ is not normal near zero: there, what a variance of one standard error would be.
-        standard_error_s=error / max(2 * jitter, error**0.5),
+        standard_error_s=error and error / max(2 * jitter, error**0.5),
         packets=len(deviation),
     )
 
@@ -208,7 +197,7 @@ def score_derivatives(
         replace(model, parameters=parameters.with_vector(vector + step * np.eye(len(vector))[j]))
         for j, step in zip(moved, steps, strict=True)
     ]
-    spread = spread_of(packets)
+    spread = model.delay_jitter.standard_deviation_s if model.delay_jitter else 0.0
     prepared = [
         _prepared(trajectory, [model, *models], delays, spread)
         for trajectory, delays in zip(trajectories, packets, strict=True)
