@@ -1,6 +1,6 @@
 """Do 95 % intervals hold the truth? Excitation flights of a known craft, identified one by one.
 
-    python studies/coverage.py --flights 200 --duration 60
+    python studies/coverage.py --flights 200 --duration 60 [--robust]
 
 Prints for every parameter, and for thrust at half and full speed, how often the interval holds the
 truth, and the bias in standard errors; at the end, what is outside of the bounds. The truth of the
@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from recovery import true_delay, truth
 
-from airpuck import bootstrap, identify, preprocess
+from airpuck import Loss, bootstrap, identify, preprocess
 from airpuck.compute.process import usable_cores
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
@@ -42,10 +42,10 @@ def labels(model: Model) -> list[str]:
     return model.parameters.labels(names) + [f"F({v:g}) {n}" for n in names for v in SPEEDS]
 
 
-def errors_of(seed: int, duration: float, replicates: int) -> np.ndarray:
+def errors_of(seed: int, duration: float, replicates: int, robust: bool) -> np.ndarray:
     """Fly, identify; return errors, standard errors and ends of the bootstrap's intervals."""
     model = truth()
-    fit = identify(preprocess(excite(model, duration, seed)), "M3")
+    fit = identify(preprocess(excite(model, duration, seed)), "M3", loss=Loss(robust=robust))
     if replicates:
         fit = bootstrap(fit, replicates, seed=seed)
     known = fit.uncertainty
@@ -101,9 +101,15 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=30)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--bootstrap", type=int, default=0)
+    parser.add_argument("--robust", action="store_true", help="as identify --robust")
     parser.add_argument("--workers", type=int, default=usable_cores())
     options = parser.parse_args()
-    task = partial(errors_of, duration=options.duration, replicates=options.bootstrap)
+    task = partial(
+        errors_of,
+        duration=options.duration,
+        replicates=options.bootstrap,
+        robust=options.robust,
+    )
     # JAX has threads, which do not live through a fork.
     context = multiprocessing.get_context("spawn")
     with context.Pool(options.workers) as pool:

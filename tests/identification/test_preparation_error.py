@@ -120,11 +120,11 @@ def test_a_fit_has_all_of_it(flight, fit):
     quadratic = loss.quadratic(parameters)
     shared = shared_at_borders(loss)
     assert shared > 0.05
-    plain = sandwich(quadratic, parameters, fit.model.free, shared=shared)
+    space = varying(quadratic.hessian, parameters, fit.model.free)
+    plain = sandwich(quadratic, parameters, space, shared)
     errors = plain.standard_errors
     mixed, hessian = score_derivatives(loss, [flight], fit.model, fit.packet_delays, errors)
-    basis = varying(quadratic.hessian, parameters, fit.model.free).basis
-    all_but = grown(plain, error_growth(mixed, hessian, basis, 2))
+    all_but = grown(plain, error_growth(mixed, hessian, space.basis, 2))
     variance = variance_of_mean(fit.packet_delays, fit.model.delay_jitter.standard_deviation_s)
     delay = parameters.mask(frozenset({"transport_delay"}))
     expected = widened(all_but, delay, variance)

@@ -17,6 +17,8 @@ from airpuck.identification.uncertainty import (
     identifiability_of,
     sandwich,
     shared_at_borders,
+    subspace,
+    varying,
     widened,
 )
 from airpuck.model.gauge import fix_gauge, gauge_directions
@@ -46,6 +48,11 @@ def fit():
     return identify(noisy())
 
 
+def along(quadratic, parameters, free, shared=0.0):
+    """As a fit does: along what holds the estimate."""
+    return sandwich(quadratic, parameters, varying(quadratic.hessian, parameters, free), shared)
+
+
 def dense_jacobian(loss, parameters, free):
     """Residuals (W, 3 T) and their derivatives by central differences of a plain rollout."""
 
@@ -72,8 +79,8 @@ def test_equals_a_dense_computation():
     parameters = TRUTH.parameters
     free = RUNGS["M3"].mask(parameters)
     quadratic = loss.quadratic(parameters)
-    nothing = np.zeros((0, len(free)))
-    found = sandwich(quadratic, parameters, free, nothing)
+    space = subspace(quadratic.hessian, free, np.zeros((0, len(free))))
+    found = sandwich(quadratic, parameters, space)
     residual, jacobian = dense_jacobian(loss, parameters, free)
     count = clusters.max() + 1
     hessian = np.einsum("wrp,wrq->pq", jacobian, jacobian)
@@ -117,7 +124,7 @@ def test_a_linear_model_whose_covariance_is_known():
     free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
     rng = np.random.default_rng(5)
     found = [linear_quadratic(rng, parameters, free) for _ in range(40)]
-    errors = [sandwich(quadratic, parameters, free).standard_errors[free] for quadratic, _ in found]
+    errors = [along(quadratic, parameters, free).standard_errors[free] for quadratic, _ in found]
     # Rows of a design are independent, so that the constant errors of a cluster average out as if
     # they were independent, too: σ² (XᵀX)⁻¹.
     expected = 0.3 / np.sqrt(400 * 8)
@@ -135,14 +142,14 @@ def quadratic_at_the_truth():
 
 def test_what_is_between_blocks_widens_all():
     quadratic, parameters, free = quadratic_at_the_truth()
-    plain, wide = (sandwich(quadratic, parameters, free, shared=q) for q in (0.0, 0.19))
+    plain, wide = (along(quadratic, parameters, free, q) for q in (0.0, 0.19))
     np.testing.assert_allclose(wide.standard_errors, plain.standard_errors / 0.9)
 
 
 def test_errors_can_grow():
     """By a factor, and by a matrix that mixes them."""
     quadratic, parameters, free = quadratic_at_the_truth()
-    plain = sandwich(quadratic, parameters, free)
+    plain = along(quadratic, parameters, free)
     wide = grown(plain, 1.75 * np.eye(len(free)))
     np.testing.assert_allclose(wide.standard_errors, 1.75 * plain.standard_errors, rtol=1e-6)
     first, second = np.flatnonzero(np.isfinite(plain.standard_errors))[:2]
@@ -210,7 +217,7 @@ def test_parameters_at_a_constraint_have_no_standard_error():
     rows = binding_constraints(parameters, free)
     assert len(rows) == 2
     loss = clustered_loss()
-    found = sandwich(loss.quadratic(parameters), parameters, free)
+    found = along(loss.quadratic(parameters), parameters, free)
     labels = parameters.labels(NAMES)
     without = {labels[k] for k in np.flatnonzero(free & np.isnan(found.standard_errors))}
     assert without == {"thrust motor_a_1 φ^1", "motor_time_constant"}
@@ -226,7 +233,7 @@ def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
     (row,) = binding_constraints(parameters, free)
     np.testing.assert_allclose(row[:3], [1, 0.4, 0.12], atol=1e-9)
     loss = clustered_loss()
-    found = sandwich(loss.quadratic(parameters), parameters, free)
+    found = along(loss.quadratic(parameters), parameters, free)
     assert np.isfinite(found.standard_errors[:3]).all()
     slope = np.sqrt(abs(row @ found.covariance @ row))
     assert slope < 1e-6 * found.standard_errors[0]
@@ -277,11 +284,10 @@ def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observe
         assert abs(direction @ hessian @ direction) < 1e-12 * size
     # With the pseudo-inverse, which prefers no scale, as with Newton's: the same errors.
     quadratic = loss.quadratic(tame)
+    loose = subspace(quadratic.hessian, free, binding_constraints(tame, free))
     products = np.array([
-        sandwich(quadratic, tame, free, gauge=gauge).propagate(
-            lambda v: physical(tame.with_vector(v))
-        )
-        for gauge in (None, np.zeros((0, len(free))))
+        sandwich(quadratic, tame, space).propagate(lambda v: physical(tame.with_vector(v)))
+        for space in (varying(quadratic.hessian, tame, free), loose)
     ])  # fmt: skip
     assert (products > 0).all()
     np.testing.assert_allclose(products[0], products[1], rtol=1e-4)
@@ -341,7 +347,7 @@ def test_says_why_there_are_no_standard_errors(count, value, reason):
     quadratic = Quadratic(
         np.ones(count), np.full((count, size), value), np.tile(np.eye(size), (count, 1, 1))
     )
-    found = sandwich(quadratic, parameters, free)
+    found = along(quadratic, parameters, free)
     assert np.isnan(found.standard_errors).all()
     assert reason in found.notes[0]
 

@@ -18,6 +18,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.method import reweighted
 from airpuck.identification.retiming import variance_of_mean
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.uncertainty import Bootstrap
@@ -97,15 +98,18 @@ def resampled_estimates(
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(count, np.full(count, 1 / count), size=replicates).astype(float)
     method = LevenbergMarquardt(tolerance=1e-5)
-    counted = np.ones(len(clusters)) if loss.multiplicity is None else loss.multiplicity
+    weights = np.ones(len(clusters)) if loss.multiplicity is None else loss.multiplicity
 
     def fitted(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
-        resampled = replace(loss, multiplicity=counted * draw[clusters], clusters=None)
+        resampled = replace(loss, multiplicity=draw[clusters], clusters=None)
+        weighted = replace(resampled, multiplicity=weights * draw[clusters])
         try:
-            found = method.minimize(resampled, parameters, free).parameters
+            found = method.minimize(weighted, parameters, free)
+            if fit.model.fit["robust"]:
+                _, found = reweighted(method, resampled, found, free)
         except (InputError, ArithmeticError):
             return None  # this draw does not determine the parameters
-        return fix_gauge(found, loss.vehicle, free).to_vector()
+        return fix_gauge(found.parameters, loss.vehicle, free).to_vector()
 
     found = []
     with ThreadPoolExecutor(usable_cores()) as pool:

@@ -16,7 +16,14 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.method import Iteration, Method, Outcome, minimize_on, reweighted
+from airpuck.identification.method import (
+    Iteration,
+    Method,
+    Outcome,
+    information_of_weights,
+    minimize_on,
+    reweighted,
+)
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.problem import Loss, Preparation, Problem
@@ -25,13 +32,13 @@ from airpuck.identification.retiming import (
     error_growth,
     retime_packets,
     score_derivatives,
-    spread_of,
     variance_of_mean,
 )
 from airpuck.identification.uncertainty import (
     Identifiability,
     grown,
     identifiability_of,
+    information_growth,
     sandwich,
     shared_at_borders,
     varying,
@@ -256,16 +263,23 @@ def judge(solution: Solution, began: float) -> Fit:
 def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Uncertainty:
     """Estimate the covariance of the parameters at the optimum."""
     loss, _, _ = solution.result
-    parameters, free, packets = model.parameters, model.free, solution.packets
-    known = sandwich(quadratic, parameters, free, shared=shared_at_borders(loss))
+    parameters, packets = model.parameters, solution.packets
+    space = varying(quadratic.hessian, parameters, model.free)
+    known = sandwich(quadratic, parameters, space, shared_at_borders(loss))
+    if solution.problem.loss.robust:
+        added = information_of_weights(*loss.window_gradients(parameters))
+        known = grown(known, information_growth(quadratic.hessian, added, space.basis))
     if any(map(len, packets)) and np.isfinite(known.standard_errors).any():
         mixed, hessian = score_derivatives(
             loss, solution.trajectories, model, packets, known.standard_errors
         )
-        basis = varying(quadratic.hessian, parameters, free).basis
-        known = grown(known, error_growth(mixed, hessian, basis, solution.problem.retimings))
+        rounds = solution.problem.retimings
+        known = grown(known, error_growth(mixed, hessian, space.basis, rounds))
+    if model.delay_jitter is None:
+        return known
     delay = parameters.mask(frozenset({"transport_delay"}))
-    return widened(known, delay, variance_of_mean(packets, spread_of(packets)))
+    spread = model.delay_jitter.standard_deviation_s
+    return widened(known, delay, variance_of_mean(packets, spread))
 
 
 def _conditions(solution: Solution) -> dict[str, Any]:

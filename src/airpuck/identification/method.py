@@ -18,6 +18,8 @@ _DEGREES = 1.0
 #: Weights between 0 and 2 are settled when none moves by more than this.
 _SETTLED = 0.02
 _MOST_PASSES = 12
+#: Windows whose errors lie between these quantiles tell how the median of all follows θ.
+_AROUND = (0.4, 0.6)
 
 
 @dataclass(frozen=True)
@@ -100,13 +102,13 @@ def reweighted(
     counts a hundredth of one without error.
     """
     weight, settled = np.ones(len(loss.windows)), False
-    weighted = loss
+    weighted, counted = loss, loss.multiplicity
     for _ in range(_MOST_PASSES):
         before, weight = weight, window_weights(loss, outcome.parameters)
         settled = bool(np.abs(weight - before).max() < _SETTLED)
         if settled:
             break
-        weighted = replace(loss, multiplicity=weight)
+        weighted = replace(loss, multiplicity=weight if counted is None else counted * weight)
         outcome = minimize_on(method, weighted, outcome, free, progress)
     return weighted, replace(
         outcome,
@@ -117,10 +119,37 @@ def reweighted(
 
 
 def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.ndarray, " W"]:
-    """Return how much each window counts."""
+    """Return how much each window counts, each time that the loss counts it."""
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
     errors = prediction_errors(dynamics, loss.windows_at(parameters), loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors
-    square = np.mean(scaled**2, axis=(0, 1))
-    typical = max(float(np.median(square)), np.finfo(float).tiny)
-    return (_DEGREES + 1) / (_DEGREES + square / typical)
+    return student_weights(np.mean(scaled**2, axis=(0, 1)), loss.multiplicity)
+
+
+def student_weights(
+    square: Float[np.ndarray, " W"], times: Float[np.ndarray, " W"] | None = None
+) -> Float[np.ndarray, " W"]:
+    """Return how much windows of these mean squared errors count, each of them so many times."""
+    drawn = square if times is None else np.repeat(square, times.astype(int))
+    return (_DEGREES + 1) / (_DEGREES + square / _typical(drawn))
+
+
+def information_of_weights(
+    square: Float[np.ndarray, " W"], gradient: Float[np.ndarray, "W P"]
+) -> Float[np.ndarray, "P P"]:
+    """Return what weights that follow the parameters add to the information H = Σ w Hᵢ / Σ w.
+
+    The weighted score Σ w ∇s changes with θ as Σ w ∇∇ᵀs + Σ ∇s (∂w/∂θ)ᵀ, where w = w(s/σ²) and σ²,
+    the median of all s, moves with the windows around it. Windows that begin to be predicted badly
+    count less: the second sum is negative.
+    """
+    weight, typical = student_weights(square), _typical(square)
+    low, high = np.quantile(square, _AROUND)
+    scale = gradient[(square >= low) & (square <= high)].mean(axis=0)
+    slope = gradient / typical - np.outer(square / typical**2, scale)
+    return -(gradient.T * weight**2 / (_DEGREES + 1)) @ slope / weight.sum()
+
+
+def _typical(square: Float[np.ndarray, " W"]) -> float:
+    """Return the scale σ² of windows' errors."""
+    return max(float(np.median(square)), np.finfo(float).tiny)

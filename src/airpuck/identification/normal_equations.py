@@ -45,7 +45,7 @@ def normal_equations(
     lengths: tuple[int, int],
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
-    """Sum r², Jᵀr and JᵀJ over a batch of B windows.
+    """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
     `lengths` are E and T. Local coordinates are the thrust coefficients, K directions of Π and the
     effects, the centre of mass where it acts beside Π, τ, and the transport delay.
@@ -140,10 +140,10 @@ def normal_equations(
         predicted = jnp.concatenate([position, motion[:1]])
         residual = scale * (predicted - state[now + 1, :3].T)
         square, score, curvature = sums
-        square += jnp.sum(residual**2)
+        square += jnp.sum(residual**2, axis=0)
         for c, row in enumerate((*d_position, d_yaw)):
             row = scale[c] * row
-            score += row @ residual[c]
+            score += row * residual[c]
             curvature += row @ row.T
         sums = square, score, curvature
         return (position, motion, end[0], d_position, d_yaw, d_velocity, end[1], sums), None
@@ -161,7 +161,7 @@ def normal_equations(
         d_state[2],
         d_state[3:],
         d_encoded[:, 6 : 6 + n],
-        (jnp.zeros(()), jnp.zeros(size), jnp.zeros((size, size))),
+        (jnp.zeros(batch), jnp.zeros((size, batch)), jnp.zeros((size, size))),
     )
     return jax.lax.scan(step, carry, jnp.arange(ahead))[0][-1]
 

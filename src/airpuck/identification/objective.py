@@ -151,6 +151,41 @@ class PredictionLoss:
         Quadratic
             With respect to ``parameters.to_vector()``.
         """
+        square, score, curvature, owner, local = self._passed(parameters)
+        scale = 1 / (3 * self.windows.prediction_length * self._counted.sum())
+        return Quadratic(
+            cluster_losses=scale * _summed([part.sum() for part in square], owner),
+            scores=2 * scale * _summed([part.sum(axis=1) for part in score], owner) @ local,
+            informations=2 * scale * (local.T @ _summed(curvature, owner) @ local),
+        )
+
+    def window_gradients(
+        self, parameters: Parameters
+    ) -> tuple[Float[np.ndarray, " W"], Float[np.ndarray, "W P"]]:
+        """Evaluate each window alone, however much it counts.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            θ.
+
+        Returns
+        -------
+        squares : array, shape (W,)
+            Mean squared weighted error s of each window.
+        gradients : array, shape (W, P)
+            ∇s with respect to ``parameters.to_vector()``.
+        """
+        alike = replace(self, multiplicity=None, clusters=None)
+        square, score, _, _, local = alike._passed(parameters)
+        count, scale = len(self.windows), 1 / (3 * self.windows.prediction_length)
+        gradients = 2 * scale * np.concatenate(score, axis=1)[:, :count].T @ local
+        return scale * np.concatenate(square)[:count], gradients
+
+    def _passed(
+        self, parameters: Parameters
+    ) -> tuple[list[Any], list[Any], list[Any], list[int], Float[np.ndarray, "L P"]]:
+        """Pass over the windows; return r² and Jᵀr of each, JᵀJ of batches with owners, dL/dθ."""
         register_pytrees()
         values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
         windows = self.windows_at(parameters)
@@ -173,17 +208,11 @@ class PredictionLoss:
         batches, owner = self._batches()
 
         def sums(batch: _Batch) -> Any:
-            return jax.block_until_ready(normal_equations(*model, *data, *batch, weights))
+            return [np.asarray(part) for part in normal_equations(*model, *data, *batch, weights)]
 
         with ThreadPoolExecutor(usable_cores()) as pool:
-            square, score, curvature = zip(*pool.map(sums, batches), strict=True)
-        local = _local_coordinates(parameters, moved_by)
-        scale = 1 / (3 * windows.prediction_length * self._counted.sum())
-        return Quadratic(
-            cluster_losses=scale * _summed(square, owner),
-            scores=2 * scale * _summed(score, owner) @ local,
-            informations=2 * scale * (local.T @ _summed(curvature, owner) @ local),
-        )
+            square, score, curvature = map(list, zip(*pool.map(sums, batches), strict=True))
+        return square, score, curvature, owner, _local_coordinates(parameters, moved_by)
 
     @property
     def _counted(self) -> Float[np.ndarray, " W"]:

@@ -100,8 +100,11 @@ class Subspace:
     basis: Float[np.ndarray, "P R"]
     #: Orthonormal directions without information.
     undetermined: Float[np.ndarray, "K P"]
-    #: Free entries that constraints hold where they are.
-    held: Bool[np.ndarray, " P"]
+    #: Entries without an error of their own: not free, held by constraints, or part of a direction
+    #: without information.
+    unknown: Bool[np.ndarray, " P"]
+    #: How many bounds and slopes of thrust curves hold the estimate.
+    binding: int = 0
 
 
 def subspace(
@@ -126,7 +129,7 @@ def subspace(
     return Subspace(
         basis=inside @ vector[:, known] / np.sqrt(value[known]),
         undetermined=np.where(large, undetermined, 0.0),
-        held=free & (reach < 1e-6),
+        unknown=~free | (reach < 1e-6) | large.any(axis=0),
     )
 
 
@@ -155,8 +158,11 @@ def varying(
     hessian: Float[np.ndarray, "P P"], parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Subspace:
     """Find the directions in which an estimate can vary along the constraints that hold it."""
-    rows = [binding_constraints(parameters, free), gauge_constraints(parameters, free)]
-    return subspace(hessian, free, np.concatenate(rows))
+    binding, gauge = binding_constraints(parameters, free), gauge_constraints(parameters, free)
+    finite = np.isfinite(hessian).all()
+    known = hessian if finite else np.zeros_like(hessian)
+    space = subspace(known, free, np.concatenate([binding, gauge]))
+    return replace(space, binding=len(binding))
 
 
 def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
@@ -172,18 +178,15 @@ def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
 def sandwich(
     quadratic: Quadratic,
     parameters: Parameters,
-    free: Bool[np.ndarray, " P"],
-    constraints: Float[np.ndarray, "C P"] | None = None,
-    gauge: Float[np.ndarray, "K P"] | None = None,
+    space: Subspace,
     shared: float = 0.0,
 ) -> Uncertainty:
-    """Estimate the covariance of fitted parameters from the scores of independent clusters."""
+    """Estimate the covariance of fitted parameters from the scores of independent clusters.
+
+    `space` holds the directions in which they can vary, `shared` what `shared_at_borders` returns.
+    """
     from scipy.special import stdtrit
 
-    if constraints is None:
-        constraints = binding_constraints(parameters, free)
-    if gauge is None:
-        gauge = gauge_constraints(parameters, free)
     vector, hessian = parameters.to_vector(), quadratic.hessian
     count, size = quadratic.scores.shape
     if count < 2 or not (np.isfinite(hessian).all() and np.isfinite(quadratic.scores).all()):
@@ -196,7 +199,6 @@ def sandwich(
         return Uncertainty(
             vector, nothing, nothing[0], np.zeros((0, size)), count, np.nan, warnings, warnings
         )
-    space = subspace(hessian, free, np.concatenate([constraints, gauge]))
     # The change of the estimate when each cluster is left out; the Hessians add up to 1.
     value, vectors = np.linalg.eigh(space.basis.T @ quadratic.informations @ space.basis)
     turned = np.einsum("gij,gi->gj", vectors, quadratic.scores @ space.basis)
@@ -205,8 +207,6 @@ def sandwich(
     factor = (count - 1) / count / (1 - shared)
     covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
-    # A part of a direction without information has no error by itself.
-    unknown = ~free | space.held | (space.undetermined != 0).any(axis=0)
     rank = space.basis.shape[1]
     rough = (
         f"{rank} parameters from {count} blocks of time: standard errors are rough, use a longer "
@@ -216,11 +216,11 @@ def sandwich(
     return Uncertainty(
         estimate=vector,
         covariance=covariance,
-        standard_errors=np.where(unknown, np.nan, np.sqrt(np.diag(covariance))),
+        standard_errors=np.where(space.unknown, np.nan, np.sqrt(np.diag(covariance))),
         undetermined=space.undetermined,
         clusters=count,
         quantile=float(stdtrit(count - 1, 0.975)),
-        notes=(*warnings, *_notes(space, constraints)),
+        notes=(*warnings, *_notes(space)),
         warnings=warnings,
     )
 
@@ -238,6 +238,16 @@ def grown(uncertainty: Uncertainty, factor: Float[np.ndarray, "P P"]) -> Uncerta
     return _with_covariance(uncertainty, factor @ uncertainty.covariance @ factor.T)
 
 
+def information_growth(
+    hessian: Float[np.ndarray, "P P"],
+    added: Float[np.ndarray, "P P"],
+    basis: Float[np.ndarray, "P R"],
+) -> Float[np.ndarray, "P P"]:
+    """Return (H + added)⁻¹ H, the factor of errors that were found by H alone, along a basis."""
+    inverse = np.linalg.inv(basis.T @ (hessian + added) @ basis)
+    return basis @ inverse @ basis.T @ hessian
+
+
 def _with_covariance(uncertainty: Uncertainty, covariance: Float[np.ndarray, "P P"]) -> Uncertainty:
     """Replace the covariance, and the standard errors by its own."""
     covariance = (covariance + covariance.T) / 2
@@ -246,12 +256,12 @@ def _with_covariance(uncertainty: Uncertainty, covariance: Float[np.ndarray, "P 
     return replace(uncertainty, covariance=covariance, standard_errors=errors)
 
 
-def _notes(space: Subspace, constraints: Float[np.ndarray, "C P"]) -> list[str]:
+def _notes(space: Subspace) -> list[str]:
     """Write the caveats of standard errors."""
     notes = []
-    if len(constraints):
+    if space.binding:
         notes.append(
-            f"{len(constraints)} constraints bind (bounds, rising thrust): standard errors hold "
+            f"{space.binding} constraints bind (bounds, rising thrust): standard errors hold "
             "along them"
         )
     if len(space.undetermined):
