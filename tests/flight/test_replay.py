@@ -270,7 +270,7 @@ def test_a_missing_or_empty_stream_is_named(recording, missing):
     [
         ("pose", bad_value(100, 1, np.nan), "y_m: 1 of 751 poses are not finite.*row 101"),
         ("pose", bad_value(100, 2, np.inf), "yaw_rad: 1 of 751 poses are not finite"),
-        ("pose", lambda s, r, v: (s, r, v * [1000, 1000, 1]), "convert millimetres"),
+        ("pose", lambda s, r, v: (s, r, v * [1000, 1000, 1]), "for millimetres"),
         ("pose", lambda s, r, v: (s + 10**12, r + 10**12, v), "none of the commands .* overlap"),
         ("pose", lambda s, r, v: (s[::-1], r[::-1], v[::-1]), "none of the commands"),
         ("command", lambda s, r, v: (s[:1], r[:1], v[:1]), "none of the commands"),

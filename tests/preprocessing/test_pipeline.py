@@ -148,7 +148,7 @@ def test_a_given_delay_is_used(recording):
         ("command", bad_value(100, 1, np.nan), "motor_a_2: 1 of .* not finite"),
         ("command", bad_value(100, 1, 1.5), r"motor_a_2: command 1.5 at .* outside \[0, 1\]"),
         ("command", bad_value(100, 1, -0.1), r"outside \[0, 1\]"),
-        ("pose", lambda s, r, v: (s, r, v * [1000, 1000, 1]), "convert millimetres"),
+        ("pose", lambda s, r, v: (s, r, v * [1000, 1000, 1]), "for millimetres"),
         ("pose", lambda s, r, v: (s, r, v * [1, 1, 180 / np.pi]), "looks like degrees"),
         ("pose", lambda s, r, v: (s[:50], r[:50], v[:50]), "too short"),
         ("pose", lambda s, r, v: (s[:0], r[:0], v[:0]), "pose stream is empty"),

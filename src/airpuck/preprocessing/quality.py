@@ -48,7 +48,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     if np.abs(position).max() > 50:
         raise InputError(
             f"positions reach {np.abs(position).max():.0f}, which is no air-hockey table in "
-            "metres; convert millimetres to metres",
+            'metres; for millimetres give a mapping: pose = {units = ["mm"]}',
             file=source,
             field="pose.position",
         )
@@ -59,7 +59,8 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     spins_too_fast = len(jumps) > 0 and period > 0 and np.quantile(jumps, 0.9) / period > 100
     if np.abs(yaw).max() > 2 * np.pi and (wraps_at_360 or spins_too_fast):
         raise InputError(
-            f"yaw reaches {np.abs(yaw).max():.0f} and looks like degrees; convert it to radians",
+            f"yaw reaches {np.abs(yaw).max():.0f} and looks like degrees; "
+            'give a mapping: pose = {units = ["deg"]}',
             file=source,
             field="pose.orientation.yaw",
         )
@@ -73,7 +74,7 @@ def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) 
         row, column = np.argwhere(outside)[0]
         raise InputError(
             f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside [0, 1]; "
-            "scale commands to the range of the motor controller",
+            "give a mapping with their scale, command = {scale = 0.01} for percent",
             file=source,
             field=command.columns[column],
         )
