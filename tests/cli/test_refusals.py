@@ -81,7 +81,7 @@ def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tm
         (("replay", "{bag}", "--model", "nonsense.toml", "-o", "r"), ("nonsense.toml",)),
         (("excite", "-o", "{bag}"), ("-o", "exists")),
         (("excite", "-o", "b", "--duration", "-3"), ("duration",)),
-        (("excite", "-o", "b", "--duration", "0.001"), ("duration", "0.01 s")),
+        (("excite", "-o", "b", "--duration", "0.001"), ("duration", "from 0.01 to 3600 s")),
         (("excite", "-o", "b", "--duration", "inf"), ("duration",)),
         (("excite", "-o", "b", "--amplitude", "2"), ("amplitude",)),
         (("track", "--model", "paper:M7"), ("M7",)),

@@ -243,6 +243,7 @@ def test_nothing_that_exists_is_overwritten(tmp_path: Path, kind: str):
     target = tmp_path / "bag"
     if kind == "folder":
         target.mkdir()
+        (target / "precious").touch()
     elif kind == "file":
         target.write_text("precious")
     else:

@@ -266,10 +266,14 @@ def test_numbers_that_are_not_finite_are_written_too(tmp_path: Path):
     assert read_recording(tmp_path / "csv").streams == made.streams
 
 
-def test_an_existing_folder_is_never_written_to(tmp_path: Path):
+def test_only_an_empty_folder_is_written_to(tmp_path: Path):
+    (tmp_path / "precious").touch()
     with pytest.raises(InputError, match="exists already"):
         write_csv(flight(), tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["precious"]
+    (tmp_path / "empty").mkdir()
+    write_csv(flight(), tmp_path / "empty")
+    assert list((tmp_path / "empty").iterdir())
 
 
 def test_the_authors_files(experiments: Path):

@@ -17,13 +17,12 @@ from airpuck import __version__
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns.items import Item, Row
 from airpuck.campaigns.spec import Entry
+from airpuck.compute.process import Stopped, stop
 
 #: An item is given up when this many workers have died of it.
 DEADLY = 3
 #: How long a scheduler may take to answer, and then to have a worker [s].
 PATIENCE = 10.0
-#: Stands for Ctrl-C among finished items.
-_INTERRUPT = None
 _SETTINGS = {
     # A worker's death is no failure of its item yet.
     "distributed.scheduler.allowed-failures": DEADLY - 1,
@@ -65,36 +64,38 @@ def dispatch(
             if not under_way:
                 break
             future = finished.get()
-            if future is _INTERRUPT:
-                raise KeyboardInterrupt
+            if isinstance(future, Stopped):
+                raise future
             yield under_way.pop(future.key), _result(future)
             future.release()
         if not finished.empty():
-            raise KeyboardInterrupt
+            raise finished.get()
 
 
 @contextlib.contextmanager
 def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
-    """Put the first Ctrl-C in the queue; the second raises at once, as usual.
+    """Put the first Ctrl-C or SIGTERM in the queue; the second raises at once.
 
     An exception that a signal raises is lost where it comes up in a destructor or in a callback of
     the garbage collector, and Dask has both. A `SimpleQueue` may be put to there.
     """
-    usual = signal.default_int_handler
-    here = threading.current_thread() is threading.main_thread()
-    if not here or signal.getsignal(signal.SIGINT) is not usual:
-        yield  # somebody else handles signals
-        return
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    # What somebody else handles stays so.
+    taken = [n for n, h in before.items() if h in (signal.default_int_handler, stop)]
 
-    def note(_number: int, _frame: Any) -> None:
-        signal.signal(signal.SIGINT, usual)
-        finished.put(_INTERRUPT)
+    def note(number: int, _frame: Any) -> None:
+        signal.signal(number, before[signal.Signals(number)])
+        finished.put(Stopped(number, "run it again for what is missing"))
 
-    signal.signal(signal.SIGINT, note)
+    for number in taken:
+        signal.signal(number, note)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, usual)
+        for number in taken:
+            signal.signal(number, before[number])
 
 
 def compute(item: Item) -> Result:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from typer import Argument, Option
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
@@ -35,7 +34,8 @@ def campaign(
         str | None, Option(metavar="TCP", help="Address of a Dask scheduler, tcp://HOST:PORT.")
     ] = None,
     workers: Annotated[
-        int | None, Option(metavar="N", help="Processes to start; as many as processors.", min=1)
+        int | None,
+        options.number("N", "Processes to start; as many as processors.", numbers.WORKERS),
     ] = None,
     retry: Annotated[bool, Option("--retry", help="Run again what failed.")] = False,
     json_file: options.Json = None,
@@ -44,14 +44,10 @@ def campaign(
     """Run many independent flights or fits; what is done already is not done again."""
     if scheduler is not None and workers is not None:
         raise InputError("a running cluster has its own; give one of the two", field="--workers")
-    try:
-        with show_counts("", "{} of {} items done, {} failed", quiet) as progress:
-            found = airpuck.campaign(
-                spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
-            )
-    except KeyboardInterrupt:
-        print("airpuck: interrupted; run it again for what is missing", file=sys.stderr)
-        raise typer.Exit(130) from None
+    with show_counts("", "{} of {} items done, {} failed", quiet) as progress:
+        found = airpuck.campaign(
+            spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
+        )
     figures = found.to_json()
     write_json(output / "summary.json", figures)
     report(figures, json_file, *_summary(found), output / "results.csv")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Option
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_controls, read_twin
@@ -35,19 +36,23 @@ def design(
         Option(metavar="RECORDING", help="Fit to this first; repeat for several."),
     ] = None,
     duration: Annotated[
-        float, Option(metavar="S", help=r"Length of the flight to propose \[s].")
+        float, options.number("S", "Length of the flight to propose.", numbers.DESIGN_DURATION)
     ] = 60.0,
     criterion: Annotated[
         Literal["worst", "mean"],
         Option(help="worst: the largest relative error; mean: their geometric mean."),
     ] = "worst",
-    margin: Annotated[float, Option(metavar="M", help=r"Least distance to the rails \[m].")] = 0.08,
+    margin: Annotated[
+        float, options.number("M", "Least distance to the rails.", numbers.MARGIN)
+    ] = 0.08,
     output: Annotated[
         Path | None, options.output("FILE", "Plan to write, for excite --plan.")
     ] = None,
     check: Annotated[
         int | None,
-        Option(metavar="N", help="Fly it N times on the twin, identify, and compare.", min=1),
+        options.number(
+            "N", "Fly it N times on the twin, identify, and compare.", numbers.CHECK_FLIGHTS
+        ),
     ] = None,
     figure: Annotated[
         Path | None, options.output("FILE", "Draw the errors; a PNG.", "--figure")

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Argument, Option
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import origin, report
+from airpuck.cli.output import origin, report, show
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -60,7 +61,8 @@ def replay(
 def excite(
     output: options.NewBag,
     duration: Annotated[
-        float | None, Option(metavar="S", help=r"Length \[s], by default 90.")
+        float | None,
+        options.number("S", "Length, by default 90 s.", numbers.FLIGHT_DURATION),
     ] = None,
     seed: options.Seed = 0,
     vehicle: options.VehicleFile = None,
@@ -82,9 +84,6 @@ def excite(
     if model is None and vehicle is None:
         model = "paper:M3"
     truth = inputs.model_or_nominal(model, vehicle, airpuck.read_model)
-    # Before the flight: a folder that is in the way should not cost a minute.
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise InputError("exists already; choose a new folder", file=output, field="-o")
     planned = inputs.read_excitation(plan, duration, amplitude, hold)
     excited = fly_excitation(
         truth, planned, seed, settings=inputs.read_twin(twin), tuning=inputs.read_controls(tuning)
@@ -113,7 +112,8 @@ def track(
     truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
     setpoints: options.SetPointsFile = None,
     dwell: Annotated[
-        float | None, Option(metavar="S", help=r"Time at each set point \[s]; imitates no flight.")
+        float | None,
+        options.number("S", "Time at each set point; imitates no flight.", numbers.DWELL),
     ] = None,
     pilot: options.PilotClass = None,
     controller: Annotated[
@@ -141,8 +141,6 @@ def track(
     names = models or ["paper:M0", "paper:M4"]
     if dwell is not None and flights:
         raise InputError("a flight has its own times; give one of the two", field="--dwell")
-    if dwell is not None and not 0.1 <= dwell <= 1000:
-        raise InputError("must be between 0.1 and 1000 s", field="--dwell")
     paths: list[Path | None] = list(flights or ())
     if setpoints is not None and flights:
         raise InputError("a flight has its own set points; give one of the two", field="--flight")
@@ -186,11 +184,15 @@ def animate(
     span: options.Span = None,
     vehicle: options.VehicleFile = None,
     mapping: options.MappingFile = None,
-    speed: Annotated[float, Option(help="Seconds of flight per second.")] = 1.0,
-    fps: Annotated[float, Option(help="Frames of a GIF per second.")] = 25.0,
+    speed: Annotated[
+        float, options.number("X", "Seconds of flight per second.", numbers.SPEED)
+    ] = 1.0,
+    fps: Annotated[
+        float, options.number("N", "Frames of a GIF per second.", numbers.FRAME_RATE)
+    ] = 25.0,
     table: Annotated[
         tuple[float, float] | None,
-        Option(metavar="L W", help=r"Length and width of the table \[m]."),
+        options.number("L W", "Length and width of the table.", numbers.TABLE_SIDE),
     ] = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
@@ -205,7 +207,7 @@ def animate(
         frames_per_second=fps,
         table=table or TABLE,
     )
-    print(written)
+    show(written)
 
 
 def _replay_lines(replay: Replay) -> Iterator[str]:

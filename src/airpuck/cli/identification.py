@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Argument, Option
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
@@ -47,7 +48,8 @@ def preprocess(
     vehicle: options.VehicleFile = None,
     mapping: options.MappingFile = None,
     delay: Annotated[
-        float | None, Option(metavar="S", help="Transport delay; by default it is found.")
+        float | None,
+        options.number("S", "Transport delay; by default it is found.", numbers.DELAY),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -93,35 +95,33 @@ def identify(
     method: Annotated[
         Literal["lm", "adam"], Option(help="lm (Levenberg-Marquardt) or adam.")
     ] = "lm",
-    epochs: Annotated[int | None, Option(help="Epochs of Adam.", min=1)] = None,
+    epochs: Annotated[int | None, options.number("N", "Epochs of Adam.", numbers.EPOCHS)] = None,
     stride: Annotated[
         int | None,
-        Option(help="Samples between windows; by default 29 ms (7 at 240 Hz), for adam 1.", min=1),
+        options.number(
+            "N",
+            "Samples between windows; by default 29 ms (7 at 240 Hz), for adam 1.",
+            numbers.STRIDE,
+        ),
     ] = None,
     encoder_time: Annotated[
-        float | None, Option(metavar="S", help="What the encoder looks at; 0.167 s.", min=0.01)
+        float | None, options.number("S", "What the encoder looks at; 0.167 s.", numbers.WINDOW)
     ] = None,
     prediction_time: Annotated[
-        float | None, Option(metavar="S", help="How far predictions reach; 0.208 s.", min=0.01)
+        float | None, options.number("S", "How far predictions reach; 0.208 s.", numbers.WINDOW)
     ] = None,
     degree: Annotated[
-        int | None, Option(help="Degree of the thrust polynomials.", min=1, max=9)
+        int | None, options.number("N", "Degree of the thrust polynomials.", numbers.DEGREE)
     ] = None,
     yaw_weight: Annotated[
-        float, Option(help="Weight of yaw errors in the loss [1/rad].", min=0)
+        float, options.number("W", r"Weight of yaw errors in the loss \[1/rad].", numbers.WEIGHT)
     ] = 0.1,
     com_frame: Annotated[
         Literal["body", "world"],
         Option(help="Centre of mass fixed to the body, or as in the paper to the world."),
     ] = "body",
     report_folder: Annotated[
-        Path | None,
-        Option(
-            "--report",
-            metavar="DIR",
-            help="Write a page with figures, too.",
-            callback=options.writable,
-        ),
+        Path | None, options.output("DIR", "Write a page with figures, too.", "--report")
     ] = None,
     validation: Annotated[
         Path | None,
@@ -146,7 +146,7 @@ def identify(
     ] = None,
     bootstrap: Annotated[
         int | None,
-        Option(metavar="N", help="Fit to N resamplings, too, for their intervals.", min=10),
+        options.number("N", "Fit to N resamplings, too, for their intervals.", numbers.REPLICATES),
     ] = None,
     seed: options.Seed = 0,
     verbose: options.Verbose = False,

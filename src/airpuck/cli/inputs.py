@@ -59,6 +59,19 @@ def load(
     return trajectory if span is None else trajectory.slice(*span)
 
 
+def load_for(
+    model: str,
+    recording: Path,
+    mapping: Path | None,
+    *,
+    span: tuple[float, float] | None = None,
+    quiet: bool = True,
+) -> tuple[Model, Trajectory]:
+    """Read a model, and load a recording of its craft."""
+    judged = airpuck.read_model(model)
+    return judged, load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
+
+
 @contextmanager
 def about(file: str | Path, field: str | None = None) -> Iterator[None]:
     """Name the file, and the field as the file calls it, in what is refused."""

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
-from typer.core import TyperCommand
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
-from airpuck.cli.app import app
-from airpuck.cli.output import is_stdout, report, write_json
+from airpuck.cli.app import Command, app
+from airpuck.cli.output import is_stdout, report, show, write_json
 
 if TYPE_CHECKING:
     from airpuck.control.reference import SetPoints
@@ -26,7 +25,8 @@ SETPOINT = "--setpoint"
 _PANEL = "Live, on a ROS 2 graph"
 
 Domain = Annotated[
-    int | None, Option("--domain", metavar="N", help="DDS domain; by default $ROS_DOMAIN_ID, or 0.")
+    int | None,
+    options.number("N", "DDS domain; by default $ROS_DOMAIN_ID, or 0.", numbers.DOMAIN, "--domain"),
 ]
 Interface = Annotated[
     str | None,
@@ -37,7 +37,8 @@ Interface = Annotated[
     ),
 ]
 Duration = Annotated[
-    float | None, Option("--duration", metavar="S", help=r"Length \[s]; by default until Ctrl-C.")
+    float | None,
+    options.number("S", "Length; by default until Ctrl-C.", numbers.LIVE_DURATION, "--duration"),
 ]
 Belief = Annotated[str, options.BELIEVED_MODEL]
 
@@ -50,7 +51,9 @@ def twin(
     settings: options.TwinFile = None,
     pose: Annotated[
         tuple[float, float, float],
-        Option(metavar="X Y YAW", help=r"Where the craft stands at first \[m, m, rad]."),
+        options.number(
+            "X Y YAW", r"Where the craft stands at first \[m, m, rad].", numbers.COORDINATE
+        ),
     ] = (0.0, 0.0, 0.0),
     seed: options.Seed = 0,
     domain: Domain = None,
@@ -75,7 +78,7 @@ def twin(
     )
 
 
-class _Triples(TyperCommand):
+class _Triples(Command):
     """A command whose --setpoint takes three numbers and may be repeated; Typer knows only one."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -97,7 +100,8 @@ def fly(
         Option(SETPOINT, metavar="X Y YAW", help="Where to go; repeat for several, in order."),
     ] = None,
     dwell: Annotated[
-        float | None, Option(metavar="S", help=r"Time at each --setpoint \[s]; by default 3.")
+        float | None,
+        options.number("S", "Time at each --setpoint; by default 3 s.", numbers.DWELL),
     ] = None,
     setpoints_file: options.SetPointsFile = None,
     topic: Annotated[
@@ -113,14 +117,15 @@ def fly(
     vehicle: options.VehicleFile = None,
     geofence: Annotated[
         tuple[float, float] | None,
-        Option(
-            metavar="X Y",
-            help=r"Motors idle beyond ±X, ±Y \[m]; by default beyond the table's rails.",
+        options.number(
+            "X Y",
+            "Motors idle beyond ±X, ±Y; by default beyond the table's rails.",
+            numbers.DISTANCE,
         ),
     ] = None,
     tuning: options.TuningFile = None,
     seed: Annotated[
-        int | None, Option(metavar="N", help="Seed of --excite; by default 0.", min=0)
+        int | None, options.number("N", "Seed of --excite; by default 0.", numbers.SEED)
     ] = None,
     domain: Domain = None,
     interface: Interface = None,
@@ -182,7 +187,7 @@ def fly(
     report(
         figures,
         json_file,
-        f"{figures['duration_s']:.1f} s, periods: {outcomes}\n"
+        f"{figures['duration_s']:.1f} s, periods: {outcomes}",
         f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
         f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
         quiet=quiet,
@@ -219,10 +224,14 @@ def preflight(
         Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
     ] = None,
     level: Annotated[
-        float | None, Option(help="Command of the motor whose turn it is; by default 0.25.")
+        float | None,
+        options.number(
+            "U", "Command of the motor whose turn it is; by default 0.25.", numbers.AMPLITUDE
+        ),
     ] = None,
     rounds: Annotated[
-        int | None, Option(help="How often each motor has its turn; by default 2.")
+        int | None,
+        options.number("N", "How often each motor has a turn; by default 2.", numbers.PULSE_ROUNDS),
     ] = None,
     domain: Domain = None,
     interface: Interface = None,
@@ -268,14 +277,14 @@ def watch(
 
     live = live_settings(domain, interface, mapping, duration, quiet)
     silent = quiet or is_stdout(json_file)
-    show = (lambda _: None) if silent else partial(print, flush=True)
-    write_json(json_file, watch_live(inputs.read_belief(model), show, live))
+    tell = (lambda _: None) if silent else show
+    write_json(json_file, watch_live(inputs.read_belief(model), tell, live))
 
 
 @app.command(rich_help_panel=_PANEL)
 def view(
     model: Belief,
-    port: Annotated[int, Option(metavar="N", help="Port of the page.", min=1, max=65535)] = 8080,
+    port: Annotated[int, options.number("N", "Port of the page.", numbers.PORT)] = 8080,
     host: Annotated[
         str, Option(metavar="ADDRESS", help="Who may see it; by default this machine alone.")
     ] = "127.0.0.1",
@@ -322,14 +331,14 @@ def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None)
     if file is not None:
         return read_setpoints(file)
     dwell = 3.0 if dwell is None else dwell
-    if not 0 < dwell < float("inf"):
-        raise InputError("must be a number of seconds above 0", field="--dwell")
     try:
         poses = [tuple(map(float, text.split())) for text in texts or ["0 0 0"]]
     except ValueError:
         poses = [()]
     if any(len(pose) != 3 for pose in poses):
         raise InputError("give three numbers: x [m], y [m], yaw [rad]", field=SETPOINT)
+    for coordinate in chain.from_iterable(poses):
+        numbers.COORDINATE.check(coordinate, SETPOINT)
     return SetPoints([k * dwell for k in range(len(poses))], poses)
 
 
@@ -341,6 +350,4 @@ def _fence(given: tuple[float, float] | None, craft: Model) -> tuple[float, floa
         x, y = Table().reach(craft.vehicle.radius_m)
         # Noise of a craft that leans on a rail is inside.
         return x + 0.01, y + 0.01
-    if not all(0 < distance < float("inf") for distance in given):
-        raise InputError("must be two finite distances above 0", field="--geofence")
     return given

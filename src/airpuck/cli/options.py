@@ -2,42 +2,44 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from typer import Argument, Option
 from typer.core import TyperOption
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary import numbers
+from airpuck.boundary.files import Output
+from airpuck.boundary.numbers import Range
+from airpuck.cli.names import check_written
 from airpuck.cli.output import is_stdout
 
-
-def writable(context: Any, parameter: TyperOption, path: Path | None) -> Path | None:
-    """Refuse a place that cannot be written to, or is another option's, before the work is done."""
-    if path is None or is_stdout(path):
-        return path
-    taken: dict[Path, str] = context.meta.setdefault("airpuck.written", {})
-    option, whole = parameter.opts[0], path.absolute()
-    if whole in taken:
-        raise InputError(f"is the place of {taken[whole]}, too", file=path, field=option)
-    taken[whole] = option
-    existing = next(folder for folder in (whole, *whole.parents) if folder.exists())
-    if existing == whole and existing.is_file():
-        existing = whole.parent
-    try:
-        with tempfile.TemporaryFile(dir=existing):
-            pass
-    except OSError as error:
-        problem = f"cannot be written ({error.strerror}); choose another place"
-        raise InputError(problem, file=path, field=option) from None
-    return path
+#: What is written, by what stands for it in the help.
+_KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 
-def output(metavar: str, help: str, *names: str) -> Any:
+def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> Any:
     """Return an option for a file or folder to write; by default -o."""
-    names = names or ("-o", "--output")
-    return Option(*names, metavar=metavar, help=help, callback=writable)
+
+    def check(context: Any, parameter: TyperOption, path: Path | None) -> Path | None:
+        if path is not None and not is_stdout(path) and not context.resilient_parsing:
+            check_written(context, parameter.opts[0], path, _KINDS[metavar])
+        return path
+
+    return Option(*(names or ("-o", "--output")), metavar=metavar, help=help, callback=check)
+
+
+def number(metavar: str, help: str, limits: Range, *names: str) -> Any:
+    """Return an option for a number, or several, within limits that the help names."""
+
+    def check(context: Any, parameter: TyperOption, value: Any) -> Any:
+        for one in value if isinstance(value, (tuple, list)) else (value,):
+            if one is not None and not context.resilient_parsing:
+                limits.check(one, parameter.opts[0])
+        return value
+
+    words = f"{help.removesuffix('.')} ({limits})."
+    return Option(*names, metavar=metavar, help=words, callback=check)
 
 
 Json = Annotated[
@@ -62,7 +64,7 @@ MappingFile = Annotated[
 ]
 Span = Annotated[
     tuple[float, float] | None,
-    Option("--span", metavar="A B", help="Part to use, as fractions of the length."),
+    number("A B", "Part to use, as fractions of the length.", numbers.SHARE, "--span"),
 ]
 TuningFile = Annotated[
     Path | None,
@@ -98,9 +100,11 @@ PlanFile = Annotated[
     Path | None,
     Option("--plan", metavar="FILE", help="Amplitude, hold, length and margin, by airpuck design."),
 ]
-Amplitude = Annotated[float | None, Option(help="Largest random signal, by default 1.")]
+Amplitude = Annotated[
+    float | None, number("A", "Largest random signal, by default 1.", numbers.AMPLITUDE)
+]
 Hold = Annotated[
-    float | None, Option(metavar="S", help=r"Time between its changes \[s], by default 0.2.")
+    float | None, number("S", "Time between its changes, by default 0.2 s.", numbers.HOLD)
 ]
 PilotClass = Annotated[
     str | None,
@@ -110,7 +114,7 @@ PilotClass = Annotated[
         help="A controller of your own: a class that is made from (model, reference).",
     ),
 ]
-Seed = Annotated[int, Option(metavar="N", help="Seed of everything random.", min=0)]
+Seed = Annotated[int, number("N", "Seed of everything random.", numbers.SEED)]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],
     Option(
@@ -118,9 +122,7 @@ ProtocolName = Annotated[
         help="paper; paper-long: encoders may look further back; causal: nothing measured later.",
     ),
 ]
-Horizon = Annotated[
-    float, Option(metavar="S", help="After how long errors are reported.", min=0.001, max=10)
-]
+Horizon = Annotated[float, number("S", "After how long errors are reported.", numbers.HORIZON)]
 EncoderName = Annotated[
     Literal["paper", "actuation"],
     Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),

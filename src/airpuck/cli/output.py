@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from airpuck.boundary.terminal import escaped
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -41,21 +43,29 @@ def origin() -> Origin:
 
 def say(quiet: bool) -> Any:
     """Return a function that prints what is being done."""
-    return (lambda _: None) if quiet else (lambda text: print(text, file=sys.stderr, flush=True))
+    return (lambda _: None) if quiet else partial(show, error=True)
+
+
+def show(text: str | Path, *, error: bool = False) -> None:
+    """Print a line; what it quotes from files and names cannot command the terminal."""
+    print(escaped(str(text)), file=sys.stderr if error else sys.stdout, flush=True)
 
 
 def warn(warnings: Any, quiet: bool = False) -> None:
     """Print warnings on standard error."""
     if not quiet:
         for warning in warnings:
-            print(f"warning: {warning}", file=sys.stderr)
+            show(f"warning: {warning}", error=True)
 
 
 def console() -> Console:
-    """Return where tables are printed; where that is no terminal, rows may be longer."""
+    """Return where tables are printed; where that is no terminal, rows may be longer.
+
+    Names such as [red] and :smile: stay as they are.
+    """
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 160)
+    return Console(width=None if sys.stdout.isatty() else 160, markup=False, emoji=False)
 
 
 def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = False) -> None:
@@ -68,7 +78,7 @@ def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = Fals
         return
     for part in shown:
         if isinstance(part, (str, Path)):
-            print(part)
+            show(part)
         elif part is not None:
             console().print(part)
 
@@ -83,12 +93,12 @@ def table(
     """Lay out a table, with the columns of these headings (by default the first) to the left."""
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left")
+    made = Table(title=title and escaped(title), title_justify="left")
     for heading in headings:
         to_left = heading in (headings[:1] if left is None else left)
-        made.add_column(heading, justify="left" if to_left else "right", overflow="fold")
+        made.add_column(escaped(heading), justify="left" if to_left else "right", overflow="fold")
     for row in rows:
-        made.add_row(*row)
+        made.add_row(*map(escaped, row))
     return made
 
 
@@ -140,7 +150,7 @@ def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., No
 def print_tenths(words: str, done: int, total: int, *more: int) -> None:
     """Fill words with counts, and print them, if another tenth is done."""
     if words and 10 * done // total > 10 * (done - 1) // total:
-        print(words.format(done, total, *more), file=sys.stderr, flush=True)
+        show(words.format(done, total, *more), error=True)
 
 
 @contextmanager

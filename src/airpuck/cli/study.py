@@ -10,7 +10,7 @@ from typer import Option
 import airpuck
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.output import origin, report, say
+from airpuck.cli.output import origin, report, say, show
 
 PANEL = "The paper's study"
 
@@ -26,11 +26,11 @@ def fetch(
     quiet: options.Quiet = False,
 ) -> None:
     """Download and verify the public dataset (or verify $AIRPUCK_DATA)."""
-    show = say(quiet)
+    tell = say(quiet)
     fetched = airpuck.fetch(
-        all=everything, progress=lambda done, of, name: show(f"{done + 1}/{of} {name}")
+        all=everything, progress=lambda done, of, name: tell(f"{done + 1}/{of} {name}")
     )
-    print(fetched)
+    show(fetched)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -52,4 +52,4 @@ def demo(output: Out = Path("demo"), quiet: options.Quiet = False) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.demo import demo
 
-    print(demo(output, progress=say(quiet), origin=origin()))
+    show(demo(output, progress=say(quiet), origin=origin()))

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts, verdict_of
-from airpuck.cli.inputs import about, load, read_craft
+from airpuck.cli.inputs import about, load, load_for, read_craft
 from airpuck.cli.output import error_table, every_start_table, origin, report, table, warn
 
 if TYPE_CHECKING:
@@ -48,8 +49,7 @@ def evaluate(
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.evaluate import PROTOCOLS
 
-    judged = airpuck.read_model(model)
-    trajectory = load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
+    judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said = verdict_of(judged, found, trajectory)
@@ -243,7 +243,7 @@ def resid(
     recording: options.RecordingPath,
     span: options.Span = None,
     output: options.PageFolder = None,
-    lags: Annotated[int, Option(help="Largest lag, in samples.", min=5)] = 25,
+    lags: Annotated[int, options.number("N", "Largest lag, in samples.", numbers.LAGS)] = 25,
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -253,8 +253,7 @@ def resid(
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
 
-    judged = airpuck.read_model(model)
-    trajectory = load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
+    judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     with about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)

@@ -1,8 +1,62 @@
-"""Cores, threads and caches of the whole process; only commands change its settings."""
+"""Cores, threads, caches and signals of the whole process; only commands change its settings."""
 
 from __future__ import annotations
 
 import os
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+#: After this time a signal is sent again whose exception was lost [s].
+_AGAIN = 0.01
+
+
+class Stopped(KeyboardInterrupt):
+    """SIGINT or SIGTERM has come; `words` say what is left of the work."""
+
+    def __init__(self, number: int, words: str = "") -> None:
+        super().__init__(number, words)
+        self.number, self.words = number, words
+
+
+def stop(number: int, _frame: Any = None) -> None:
+    """Handle a signal: raise `Stopped`."""
+    raise Stopped(number)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let SIGINT and SIGTERM raise `Stopped`, so that temporary files are removed on the way out.
+
+    Signals that are ignored, as in a background shell, or handled by somebody else stay so.
+    """
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    here = threading.current_thread() is threading.main_thread()
+    taken = [n for n, handler in usual.items() if here and signal.getsignal(n) is handler]
+    hook = sys.unraisablehook
+
+    def again(lost: Any) -> None:
+        # Python drops what is raised in a destructor or by the garbage collector, where JAX has a
+        # callback.
+        if isinstance(lost.exc_value, Stopped):
+            number = lost.exc_value.number
+            threading.Timer(_AGAIN, os.kill, (os.getpid(), number)).start()
+        else:
+            hook(lost)
+
+    sys.unraisablehook = again
+    for number in taken:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, usual[number])
+        sys.unraisablehook = hook
 
 
 def usable_cores() -> int:
@@ -27,6 +81,8 @@ def keep_compiled_programs() -> None:
 
     Only commands do so: a process that imports airpuck has its own settings of JAX.
     """
+    # It goes on without, where the disk is full; that is no news of the command's.
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     from platformdirs import user_cache_path

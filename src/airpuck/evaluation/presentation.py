@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -234,7 +234,10 @@ def _text(value: Any) -> str:
     """Write a value of the fit's table."""
     if isinstance(value, float):
         return f"{value:.6g}"
-    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    if isinstance(value, Mapping):  # faults that were left out
+        spans, share = value.get("spans", ()), value.get("share_of_windows", 0.0)
+        return f"{100 * share:.1f} % of the windows, for {len(spans)} spans with faults"
+    return ", ".join(map(_text, value)) if isinstance(value, (list, tuple)) else str(value)
 
 
 def _notes(model: Model) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
@@ -360,10 +361,8 @@ def _check(
     check_seed(seed)
     if criterion not in ("worst", "mean"):
         raise InputError(f"must be 'worst' or 'mean', not {criterion!r}", field="criterion")
-    if not (math.isfinite(margin) and margin > 0):
-        raise InputError("must be a positive number of metres", field="margin")
+    numbers.MARGIN.check(margin, "margin")
     for name, value in (("duration", duration), ("rehearsal", rehearsal)):
-        if not (math.isfinite(value) and value >= 6):
-            raise InputError("must be at least 6 s: several blocks of time", field=name)
+        numbers.DESIGN_DURATION.check(value, name)
     if not model.free.any():
         raise InputError("has learned no parameters; give one that was identified", file=model.name)

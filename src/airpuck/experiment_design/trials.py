@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
 from airpuck.control.excitation import ExcitationPlan
@@ -91,8 +93,21 @@ def on_processes(processes: int | None) -> Iterator[Callable[..., Iterable[Any]]
         return
     # JAX has threads, which do not survive a fork.
     pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+
+    def run(*arguments: Any) -> Iterable[Any]:
+        # Processes begin here, and inherit that Ctrl-C, which a terminal sends to all, is blocked.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return pool.map(*arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
     try:
-        yield pool.map
+        yield run
+    except KeyboardInterrupt:
+        for process in list(pool._processes.values()):  # no public way before Python 3.14
+            process.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -164,6 +179,7 @@ def check_design(
     usual, proposal : CheckedFlights
         Predicted standard errors, those that the fits state, and what they miss.
     """
+    numbers.CHECK_FLIGHTS.check(flights, "flights")
     candidates = (found.usual, found.proposal)
     plans = [candidate.plan for candidate in candidates for _ in range(flights)]
     seeds = [*range(_CHECK_SEED, _CHECK_SEED + flights)] * len(candidates)

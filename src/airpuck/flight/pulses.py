@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import Numbers, Step
@@ -35,12 +36,10 @@ class PulsePlan:
     rounds: int = 2
 
     def __post_init__(self) -> None:
-        if not 0 < self.level <= 1:
-            raise InputError("must be above 0 and at most 1", field="level")
+        numbers.AMPLITUDE.check(self.level, "level")
         if not (0.02 <= self.length <= 1 and 0.25 <= self.rest <= 10):
             raise InputError("a pulse takes 0.02 to 1 s, the pause after it 0.25 to 10 s")
-        if not 1 <= self.rounds <= 100:
-            raise InputError("must be between 1 and 100", field="rounds")
+        numbers.PULSE_ROUNDS.check(self.rounds, "rounds")
 
 
 class PulseTest:

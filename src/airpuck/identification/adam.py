@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
+from airpuck.boundary import numbers
 from airpuck.compute.compiled import double_precision
 from airpuck.data.windows import gather_past
 from airpuck.identification.method import Iteration, Outcome
@@ -53,6 +54,10 @@ class Adam:
     test_share: float = 0.1
     regularizer_weight: float = 1e3
     seed: int = 42
+
+    def __post_init__(self) -> None:
+        """Refuse what would never end."""
+        numbers.EPOCHS.check(self.epochs, "epochs")
 
     def minimize(
         self,

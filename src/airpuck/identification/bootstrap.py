@@ -14,6 +14,7 @@ from statistics import NormalDist
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
 from airpuck.identification.fit_result import Fit
@@ -58,6 +59,7 @@ def bootstrap(
         If the fit is by another method, there are too few blocks of time, or fewer than two fits
         came to an end.
     """
+    numbers.REPLICATES.check(replicates, "bootstrap")
     known = fit.uncertainty
     if known is None or fit.model.fit.get("method") != LevenbergMarquardt.__name__:
         raise InputError("is for fits by Levenberg-Marquardt only", field="bootstrap")

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers
@@ -63,6 +64,15 @@ class Loss:
     prediction_time: float | None = 50 / 240
     spacing: float = 7 / 240
     robust: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no loss."""
+        numbers.WINDOW.check(self.encoder_time, "encoder_time")
+        if self.prediction_time is not None:
+            numbers.WINDOW.check(self.prediction_time, "prediction_time")
+        numbers.SPACING.check(self.spacing, "spacing")
+        for weight in self.weights:
+            numbers.WEIGHT.check(weight, "weights")
 
     def on(
         self,

@@ -8,13 +8,12 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 from xml.sax.saxutils import quoteattr
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.recording.cdr import Types
 
 _TOPIC_PREFIX = "rt"
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
-#: The highest domain whose ports exist: 7400 + 250 per domain.
-_HIGHEST_DOMAIN = 232
 #: A process that was killed is gone from the graph after this long [s].
 LEASE = 3
 #: At most 40 processes of one domain on one machine look for each other by port.
@@ -31,8 +30,7 @@ def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) ->
     if number is None:
         field, text = _DOMAIN_VARIABLE, environment.get(_DOMAIN_VARIABLE, "").strip() or "0"
         number = int(text) if text.isdecimal() else -1
-    if not 0 <= number <= _HIGHEST_DOMAIN:
-        raise InputError(f"must be a whole number from 0 to {_HIGHEST_DOMAIN}", field=field)
+    numbers.DOMAIN.check(number, field)
     return number
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from airpuck.boundary.terminal import escaped
 from airpuck.live.graph import LOG, STATE, Graph
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.message import MessageCodec, definitions
@@ -90,7 +91,7 @@ class EventLog:
         event.level, event.name, event.msg = EVENT_LEVELS[level], self._name, text
         self._events.send(self._event.encode(event))
         if not self._quiet:
-            print(f"{self._name}: {text}", file=sys.stderr, flush=True)
+            print(f"{self._name}: {escaped(text)}", file=sys.stderr, flush=True)
 
 
 def _set_to_now(stamp: Any) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.live.clock import Clock, Every, StampClock
 from airpuck.live.dds import LEASE, domain_config, domain_id
@@ -75,8 +76,8 @@ class LiveSettings:
     def __post_init__(self) -> None:
         domain_id(self.domain)
         domain_config(self.interface)
-        if self.duration is not None and not 0 < self.duration < math.inf:
-            raise InputError("must be a number of seconds above 0", field="--duration")
+        if self.duration is not None:
+            numbers.LIVE_DURATION.check(self.duration, "--duration")
 
 
 class Process:

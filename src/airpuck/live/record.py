@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import check_output, unwritable
 from airpuck.live.clock import Every
 from airpuck.live.listener import Listener
 from airpuck.live.process import LiveSettings, Process
@@ -31,35 +31,38 @@ def record(
     file whose recorder was killed. Returns the figures for ``--json``.
     """
     path = Path(folder)
-    if path.exists() or path.is_symlink():
-        raise InputError("exists already; give another name or remove it", file=folder)
+    check_output(path, "new folder")
     with Process(NAME, settings or LiveSettings()) as process:
         try:
             path.absolute().parent.mkdir(parents=True, exist_ok=True)
-            bag = BagFile(path.absolute())
+            return _record(process, BagFile(path.absolute()), motors)
         except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", file=folder) from error
-        listener = Listener(process.graph, motors, own=True)
-        notes: list[str] = []
-        places: dict[str, int] = {}
-        flush = Every(_FLUSH)
-        process.start(f", into {folder}")
-        while process.goes_on:
-            _take(listener, bag, places)
-            for note in listener.notes:
-                process.events.log("warning", note, kind=note)
-            notes += listener.notes
-            listener.notes.clear()
-            now = process.clock.now
-            if flush.begins(now):
-                bag.flush()
-            if process.beat.begins(now):
-                process.events.heartbeat("info", "recording", bag.counts)
-        process.events.flush()
-        process.events.log("info", f"ends after {process.clock.now:.1f} s")
+            raise unwritable(folder, error) from error
+
+
+def _record(process: Process, bag: BagFile, motors: tuple[str, ...]) -> dict[str, Any]:
+    """Record while the process goes on."""
+    listener = Listener(process.graph, motors, own=True)
+    notes: list[str] = []
+    places: dict[str, int] = {}
+    flush = Every(_FLUSH)
+    process.start(f", into {bag.folder}")
+    while process.goes_on:
         _take(listener, bag, places)
-        bag.close()
-        return {"duration_s": process.clock.now, "messages": bag.counts, "notes": notes}
+        for note in listener.notes:
+            process.events.log("warning", note, kind=note)
+        notes += listener.notes
+        listener.notes.clear()
+        now = process.clock.now
+        if flush.begins(now):
+            bag.flush()
+        if process.beat.begins(now):
+            process.events.heartbeat("info", "recording", bag.counts)
+    process.events.flush()
+    process.events.log("info", f"ends after {process.clock.now:.1f} s")
+    _take(listener, bag, places)
+    bag.close()
+    return {"duration_s": process.clock.now, "messages": bag.counts, "notes": notes}
 
 
 def _take(listener: Listener, bag: BagFile, places: dict[str, int]) -> None:

@@ -18,6 +18,7 @@ from airpuck.craft.table import Table
 from airpuck.live.clock import Every
 from airpuck.live.panel import Panel
 from airpuck.live.process import LiveSettings, Outbox, Process
+from airpuck.live.same_origin import same_origin_only
 from airpuck.live.scene import Scene
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
@@ -148,7 +149,7 @@ def _served(host: str, port: int) -> Iterator[Any]:
     """Serve a page; what viser prints must not mix with figures on standard output."""
     import viser
 
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), same_origin_only(host):
         server = viser.ViserServer(host, port, label="airpuck", verbose=False)
     try:
         yield server
@@ -161,7 +162,8 @@ def _check_free(host: str, port: int) -> None:
     """Refuse an address that cannot be served at; viser would take another port."""
     try:
         socket.create_server((host, port)).close()
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or "no address"
         raise InputError(
-            f"cannot serve at {host}:{port} ({error.strerror}); give another --port", field="--port"
+            f"cannot serve at {host}:{port} ({why}); give another --port or --host", field="--port"
         ) from error

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.data.trajectory import Trajectory
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
 
 #: Longest delay that is looked for.
-LONGEST_S = 0.5
+LONGEST_S = numbers.DELAY.high
 
 
 def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, float]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
 from airpuck.data.trajectory import Span, Trajectory, usual_period
@@ -16,7 +17,7 @@ from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.clock import Aligned, align_clocks
-from airpuck.preprocessing.delay import LONGEST_S, estimate_delay
+from airpuck.preprocessing.delay import estimate_delay
 from airpuck.preprocessing.derivative import (
     acceleration,
     shortest_stretch,
@@ -131,11 +132,8 @@ def preprocess(
         If the recording lacks a stream or holds numbers that cannot be what they should be, or if
         poses and commands do not overlap.
     """
-    if delay is not None and not 0 <= delay <= LONGEST_S:
-        raise InputError(
-            f"must be between 0 and {LONGEST_S:g} s, not {delay:g}; radios take some 10 ms",
-            field="delay",
-        )
+    if delay is not None:
+        numbers.DELAY.check(delay, "delay")
     vehicle = vehicle or default_vehicle()
     poses, commands, aligned = clean_streams(recording, vehicle)
     begins_above = vehicle.command_min + _BEGINS_ABOVE_MINIMUM

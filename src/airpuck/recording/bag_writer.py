@@ -40,15 +40,15 @@ def write_bag(
     recording : Recording
         Each stream should be in the order of its ``received_ns``, in which bags are read.
     folder : path-like
-        The folder to make.
+        The folder to make; it may exist if it is empty.
     topics : Topics, optional
         Topic names; by default those of the authors' table.
 
     Raises
     ------
     InputError
-        If the folder exists, or a stream cannot be stored: an unknown name, a stamp before 1970 or
-        after 2038, a propeller name that ROS does not allow.
+        If the folder holds something, or a stream cannot be stored: an unknown name, a stamp before
+        1970 or after 2038, a propeller name that ROS does not allow.
 
     Notes
     -----
@@ -99,8 +99,8 @@ class BagFile:
     def __init__(self, folder: Path) -> None:
         from mcap.writer import Writer
 
-        folder.mkdir()
-        self._folder, self._name = folder, f"{folder.name}_0.mcap"
+        folder.mkdir(exist_ok=True)
+        self.folder, self._name = folder, f"{folder.name}_0.mcap"
         self._file = (folder / self._name).open("wb")
         # Through mcap rather than rosbags: it writes checksums, and chunks of a chosen size.
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
@@ -164,7 +164,7 @@ class BagFile:
         yaml = YAML(typ="safe")
         yaml.default_flow_style = False
         yaml.width = 2**20
-        with (self._folder / METADATA).open("w", encoding="utf-8", newline="\n") as output:
+        with (self.folder / METADATA).open("w", encoding="utf-8", newline="\n") as output:
             yaml.dump({"rosbag2_bagfile_information": self._summary()}, output)
 
     def _summary(self) -> dict[str, Any]:

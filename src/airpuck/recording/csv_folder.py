@@ -279,14 +279,14 @@ def write_csv(
     recording : Recording
         What to save.
     folder : path-like
-        The folder to make.
+        The folder to make; it may exist if it is empty.
     topics : Topics, optional
         Give the file names; by default those of the authors' table.
 
     Raises
     ------
     InputError
-        If the folder exists, or a stream is not known.
+        If the folder holds something, or a stream is not known.
 
     Notes
     -----

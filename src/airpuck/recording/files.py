@@ -7,11 +7,11 @@ import hashlib
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import check_output, temporary_name, unwritable
 
 _LONGEST = 80
 
@@ -31,20 +31,19 @@ def sha256(path: str | os.PathLike[str]) -> str:
 
 @contextlib.contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name beside `path`, and move that folder there when the block ends well."""
+    """Give a temporary name beside `path`, and move that folder there when the block ends well.
+
+    The folder must be new or empty.
+    """
+    check_output(path, "new folder")
     target = Path(path).absolute()
-    if target.exists() or target.is_symlink():
-        raise InputError("exists already; give another name or remove it", file=path)
+    shelter = target.parent / temporary_name(target)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shelter = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", file=path) from error
-    try:
+        shelter.mkdir(parents=True)
         yield shelter / target.name
         (shelter / target.name).rename(target)
     except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", file=path) from error
+        raise unwritable(path, error) from error
     finally:
         shutil.rmtree(shelter, ignore_errors=True)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
@@ -14,8 +14,6 @@ from airpuck.report.animation_frames import TABLE, read_scene
 
 #: A GIF of more frames would be hundreds of megabytes.
 _MOST_FRAMES = 10_000
-#: Browsers show a GIF that asks for more than this slowly instead [1/s].
-_FASTEST_GIF = 50
 
 
 def animate(
@@ -68,13 +66,10 @@ def animate(
     suffix = target.suffix.lower()
     if suffix not in (".gif", ".html"):
         raise InputError("is neither .gif nor .html; an animation is one of them", file=path)
-    numbers = [("speed", speed), ("frames per second", frames_per_second)]
-    for field, number in [*numbers, *(("table", side) for side in table)]:
-        if not (math.isfinite(number) and number > 0):
-            raise InputError(f"{number:g} is not a positive number", field=field)
-    if suffix == ".gif" and frames_per_second > _FASTEST_GIF:
-        words = f"a GIF shows {_FASTEST_GIF} frames per second at most"
-        raise InputError(words, field="frames per second")
+    numbers.SPEED.check(speed, "speed")
+    numbers.FRAME_RATE.check(frames_per_second, "frames per second")
+    for side in table:
+        numbers.TABLE_SIDE.check(side, "table")
     scene = read_scene(recording, vehicle or default_vehicle(), span, table)
     n_frames = (scene.stop - scene.start) / speed * frames_per_second
     if suffix == ".gif" and n_frames > _MOST_FRAMES:

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import replacing, temporary_name
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS
+from airpuck.recording.stream import Recording
 
 if TYPE_CHECKING:
     from airpuck.report.page import Origin
@@ -38,7 +40,7 @@ def demo(
     Parameters
     ----------
     out : path-like
-        Folder for the page, figures, models and bags; `bags` is made anew if a demo wrote it.
+        Folder for the page, figures, models and bags; bags are replaced only if a demo wrote them.
     duration : float, default 90
         Length of each excitation experiment [s].
     progress : callable, optional
@@ -56,7 +58,7 @@ def demo(
     InputError
         If the folder holds bags of somebody else, or cannot be written to.
     """
-    from airpuck import read_recording, write_bag
+    from airpuck import read_recording
     from airpuck.evaluation.evaluate import compare
     from airpuck.identification.fit import identify
     from airpuck.preprocessing.pipeline import preprocess
@@ -76,7 +78,7 @@ def demo(
     for name, seed in _SEEDS.items():
         folder = bags / name
         progress(f"flying the {name} experiment on the twin: {duration:g} s")
-        write_bag(excite(truth, duration, seed, plant=plant), folder)
+        _replace_bag(excite(truth, duration, seed, plant=plant), folder)
         trajectories[name] = preprocess(read_recording(folder))
         delay = 1e3 * trajectories[name].delay
         progress(f"preprocessed {folder}: transport delay {delay:.1f} ms")
@@ -96,7 +98,7 @@ def demo(
     progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
     flights = tracking_study(pilots, truth)
     for flight in flights:
-        write_bag(flight.recording, bags / f"set_points_{flight.model}")
+        _replace_bag(flight.recording, bags / f"set_points_{flight.model}")
     progress("writing the report")
     return fit_report(
         fits,
@@ -111,12 +113,28 @@ def demo(
 
 
 def _own_folder(folder: Path) -> Path:
-    """Make a folder anew, unless it holds what somebody else put there."""
+    """Make a folder, and refuse one that holds what somebody else put there."""
+    theirs = folder.exists() and any(not path.name.startswith(".") for path in folder.iterdir())
+    if theirs and not (folder / _MARKER).is_file():
+        raise InputError("holds recordings of yours; choose another folder (-o)", file=folder)
+    with replacing(folder / _MARKER):
+        return folder
+
+
+def _replace_bag(recording: Recording, folder: Path) -> None:
+    """Write a bag; one that was there stays until the new one is whole."""
     import shutil
 
-    if folder.exists() and any(folder.iterdir()) and not (folder / _MARKER).is_file():
-        raise InputError("holds recordings of yours; choose another folder (-o)", file=folder)
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    (folder / _MARKER).touch()
-    return folder
+    from airpuck import write_bag
+
+    new, old = (folder.parent / temporary_name(folder) for _ in range(2))
+    try:
+        write_bag(recording, new / folder.name)
+        if folder.exists():
+            folder.rename(old)
+        (new / folder.name).rename(folder)
+    finally:
+        if old.exists() and not folder.exists():
+            old.rename(folder)
+        for left in (new, old):
+            shutil.rmtree(left, ignore_errors=True)

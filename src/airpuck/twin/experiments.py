@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Amplitude, Excitation, ExcitationPlan
 from airpuck.control.reference import Reference
@@ -207,10 +207,9 @@ def track(
 
 
 def _check_duration(duration: float, tuning: Tuning | None) -> None:
-    """Refuse a flight that ends before its first command does, or never."""
+    """Refuse a flight that ends before its first command does, or is far too long."""
+    numbers.FLIGHT_DURATION.check(duration, "duration")
     period = (tuning or default_tuning()).period_s
-    if not (math.isfinite(duration) and duration >= period):
-        raise InputError(
-            f"must be a number of seconds, at least the controller's period, {period:g} s",
-            field="duration",
-        )
+    if duration < period:
+        words = f"must be at least the controller's period, {period:g} s"
+        raise InputError(words, field="duration")

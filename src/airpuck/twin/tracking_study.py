@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.tuning import Tuning, default_tuning
@@ -139,6 +140,7 @@ def tracking_study(
         If a model does not fit the twin, a recording lacks a stream, a set point is beyond the
         rails, or the pilot is none.
     """
+    numbers.DWELL.check(dwell, "dwell")
     tuning = tuning or default_tuning()
     settings = settings or default_twin_settings()
     border = settings.table.reach(truth.vehicle.radius_m)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.flight.link import Measurement
@@ -200,8 +201,9 @@ class Twin:
 
 def check_seed(seed: Any, field: str = "seed") -> None:
     """Refuse what random numbers cannot begin with."""
-    if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"must be a whole number that is not negative, not {seed!r}", field=field)
+    if not isinstance(seed, Integral):
+        raise InputError(f"must be a whole number, not {seed!r}", field=field)
+    numbers.SEED.check(int(seed), field)
 
 
 def _check_pose(pose: Any, table: Table, radius: float) -> None:

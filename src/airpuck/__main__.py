@@ -1,0 +1,6 @@
+"""`python -m airpuck`: the command line."""
+
+from airpuck.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""Ranges of the numbers that a user may give, as an option or as an argument of a function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from airpuck.boundary.errors import InputError
+
+
+@dataclass(frozen=True)
+class Range:
+    """From the lowest to the highest number that makes sense, and why no other does."""
+
+    low: float
+    high: float
+    #: Half a sentence.
+    why: str
+    unit: str = ""
+    #: Whether the lowest number itself is too low.
+    above: bool = False
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        if self.above:
+            return f"above {_text(self.low)}, at most {_text(self.high)}{unit}"
+        return f"{_text(self.low)} to {_text(self.high)}{unit}"
+
+    def check(self, value: float, field: str) -> None:
+        """Refuse a number out of the range, or none at all (nan)."""
+        inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
+        if not inside:
+            words = str(self) if self.above else f"from {self}"
+            raise InputError(f"must be {words}: {self.why}", field=field)
+
+
+def _text(number: float) -> str:
+    """Write a number without more digits than it needs."""
+    if abs(number) < 1e6:
+        return f"{number:g}"
+    mantissa, exponent = f"{number:.2e}".split("e")
+    return f"{float(mantissa):g}e{int(exponent)}"
+
+
+# What flights and recordings are made of.
+FLIGHT_DURATION = Range(
+    0.01, 3600, "at least one command, at most an hour, which is a million poses", "s"
+)
+LIVE_DURATION = Range(0.01, 604_800, "a command on the graph runs for a week at most", "s")
+DESIGN_DURATION = Range(6, 3600, "several blocks of time, and at most an hour", "s")
+DWELL = Range(0.1, 1000, "a craft needs about a second to reach a set point", "s")
+HOLD = Range(0.001, 60, "signals that change more seldom hardly excite the craft", "s")
+AMPLITUDE = Range(0, 1, "commands go from 0 to 1", above=True)
+COORDINATE = Range(-100, 100, "the table is some metres long, and yaw some turns at most")
+DISTANCE = Range(0, 100, "the table is some metres long", "m", above=True)
+MARGIN = Range(0, 1, "the table is about a metre wide", "m", above=True)
+DELAY = Range(0, 0.5, "radios take some 10 ms", "s")
+PULSE_ROUNDS = Range(1, 100, "the battery lasts for some minutes")
+SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")
+DOMAIN = Range(0, 232, "each DDS domain has its own ports, from 7400 + 250 per domain on")
+PORT = Range(1, 65_535, "TCP has as many ports")
+WORKERS = Range(1, 1024, "each is a process of its own")
+
+# What fits and judgements are made of.
+SHARE = Range(0, 1, "a part of a recording is given by fractions of its length")
+STRIDE = Range(1, 10_000, "more samples than a flight has leave no window", "samples")
+WINDOW = Range(0.001, 60, "at least a sample; predictions of a minute are mere noise", "s")
+HORIZON = Range(0.001, 10, "predictions of more than some seconds are mere noise", "s")
+SPACING = Range(0, 60, "windows farther apart leave most of a flight out", "s")
+EPOCHS = Range(1, 100_000, "each takes about a second")
+DEGREE = Range(1, 9, "higher powers cannot be told apart")
+WEIGHT = Range(0, 1e6, "with more, no other error counts")
+REPLICATES = Range(10, 100_000, "fewer give no interval, and each takes a good part of a second")
+CHECK_FLIGHTS = Range(1, 1000, "each takes some seconds, twice")
+LAGS = Range(5, 1000, "fewer say nothing, and nothing of a craft lasts for more than some seconds")
+
+# What pictures are made of.
+SPEED = Range(0.001, 1000, "slower or faster, nothing can be seen")
+FRAME_RATE = Range(0.01, 50, "a GIF shows a frame for 0.02 s to some minutes", "per second")
+TABLE_SIDE = Range(0, 100, "the table is some metres long", "m", above=True)

@@ -1,0 +1,64 @@
+"""Names of files that were typed: what can be read, and what can be written, known beforehand."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Output, check_output
+
+#: In the context of a command: what it writes, and by which option.
+_OUTPUTS = "airpuck.outputs"
+#: Letters that are shown of a name that is too long.
+_SHOWN = 40
+
+
+def check_written(context: Any, option: str, path: Path, kind: Output) -> None:
+    """Refuse a place that cannot be written to, or is another option's, before the work is done."""
+    taken: dict[Path, str] = context.meta.setdefault(_OUTPUTS, {})
+    whole = path.absolute()
+    if whole in taken:
+        raise InputError(f"is the place of {taken[whole]}, too", file=path, field=option)
+    check_output(path, kind, field=option)
+    taken[whole] = option
+
+
+def check_inputs(context: Any) -> None:
+    """Refuse names that the system does not allow, and to write where something is read."""
+    outputs: dict[Path, str] = context.meta.get(_OUTPUTS, {})
+    for parameter in context.command.params:
+        written = parameter.opts[0] in outputs.values()
+        for name in () if written else _texts(context.params.get(parameter.name)):
+            try:
+                found = os.stat(name)  # noqa: PTH116
+            except OSError as error:
+                if error.errno == errno.ENAMETOOLONG:
+                    shown = f"{str(name)[:_SHOWN]}…"
+                    problem = "is a longer name than the system allows"
+                    raise InputError(problem, file=shown, field=parameter.opts[0]) from None
+                continue
+            for output, option in outputs.items():
+                if output.exists() and os.path.samestat(output.stat(), found):
+                    raise InputError("is read, too; choose another place", file=name, field=option)
+
+
+def refuse_empty(arguments: list[str]) -> None:
+    """Refuse an empty name; it would stand for the present folder."""
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        option, _, value = argument.partition("=")
+        if not argument:
+            field = before if before.startswith("-") else None
+            raise InputError("an argument is empty; give a name", field=field)
+        if option.startswith("--") and argument.endswith("=") and not value:
+            raise InputError("is empty; give a name", field=option)
+
+
+def _texts(value: Any) -> Iterator[str | Path]:
+    """Yield the texts and paths of a parameter."""
+    for one in value if isinstance(value, (list, tuple)) else (value,):
+        if isinstance(one, (str, Path)):
+            yield one

@@ -1,0 +1,84 @@
+"""Who may use a page that moves a craft: only the page itself, under a name that is our own.
+
+Any site that a browser shows may open a WebSocket to this machine, and one whose name is made to
+resolve to loopback seems to be of the same origin. The first is known by its Origin, the second by
+its Host.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import urlsplit
+
+#: What serves on all interfaces.
+_ANY = ("", "0.0.0.0", "::")
+
+
+@contextmanager
+def same_origin_only(served: str) -> Iterator[None]:
+    """Let every server of WebSockets that starts in the block refuse other sites.
+
+    viser has no option for that: the function by which it answers requests is wrapped.
+    """
+    from websockets.asyncio import server
+
+    serve, wrapped = server.serve, []
+
+    def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            headers = request.headers
+            why = refusal(headers.get_all("Host"), headers.get_all("Origin"), served)
+            if why is not None:
+                return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
+            response = process_request(connection, request)
+            if response is not None:  # a file; no other site may show it as part of its own
+                response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+            return response
+
+        wrapped.append(answer)
+        return serve(*arguments, process_request=answer, **options)
+
+    server.serve = guarded  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
+    if not wrapped:
+        raise RuntimeError("viser serves in another way than before: nobody would be refused")
+
+
+def refusal(hosts: Sequence[str], origins: Sequence[str], served: str) -> str | None:
+    """Say why a request with these headers is refused, if it is.
+
+    A client that is no browser names no origin. It may connect: it could as well send on the graph.
+    """
+    if len(hosts) != 1 or not _is_ours(hosts[0], served):
+        return "This page is not served under that name."
+    if origins and [one.lower() for one in origins] not in (
+        [f"{scheme}://{hosts[0].lower()}"] for scheme in ("http", "https")
+    ):
+        return "Another site may not use this page."
+    return None
+
+
+def _is_ours(host: str, served: str) -> bool:
+    """Tell whether a Host is a number, loopback's name or ours: none that a name server invents.
+
+    Its port may be another, that of a tunnel.
+    """
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return False
+    own = {"localhost", served.lower()}
+    if served in _ANY:
+        own |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+    try:
+        return name in own or bool(ipaddress.ip_address(name))
+    except ValueError:
+        return False

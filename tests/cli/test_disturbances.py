@@ -1,0 +1,206 @@
+"""Long commands that are interrupted, killed, or find the disk full: what was there stays whole."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from airpuck.boundary.files import load_toml
+from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.read import read_recording
+
+from ..disturbed import Server
+from ..synthetic import record
+
+COMMANDS = {
+    "preprocess": ["bag", "-o", "out/trajectory.npz", "--json", "out/figures.json"],
+    "identify": ["bag", "-o", "out/model.toml", "--report", "out", "--json", "out/figures.json"],
+    "faults": ["bag", "-o", "out", "--model", "paper:M3"],
+    "resid": ["paper:M3", "bag", "-o", "out"],
+    "excite": ["--duration", "2", "-o", "out/bag"],
+    "track": ["--model", "paper:M3", "--dwell", "0.3", "-o", "out"],
+    "animate": ["bag", "--span", "0", "0.2", "-o", "out/flight.gif"],
+    "design": ["--duration", "6", "-o", "out/plan.toml", "--figure", "out/errors.png"],
+    "demo": ["-o", "out"],
+    "reproduce": ["-o", "out"],
+}
+#: Minutes; they run with the studies.
+LONG = ("resid", "design", "demo", "reproduce")
+#: Of a bag of an excitation: it must be new.
+NEW = ("excite",)
+
+
+def cases(*names: str):
+    """Commands, the long ones as studies."""
+    marks = {name: [pytest.mark.study] * (name in LONG) for name in names or COMMANDS}
+    return [pytest.param(name, marks=marks[name], id=name) for name in marks]
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = Server()
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("bags") / "bag"
+    write_bag(record(duration=6.0, noise=1e-4), folder)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path, bag) -> Path:
+    """Where a command runs."""
+    (tmp_path / "bag").symlink_to(bag)
+    return tmp_path
+
+
+def check_whole(path: Path) -> None:
+    """Read a file to its end, by what reads it elsewhere."""
+    match path.suffix:
+        case ".json":
+            json.loads(path.read_text())
+        case ".toml":
+            assert load_toml(path)
+        case ".npz":
+            with np.load(path) as archive:
+                assert all(len(archive[name].shape) >= 0 for name in archive)
+        case ".html" | ".svg":
+            assert path.read_text().rstrip().endswith(("</html>", "</svg>"))
+        case ".png" | ".gif":
+            with Image.open(path) as image:
+                for frame in range(getattr(image, "n_frames", 1)):
+                    image.seek(frame)
+                    image.load()
+        case ".mcap":
+            assert len(read_recording(path.parent)["pose"])
+        case ".yaml" | "":
+            pass
+        case other:
+            raise AssertionError(f"nobody looked at {other}")
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Every file of an output, by name."""
+    found = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def temporary(names) -> list[str]:
+    return [name for name in names if any(part.startswith(".") for part in Path(name).parts)]
+
+
+def put_old(out: Path, written: dict[str, bytes]) -> dict[str, bytes]:
+    """Put files of an older run where a command writes."""
+    for name, content in written.items():
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"old" if content else b"")
+    return files(out)
+
+
+@pytest.fixture(scope="module")
+def usual(server, bag, tmp_path_factory):
+    """What each command writes, and how long it takes, when nobody disturbs it."""
+    known = {}
+
+    def run(name: str):
+        if name not in known:
+            folder = tmp_path_factory.mktemp(name)
+            (folder / "bag").symlink_to(bag)
+            ended = server.run(name, *COMMANDS[name], folder=folder)
+            assert ended.status == 0, ended.error
+            written = files(folder / "out")
+            assert written
+            for path in (folder / "out").rglob("*"):
+                check_whole(path) if path.is_file() else None
+            known[name] = written, ended.wall_s
+        return known[name]
+
+    return run
+
+
+def prepare(name: str, folder: Path, written) -> dict[str, bytes]:
+    """Put old outputs where a command may replace them."""
+    if name in NEW:
+        return {}
+    # A demo replaces only what a demo wrote.
+    return put_old(folder / "out", written)
+
+
+def check_after(name: str, folder: Path, old, ended, number: int, *, words: str = "") -> None:
+    """Look at what a disturbed command left."""
+    left = files(folder / "out")
+    assert "Traceback" not in ended.error and "Exception" not in ended.error, ended.error
+    if number != signal.SIGKILL:
+        assert not temporary(left)
+        told = [line for line in ended.error.splitlines() if line.startswith("airpuck: ")]
+        assert len(told) == 1 and words in told[0], ended.error
+        assert ended.error.rstrip().endswith(told[0])
+    for file, content in left.items():
+        if content != old.get(file) and not temporary([file]):
+            check_whole(folder / "out" / file)
+    assert set(old) <= set(left)
+
+
+@pytest.mark.parametrize(
+    ("number", "write"), [(signal.SIGTERM, 1), (signal.SIGINT, -1), (signal.SIGKILL, -1)]
+)
+@pytest.mark.parametrize("name", cases())
+def test_a_signal_while_something_is_written(server, usual, folder, name, write, number):
+    written, _ = usual(name)
+    old = prepare(name, folder, written)
+    ended = server.run(name, *COMMANDS[name], folder=folder, sent=number, write=write)
+    expected = -number if number == signal.SIGKILL else 128 + number
+    assert ended.status == expected, ended.error
+    check_after(name, folder, old, ended, number, words="interrupted")
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("name", cases())
+def test_a_signal_at_any_time(server, usual, folder, name, share, number):
+    written, wall_s = usual(name)
+    rng = np.random.default_rng([list(COMMANDS).index(name), round(10 * share), number])
+    after = wall_s * (share + rng.uniform(-0.1, 0.1))
+    old = prepare(name, folder, written)
+    ended = server.run(name, *COMMANDS[name], folder=folder, sent=number, after=after)
+    if ended.status == 0:  # it was quicker this time
+        return
+    expected = -number if number == signal.SIGKILL else 128 + number
+    assert ended.status == expected, ended.error
+    check_after(name, folder, old, ended, number, words="interrupted")
+
+
+@pytest.mark.parametrize("name", cases())
+def test_a_full_disk(server, usual, folder, name):
+    written, _ = usual(name)
+    old = prepare(name, folder, written)
+    ended = server.run(name, *COMMANDS[name], folder=folder, full=True)
+    assert ended.status == 2, ended.error
+    check_after(name, folder, old, ended, 0, words="cannot be written (File too large)")
+    assert {file: left for file, left in files(folder / "out").items() if file in old} == old
+
+
+def test_standard_output_on_a_full_disk():
+    command = [sys.executable, "-m", "airpuck", "--version"]
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert process.returncode == 2
+    assert process.stderr == "airpuck: output: cannot be used (No space left on device)\n"
+
+
+def test_a_reader_that_goes_away_is_no_failure():
+    command = f"{sys.executable} -m airpuck --help | true"
+    process = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert process.stderr == ""

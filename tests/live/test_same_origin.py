@@ -1,0 +1,113 @@
+"""The live view's page: other sites can neither show it nor move the set point."""
+
+import http.client
+import socket
+
+import pytest
+
+from airpuck.live.same_origin import refusal, same_origin_only
+
+PORT = "8080"
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "served", "allowed"),
+    [
+        # The page itself, by any name of loopback, through a tunnel, behind a proxy with TLS.
+        ("127.0.0.1:8080", "http://127.0.0.1:8080", "127.0.0.1", True),
+        ("localhost:8080", "http://localhost:8080", "127.0.0.1", True),
+        ("[::1]:8080", "http://[::1]:8080", "127.0.0.1", True),
+        ("LocalHost:9000", "http://localhost:9000", "127.0.0.1", True),
+        ("localhost", "https://localhost", "127.0.0.1", True),
+        ("lab.example:8080", "http://lab.example:8080", "lab.example", True),
+        ("192.168.1.7:8080", "http://192.168.1.7:8080", "0.0.0.0", True),
+        (f"{socket.gethostname()}:80", None, "0.0.0.0", True),
+        # No browser.
+        ("127.0.0.1:8080", None, "127.0.0.1", True),
+        # Another site, another port of this machine, a file, a frame without an origin.
+        ("127.0.0.1:8080", "http://evil.example", "127.0.0.1", False),
+        ("127.0.0.1:8080", "http://127.0.0.1:9000", "127.0.0.1", False),
+        ("127.0.0.1:8080", "http://localhost:8080", "127.0.0.1", False),
+        ("127.0.0.1:8080", "http://127.0.0.1:8080.evil.example", "127.0.0.1", False),
+        ("127.0.0.1:8080", "null", "127.0.0.1", False),
+        ("127.0.0.1:8080", "", "127.0.0.1", False),
+        # A name that resolves to loopback: host and origin agree.
+        ("evil.example:8080", "http://evil.example:8080", "127.0.0.1", False),
+        ("evil.example:8080", None, "127.0.0.1", False),
+        ("evil.example:8080", "http://evil.example:8080", "0.0.0.0", False),
+        ("127.0.0.1.evil.example", None, "127.0.0.1", False),
+        ("localhost.evil.example", None, "127.0.0.1", False),
+        ("", None, "0.0.0.0", False),
+        ("[::1", None, "127.0.0.1", False),
+    ],
+)
+def test_who_is_refused(host, origin, served, allowed):
+    origins = [] if origin is None else [origin]
+    assert (refusal([host], origins, served) is None) == allowed
+
+
+def test_headers_given_twice_or_not_at_all():
+    ours = "127.0.0.1:8080"
+    assert refusal([], [], "127.0.0.1")
+    assert refusal([ours, "evil.example"], [], "127.0.0.1")
+    assert refusal([ours], [f"http://{ours}", "http://evil.example"], "127.0.0.1")
+
+
+@pytest.fixture(scope="module")
+def port():
+    """A page of viser's, guarded; nothing of airpuck's is on it."""
+    pytest.importorskip("viser")
+    from airpuck.live.view import _served
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with _served("127.0.0.1", port):
+        yield port
+
+
+def websocket(port: int, headers: dict[str, str]) -> int:
+    """Open a WebSocket by hand; return the status of the answer."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.putrequest("GET", "/", skip_host=True)
+    for name, value in {
+        "Host": f"127.0.0.1:{port}",
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        **headers,
+    }.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    status = connection.getresponse().status
+    connection.close()
+    return status
+
+
+def test_a_server_of_viser_refuses(port):
+    here, local, evil = (f"{name}:{port}" for name in ("127.0.0.1", "localhost", "evil.example"))
+    assert websocket(port, {}) == 101
+    assert websocket(port, {"Origin": f"http://{here}"}) == 101
+    assert websocket(port, {"Host": local, "Origin": f"http://{local}"}) == 101
+    assert websocket(port, {"Origin": "http://evil.example"}) == 403
+    assert websocket(port, {"Origin": "null"}) == 403
+    assert websocket(port, {"Host": evil, "Origin": f"http://{evil}"}) == 403
+    assert websocket(port, {"Host": evil}) == 403
+
+
+@pytest.mark.parametrize(("host", "status"), [("localhost", 200), ("evil.example", 403)])
+def test_the_page_itself(port, host, status):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", "/", headers={"Host": f"{host}:{port}"})
+    answer = connection.getresponse()
+    assert answer.status == status
+    if status == 200:
+        assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+        assert b"<html" in answer.read()
+    connection.close()
+
+
+def test_a_server_that_cannot_be_guarded_does_not_go_on_unnoticed():
+    with pytest.raises(RuntimeError, match="nobody would be refused"), same_origin_only("x"):
+        pass
