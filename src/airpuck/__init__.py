@@ -79,6 +79,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     )
     from airpuck.recording.read import read_recording as read_recording
     from airpuck.recording.stream import Recording as Recording, Stream as Stream
+    from airpuck.report import plot as plot
     from airpuck.report.animation import animate as animate
     from airpuck.report.reproduce import reproduce as reproduce
     from airpuck.twin.experiments import excite as excite, track as track
@@ -130,6 +131,7 @@ _NAMES = {
     "recording.mapping": "CommandMapping PoseMapping RecordingMapping read_mapping",
     "recording.read": "read_recording",
     "recording.stream": "Recording Stream",
+    "report": "plot",
     "report.animation": "animate",
     "report.reproduce": "reproduce",
     "twin.experiments": "excite track",
@@ -147,6 +149,8 @@ if not TYPE_CHECKING:  # it reads the imports above
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use (PEP 562)."""
+    if name == "plot":  # a module, and so no attribute of its package before it is imported
+        return importlib.import_module("airpuck.report.plot")
     if name in _HOME:
         return getattr(importlib.import_module(_HOME[name]), name)
     raise AttributeError(f"module 'airpuck' has no attribute {name!r}")

@@ -13,7 +13,7 @@ from airpuck.boundary import numbers
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_controls, read_twin
-from airpuck.cli.output import report, show_counts, table, warn
+from airpuck.cli.output import report, show_time_left, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -70,7 +70,7 @@ def design(
     craft = airpuck.read_model(model)
     if after:
         craft = _fitted(craft, after, mapping, quiet)
-    with show_counts("trial flights", "", quiet) as progress:
+    with show_time_left("trial flights", quiet) as progress:
         found = airpuck.design(
             craft,
             duration=duration,
@@ -83,7 +83,7 @@ def design(
         )
     figures, checked = found.to_json(), None
     if check is not None:
-        with show_counts("flights to check", "", quiet) as progress:
+        with show_time_left("flights to check", quiet) as progress:
             usual, checked = check_design(found, check, progress=progress)
         figures["check"] = {"usual": usual.to_json(), "proposal": checked.to_json()}
     if output is not None:

@@ -147,6 +147,29 @@ def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., No
         )
 
 
+@contextmanager
+def show_time_left(what: str, quiet: bool) -> Iterator[Callable[[float, float], None]]:
+    """Show how long some work will take: on a terminal as a bar, else in words."""
+    began, said = time.monotonic(), 0
+
+    def in_words(done: float, total: float) -> None:
+        nonlocal said
+        tenths = int(10 * done / total)
+        if tenths > said and not quiet:
+            said, left = tenths, (time.monotonic() - began) * (total / done - 1)
+            print(f"{what}: {10 * tenths} %, about {left:.0f} s left", file=sys.stderr, flush=True)
+
+    if quiet or not sys.stderr.isatty():
+        yield in_words
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
 def print_tenths(words: str, done: int, total: int, *more: int) -> None:
     """Fill words with counts, and print them, if another tenth is done."""
     if words and 10 * done // total > 10 * (done - 1) // total:

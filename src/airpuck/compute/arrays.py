@@ -23,8 +23,9 @@ def generator(key: Any) -> np.random.Generator:
     """Return a source of random numbers from a seed, a generator or a key of JAX."""
     if namespace(key) is not np:
         import jax
+        import jax.numpy as jnp
 
-        if jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key):
+        if jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
             key = jax.random.key_data(key)
         key = np.asarray(key).ravel().tolist()
     return np.random.default_rng(key)

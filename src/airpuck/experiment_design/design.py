@@ -160,7 +160,7 @@ def design(
     processes : int, optional
         By default one for each core. The result does not depend on it.
     progress : callable, optional
-        Called with the number of trial flights done, and of those that are due so far.
+        Called with the seconds of trial flights done, and of all that are expected.
 
     Returns
     -------
@@ -192,8 +192,12 @@ def design(
         if h >= tuning.period_s
     ]
     short = min(rehearsal, duration)
+    near = len(_near(usual, model, tuning.period_s))
+    expected = short * (1 + len(grid) + near) + duration * _FLIGHTS * (1 + _FINALISTS)
     with on_processes(processes) as run:
-        search = _Search(model, usual, criterion, margin, settings, tuning, seed, run, progress)
+        search = _Search(
+            model, usual, criterion, margin, settings, tuning, seed, run, progress, expected
+        )
         if search.fit_has_loss and model.delay_learned and not given.delay_learned:
             search.as_fitted = [t for _, t in search.flown(given, [usual], short, _FLIGHTS)]
         search.fly([usual, *(plan for plan in grid if plan != usual)], short)
@@ -231,6 +235,8 @@ class _Search:
     #: Like the built-in `map`.
     run: Callable[..., Iterable[Any]]
     progress: Progress
+    #: Seconds of trial flights that are expected; it may become more.
+    expected: float
 
     def __post_init__(self) -> None:
         """Begin without any flights."""
@@ -241,7 +247,7 @@ class _Search:
         self._trials: dict[ExcitationPlan, list[Trial]] = {}
         #: Of the usual excitation, prepared as for the model's fit; None: as all flights are.
         self.as_fitted: list[Trial] | None = None
-        self._done = 0
+        self._flights, self._done_s = 0, 0.0
 
     def fly(self, plans: Sequence[ExcitationPlan], length: float, flights: int = 1) -> None:
         """Fly plans for some seconds."""
@@ -254,12 +260,13 @@ class _Search:
         """Fly plans, each flight with a seed of its own."""
         repeated = [plan for plan in plans for _ in range(flights)]
         flown = [plan.model_copy(update={"duration_s": length}) for plan in repeated]
-        seeds = range(self.seed + self._done, self.seed + self._done + len(flown))
-        total = self._done + len(flown)
+        seeds = range(self.seed + self._flights, self.seed + self._flights + len(flown))
+        self._flights += len(flown)
+        self.expected = max(self.expected, self._done_s + length * len(flown))
         act = partial(fly_trial, model, self.settings, self.tuning)
         for plan, trial in zip(repeated, self.run(act, flown, seeds), strict=True):
-            self._done += 1
-            self.progress(self._done, total)
+            self._done_s += length
+            self.progress(self._done_s, self.expected)
             yield plan, trial
 
     def residual_level(self) -> float:

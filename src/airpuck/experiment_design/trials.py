@@ -40,8 +40,8 @@ from airpuck.twin.settings import TwinSettings
 if TYPE_CHECKING:
     from airpuck.experiment_design.design import Design
 
-#: Called with the number of flights done, and of those that are due so far.
-Progress = Callable[[int, int], None]
+#: Called with what is done, and with all.
+Progress = Callable[[float, float], None]
 
 #: First seed of the flights that check a proposal; far from those of the trials.
 _CHECK_SEED = 1_000_000

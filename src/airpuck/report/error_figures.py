@@ -59,9 +59,20 @@ def horizon_figure(
     line marks when tables report the error.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.5)
-    broad = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
+    handles = draw_horizon(list(figure.subplots(1, 3)), fitted, reference, label)
+    style.top_legend(figure, handles)
+    return figure
+
+
+def draw_horizon(
+    panels: Sequence[Axes],
+    fitted: Sequence[Evaluation],
+    reference: Sequence[Evaluation] = (),
+    label: str = "published",
+) -> list[Artist]:
+    """Draw `horizon_figure` into axes for x, y and yaw; return what a legend needs."""
+    broad: dict[str, Any] = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
     dashed: dict[str, Any] = {"lw": 1.1, "ls": style.DASHED, "zorder": 3}
-    panels = figure.subplots(1, 3)
     colors = style.model_colors(evaluation.model for evaluation in (*fitted, *reference))
     for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         for evaluations, line in ((fitted, broad), (reference, dashed)):
@@ -75,12 +86,11 @@ def horizon_figure(
         axes.text(reported, 0.99, f"{reported:.2g} s ", color=style.GREY, fontsize=8, **place)
         axes.set(xlabel="time predicted [s]", ylabel=f"RMSE of {name} [{unit}]")
         axes.set(xlim=(0, None), ylim=(0, None))
-    handles = [style.key(name, color, lw=3) for name, color in colors.items()]
+    handles: list[Artist] = [style.key(name, color, lw=3) for name, color in colors.items()]
     if reference:
         handles.append(style.key("broad: fitted here", lw=3, alpha=0.45))
         handles.append(style.key(f"dashed: {label}", lw=1.1, ls=style.DASHED))
-    style.top_legend(figure, handles)
-    return figure
+    return handles
 
 
 @style.styled
@@ -90,7 +100,15 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
     Dots mark the RMSE on each curve, which a few large errors put far to the right of the median.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.3)
-    panels = figure.subplots(1, 3, sharey=True)
+    panels = list(figure.subplots(1, 3, sharey=True))
+    style.top_legend(figure, draw_error_distribution(panels, evaluations))
+    return figure
+
+
+def draw_error_distribution(
+    panels: Sequence[Axes], evaluations: Sequence[Evaluation]
+) -> list[Artist]:
+    """Draw `error_distribution_figure` into axes for x, y and yaw; return its legend's entries."""
     colors = style.model_colors(evaluation.model for evaluation in evaluations)
     for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         lowest = []
@@ -107,9 +125,8 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
         axes.set_xlim(left=max(min(lowest), 1e-12))
         axes.xaxis.set_major_formatter("{x:g}")
     panels[0].set_ylabel("windows with a smaller error [%]")
-    handles = [style.key(name, color) for name, color in colors.items()]
-    style.top_legend(figure, [*handles, style.key("RMSE", ls="", marker="o", mec="white")])
-    return figure
+    handles: list[Artist] = [style.key(name, color) for name, color in colors.items()]
+    return [*handles, style.key("RMSE", ls="", marker="o", mec="white")]
 
 
 @style.styled

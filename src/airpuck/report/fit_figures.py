@@ -28,6 +28,10 @@ _BIN, _TOP = 0.05, 30.0
 _DELAY_BINS = 24
 
 
+#: How a 95 % band looks.
+_BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0, "zorder": 1.5}
+
+
 @style.styled
 def loss_history_figure(
     fits: Sequence[Fit], reference: Mapping[str, float] | None = None, label: str = "published"
@@ -98,8 +102,7 @@ def thrust_figure(
         for model, curve, line in curves:
             axes.plot(speed, curve[motor], color=colors[model.name], **line)
         for model, band in bands:
-            look = {"color": colors[model.name], "alpha": 0.18, "lw": 0, "zorder": 1.5}
-            axes.fill_between(speed, *band[:, motor], **look)
+            axes.fill_between(speed, *band[:, motor], color=colors[model.name], **_BAND)
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
     # A band that knows nothing must not flatten the curves.
     highest = max(float(curve.max()) for _, curve, _ in curves)
@@ -124,6 +127,26 @@ def thrust_figure(
         handles.append(Patch(color=style.LIGHT, label=commands))
     style.top_legend(figure, handles)
     return figure
+
+
+def draw_thrusts(axes: Axes, model: Model) -> list[Artist]:
+    """Draw the thrust curves of all propellers, with 95 % bands, into axes; return a legend.
+
+    The second propeller of a pair is dashed.
+    """
+    speed, colors = np.linspace(0, 1, 201), style.propeller_colors(model.vehicle)
+    second = {group[1] for group in style.propeller_groups(model.vehicle) if len(group) > 1}
+    curves, handles = _curves(model, speed), []
+    band = None if model.known is None else _band(model, speed)
+    for motor, (name, color) in enumerate(zip(model.vehicle.propeller_names, colors, strict=True)):
+        line: dict[str, Any] = {"lw": 1.5, "ls": style.DASHED if motor in second else "-"}
+        axes.plot(speed, curves[motor], color=color, **line)
+        if band is not None:
+            axes.fill_between(speed, *band[:, motor], color=color, **_BAND)
+        handles.append(style.key(name, color, **line))
+    axes.set(xlim=(0, 1), ylim=(0, 1.08 * float(curves.max())))
+    axes.set(xlabel="motor speed φ [–]", ylabel="thrust [N]")
+    return handles
 
 
 def _curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "n K"]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Circle, Rectangle
 
 from airpuck.craft.table import Table
@@ -64,7 +64,7 @@ def prediction_figure(trajectory: Trajectory, evaluations: Sequence[Evaluation])
 
 
 def draw_predictions(
-    figure: Figure, trajectory: Trajectory, evaluations: Sequence[Evaluation]
+    figure: Figure | SubFigure, trajectory: Trajectory, evaluations: Sequence[Evaluation]
 ) -> None:
     """Draw `prediction_figure` into a figure."""
     begin, stop = typical_stretch(evaluations[-1])

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
@@ -205,7 +205,9 @@ def key(label: str, color: str = BLACK, **line: Any) -> Line2D:
     return Line2D([], [], color=color, label=label, **line)
 
 
-def top_legend(figure: Figure, handles: Sequence[Artist], columns: int | None = None) -> None:
+def top_legend(
+    figure: Figure | SubFigure, handles: Sequence[Artist], columns: int | None = None
+) -> None:
     """Put one legend above all axes, where it hides nothing."""
     figure.legend(
         handles=list(handles),
