@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns, read_vehicle
+from airpuck.craft.vehicle import (
+    Vehicle,
+    default_vehicle,
+    match_columns,
+    read_vehicle,
+    unnamed_columns,
+)
 
 QUAD = """
 name = "quad"
@@ -98,3 +104,21 @@ def test_vehicles_compare_and_hash():
     assert default_vehicle() == default_vehicle()
     assert isinstance(hash(default_vehicle()), int)
     assert Vehicle.model_validate(default_vehicle().model_dump()) == default_vehicle()
+
+
+def test_columns_without_names_are_in_the_order_of_the_vehicle():
+    vehicle = default_vehicle()
+    assert match_columns(vehicle, unnamed_columns(6), source="x") == [0, 1, 2, 3, 4, 5]
+    renamed = vehicle.model_copy(
+        update={
+            "propellers": tuple(
+                propeller.model_copy(update={"name": name})
+                for propeller, name in zip(
+                    vehicle.propellers, unnamed_columns(6)[::-1], strict=True
+                )
+            )
+        }
+    )
+    assert match_columns(renamed, unnamed_columns(6), source="x") == [5, 4, 3, 2, 1, 0]
+    with pytest.raises(InputError, match="has 4 motors"):
+        match_columns(vehicle, unnamed_columns(4), source="x")

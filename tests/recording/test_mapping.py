@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.mapping import Topics, read_mapping
+from airpuck.recording.mapping import Topics, only_topics, read_mapping
 
 
 def test_names_given_replace_the_defaults(tmp_path: Path):
@@ -41,3 +41,82 @@ def test_a_topic_is_required_once_it_is_named():
     assert not Topics().required("imu")
     assert Topics(imu="/drone/imu").required("imu")
     assert Topics().required("pose")
+
+
+WHOLE = """
+[topics]
+pose = "/vicon/pose"
+[pose]
+units = ["mm", "deg"]
+axes = ["-y", "x", "z"]
+position = ["px", "py", "pz"]
+orientation = { ZYX = ["a", "b", "c"] }
+[command]
+propellers = ["left", "right"]
+scale = 0.01
+"""
+
+
+def test_a_whole_mapping(tmp_path: Path):
+    (tmp_path / "m.toml").write_text(WHOLE)
+    found = read_mapping(tmp_path / "m.toml")
+    assert found.topics.pose == "/vicon/pose"
+    assert found.pose.orientation == ("ZYX", ("a", "b", "c"))
+    assert found.pose.size("length") == 1e-3
+    assert found.pose.size("time") == 1
+    index, sign = found.pose.permutation
+    assert (index.tolist(), sign.tolist()) == ([1, 0, 2], [-1, 1, 1])
+    assert found.command.propellers == ("left", "right")
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "columns"),
+    [
+        ('"yaw"', "yaw", ("yaw",)),
+        ('{ w = "d", x = "a", y = "b", z = "c" }', "quaternion", ("a", "b", "c", "d")),
+        ('["1", "2", "3", "4", "5", "6", "7", "8", "9"]', "matrix", tuple("123456789")),
+        ('{ xzy = ["a", "b", "c"] }', "xzy", ("a", "b", "c")),
+    ],
+)
+def test_orientations(tmp_path: Path, given: str, kind: str, columns: tuple[str, ...]):
+    (tmp_path / "m.toml").write_text(f"[pose]\norientation = {given}\n")
+    assert read_mapping(tmp_path / "m.toml").pose.orientation == (kind, columns)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('pose.orientation = ["a", "b", "c", "d"]', "pose.orientation: is .column. .yaw."),
+        ("pose.orientation = 3", "pose.orientation: is .column."),
+        ('pose.orientation = ""', "pose.orientation: is .column."),
+        ('pose.orientation = { x = "a", y = "b", z = "c" }', "pose.orientation: is .column."),
+        ('pose.orientation = { XyZ = ["a", "b", "c"] }', "pose.orientation: is .column."),
+        ('pose.orientation = { XYX = ["a", "b", "c"] }', "pose.orientation: is .column."),
+        ('pose.position = ["x"]', "pose.position: names 1 coordinates, not two or three"),
+        ('pose.axes = "X-up"', "pose.axes: is .Z-up., .Y-up., or our x, y and z"),
+        ('pose.axes = ["x", "y", "y"]', "pose.axes: is .Z-up."),
+        ("pose.axes = 3", "pose.axes: is .Z-up."),
+        ("pose.axes = [1, 2, 3]", "pose.axes: is .Z-up."),
+        ('pose.axes = ["x", "z", "y"]', "pose.axes: .* is a mirror image"),
+        ('pose.units = ["inch"]', "pose.units.0"),
+        ('pose.units = ["mm", "m"]', "pose.units: names two units of length"),
+        ("pose.start_s = nan", "pose.start_s"),
+        ("command.scale = 0", "command: scale: must not be 0"),
+        ('command.scale = "0.01"', "command.scale"),
+        ('command.propellers = ["a", "b", "a"]', "command: a is named twice"),
+        ('command.topic = "/motors"', "command.topic: is not a known key"),
+    ],
+)
+def test_mistakes_in_columns_units_and_axes(tmp_path: Path, text: str, says: str):
+    (tmp_path / "m.toml").write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        read_mapping(tmp_path / "m.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_live_graph_takes_only_topics(tmp_path: Path):
+    (tmp_path / "m.toml").write_text(WHOLE)
+    with pytest.raises(InputError, match=r"m\.toml: command: is for recordings"):
+        only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml")
+    (tmp_path / "m.toml").write_text('[topics]\npose = "/a"\n')
+    assert only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml").pose == "/a"

@@ -34,7 +34,7 @@ class Place(NamedTuple):
 
     path: str
     #: Entry of an array; None for all.
-    index: int | None
+    entry: int | None
 
 
 def command_fields(msgtype: str, fields: Sequence[Field]) -> tuple[str, ...]:

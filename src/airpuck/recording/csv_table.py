@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -39,7 +39,7 @@ class Table:
     """Columns of a CSV file as text."""
 
     path: Path
-    columns: dict[str, Sequence[str]]
+    columns: Mapping[str, Sequence[str]]
     #: Number of each row's line.
     lines: list[int]
     warnings: tuple[str, ...]

@@ -199,16 +199,16 @@ class PoseMapping(_Times):
     @classmethod
     def _right_handed(cls, axes: Any) -> tuple[str, ...]:
         found = _UP.get(axes, axes) if isinstance(axes, str) else axes
-        letters = [str(axis).removeprefix("-") for axis in found]
-        if isinstance(found, str) or sorted(letters) != ["x", "y", "z"]:
+        listed = found if isinstance(found, list | tuple) else ()
+        if sorted(str(axis).removeprefix("-") for axis in listed) != ["x", "y", "z"]:
             raise ValueError(
                 'is "Z-up", "Y-up", or our x, y and z in terms of the file\'s axes, as in '
                 '["x", "-z", "y"]'
             )
-        index, sign = _permutation(found)
+        index, sign = _permutation(listed)
         if np.linalg.det(np.eye(3)[index] * sign) < 0:
-            raise ValueError(f"{list(found)} is a mirror image; turn the sign of one axis")
-        return tuple(found)
+            raise ValueError(f"{list(listed)} is a mirror image; turn the sign of one axis")
+        return tuple(listed)
 
     @property
     def permutation(self) -> tuple[Int64[np.ndarray, "3"], Float[np.ndarray, "3"]]:

@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.preprocessing.quality import drop_disorder
+from airpuck.recording.mapping import RecordingMapping, read_mapping
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import Recording
+
+N = 50
+TIME = 0.02 * np.arange(N)
+POSES = np.column_stack([0.3 * np.cos(TIME), 0.4 * np.sin(TIME), 2 * TIME])
+COMMANDS = np.random.default_rng(2).integers(0, 100, (N, 4)) / 100
+MAPPING = """
+[pose]
+file = "mocap.csv"
+time = "t"
+position = ["x", "y"]
+orientation = "theta"
+units = ["cm", "deg", "ms"]
+
+[command]
+file = "motors.csv"
+time = "stamp"
+units = ["ns"]
+values = ["m1", "m2", "m3", "m4"]
+scale = 0.001
+offset = -1
+"""
+
+
+def mapping(path: Path, text: str = MAPPING) -> RecordingMapping:
+    (path / "mapping.toml").write_text(text)
+    return read_mapping(path / "mapping.toml")
+
+
+def csv(names: str, *columns: np.ndarray, between: str = ",") -> str:
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    lines = [names.replace(",", between), *(between.join(map(str, row)) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def mocap(**keys) -> str:
+    x, y, yaw = POSES.T
+    return csv(
+        "frame,t,x,y,theta", np.arange(N), 1e3 * TIME, 100 * x, 100 * y, np.degrees(yaw), **keys
+    )
+
+
+def motors() -> str:
+    stamps = (np.round(1e9 * TIME) + 17).astype(np.int64)
+    return csv("stamp,m1,m2,m3,m4,mode", stamps, *(1000 + 1000 * COMMANDS.T), np.full(N, "auto"))
+
+
+def folder(path: Path, pose: str | None = None, command: str | None = None) -> Path:
+    (path / "mocap.csv").write_text(mocap() if pose is None else pose)
+    (path / "motors.csv").write_text(motors() if command is None else command)
+    return path
+
+
+def assert_is_the_flight(recording: Recording, kept=slice(None)) -> None:
+    pose, command = recording["pose"], recording["command"]
+    np.testing.assert_allclose(pose.values, POSES[kept], atol=1e-12)
+    assert pose.stamp_ns.tolist() == np.round(1e9 * TIME[kept]).astype(int).tolist()
+    np.testing.assert_allclose(command.values, COMMANDS, atol=1e-12)
+    assert command.stamp_ns.tolist() == (np.round(1e9 * TIME) + 17).astype(int).tolist()
+
+
+def test_columns_units_scale_and_files(tmp_path: Path):
+    recording = read_recording(folder(tmp_path), mapping=mapping(tmp_path))
+    assert_is_the_flight(recording)
+    assert recording["command"].columns == ("m1", "m2", "m3", "m4")
+    assert set(recording.hashes) == {"mocap.csv", "motors.csv"}
+    assert recording.warnings == ()
+
+
+@pytest.mark.parametrize("between", [";", "\t"])
+def test_other_separators(tmp_path: Path, between: str):
+    path = folder(tmp_path, mocap(between=between))
+    assert_is_the_flight(read_recording(path, mapping=mapping(tmp_path)))
+
+
+def test_propellers_by_name_choose_their_columns(tmp_path: Path):
+    command = motors().replace("m1,m2,m3,m4", "left,right,front,rear")
+    text = MAPPING.replace('values = ["m1", "m2", "m3", "m4"]', 'propellers = ["rear", "left"]')
+    found = read_recording(folder(tmp_path, command=command), mapping=mapping(tmp_path, text))
+    assert found["command"].columns == ("rear", "left")
+    np.testing.assert_allclose(found["command"].values, COMMANDS[:, [3, 0]], atol=1e-12)
+    # Other names than those of the columns rename them, in order.
+    text = MAPPING.replace("scale", 'propellers = ["a", "b", "c", "d"]\nscale')
+    found = read_recording(folder(tmp_path), mapping=mapping(tmp_path, text))
+    assert found["command"].columns == ("a", "b", "c", "d")
+
+
+def test_one_file_with_all_and_blank_cells(tmp_path: Path):
+    """A merged log: poses and commands at different times, blank where the other one is."""
+    names = "time,x,y,qx,qy,qz,qw,u1,u2"
+    rows = []
+    for k, (t, (x, y, yaw), u) in enumerate(zip(TIME, POSES, COMMANDS, strict=True)):
+        quaternion = f"0,0,{np.sin(yaw / 2)},{np.cos(yaw / 2)}"
+        rows.append(f"{t},{x},{y},{quaternion},," if k % 2 else f"{t},,, ,,,,{u[0]},{u[1]}")
+    (tmp_path / "log.csv").write_text("\n".join([names, *rows]) + "\n")
+    text = """
+[pose]
+time = "time"
+position = ["x", "y"]
+orientation = { x = "qx", y = "qy", z = "qz", w = "qw" }
+[command]
+time = "time"
+values = ["u1", "u2"]
+"""
+    found = read_recording(tmp_path / "log.csv", mapping=mapping(tmp_path, text))
+    np.testing.assert_allclose(found["pose"].values, POSES[1::2], atol=1e-12)
+    np.testing.assert_allclose(found["command"].values, COMMANDS[::2, :2])
+    assert found["command"].stamp_ns[1] == 40_000_000
+    assert found.warnings == ("25 blank poses are left out", "25 blank commands are left out")
+
+
+def edited(text: str, line: int, column: int, value: str) -> str:
+    lines = [row.split(",") for row in text.splitlines()]
+    lines[line][column] = value
+    return "\n".join(",".join(row) for row in lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("pose", "says"),
+    [
+        (edited(mocap(), 3, 2, ""), r"mocap.csv: x: line 4: '' is not a number"),
+        (edited(mocap(), 3, 4, "north"), "mocap.csv: theta: line 4: 'north' is not a number"),
+        (edited(mocap(), 3, 1, "nan"), "mocap.csv: time: row 3 has no time"),
+        (edited(mocap(), 3, 1, ""), "mocap.csv: t: line 4: '' is not a number"),
+        (edited(mocap(), 3, 1, "1e30"), "which no clock shows"),
+        (edited(mocap(), 0, 2, "y"), "mocap.csv: y: there are two columns of this name"),
+        ("", "mocap.csv: is empty"),
+        ("\x00\x01\x02", "there is no such column"),
+        (mocap()[: len(mocap()) // 2].replace(",", ";", 3), "has"),
+        ("frame\n1\n", "t, x, y, theta: there is no such column"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, pose: str, says: str):
+    with pytest.raises(InputError, match=says) as caught:
+        read_recording(folder(tmp_path, pose), mapping=mapping(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_all_that_is_missing_is_named_at_once(tmp_path: Path):
+    path = folder(tmp_path, "a,b\n1,2\n", "c,d\n1,2\n")
+    with pytest.raises(InputError) as caught:
+        read_recording(path, mapping=mapping(tmp_path))
+    message = str(caught.value)
+    for part in (
+        "mocap.csv: t, x, y, theta: there is no such column",
+        'pose = {time = "...", position = ["...", "..."], orientation = "..."} out of a, b',
+        "motors.csv: stamp, m1, m2, m3, m4: there is no such column",
+        'command = {time = "...", values = ["...", ...]} out of c, d',
+    ):
+        assert part in message
+    assert "\n" not in message
+
+
+def test_files_of_which_nothing_is_known(tmp_path: Path):
+    folder(tmp_path)
+    with pytest.raises(InputError) as caught:
+        read_recording(tmp_path)
+    message = str(caught.value)
+    assert "has no pose file" in message
+    assert 'pose = {file = "...", time = "...", position' in message
+    assert 'command = {file = "...", time = "...", values' in message
+    assert "out of mocap.csv, motors.csv" in message
+    with pytest.raises(InputError, match=r"one CSV file; .* out of frame, t, x, y, theta"):
+        read_recording(tmp_path / "mocap.csv")
+
+
+def test_a_file_that_the_mapping_names_and_that_is_not_there(tmp_path: Path):
+    folder(tmp_path)
+    (tmp_path / "motors.csv").rename(tmp_path / "control.csv")
+    with pytest.raises(InputError, match=r"has no command file \(motors.csv\)"):
+        read_recording(tmp_path, mapping=mapping(tmp_path))
+
+
+def test_order_and_duplicates_are_kept_for_preprocessing(tmp_path: Path):
+    lines = mocap().splitlines()
+    lines[5], lines[6] = lines[6], lines[5]
+    lines.insert(9, lines[9])
+    path = folder(tmp_path, "\n".join(lines) + "\n")
+    pose = read_recording(path, mapping=mapping(tmp_path))["pose"]
+    assert len(pose) == N + 1
+    kept = drop_disorder(pose.stamp_ns / 1e9, pose.values, "pose")
+    assert len(kept.time) == N - 1
+    assert len(kept.warnings) == 2
+
+
+def test_a_last_line_that_is_cut(tmp_path: Path):
+    found = read_recording(folder(tmp_path, mocap().rstrip("\n")[:-30]), mapping=mapping(tmp_path))
+    assert_is_the_flight(found, slice(None, N - 1))
+    assert "mocap.csv is cut short" in found.warnings[0]
+
+
+def test_authors_columns_in_another_unit(tmp_path: Path):
+    head = "log_time_ns,header.stamp.sec,header.stamp.nanosec"
+    (tmp_path / "my_pose.csv").write_text(
+        f"{head},pose.orientation.yaw,pose.position.x,pose.position.y\n7,1,2,90,1500,-250\n"
+    )
+    (tmp_path / "my_control.csv").write_text(f"{head},motor_1,motor_2\n7,1,2,100,20\n")
+    text = '[pose]\nunits = ["mm", "deg"]\n[command]\nscale = 0.01\nstart_s = 2\n'
+    found = read_recording(tmp_path, mapping=mapping(tmp_path, text))
+    np.testing.assert_allclose(found["pose"].values, [[1.5, -0.25, np.pi / 2]])
+    assert found["pose"].stamp_ns.tolist() == [1_000_000_002]
+    assert found["pose"].received_ns.tolist() == [7]
+    assert found["command"].values.tolist() == [[1, 0.2]]
+    assert found["command"].stamp_ns.tolist() == [3_000_000_002]
