@@ -29,6 +29,8 @@ _NEIGHBOURS = 11 / 240
 _SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
+#: Steps between poses that a motion capture can take [s].
+_PERIODS = (1e-4, 0.5)
 
 
 class Samples(NamedTuple):
@@ -52,10 +54,19 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
             file=source,
             field="pose.position",
         )
+    steps = np.abs(np.diff(time))
+    # Stamps may be repeated.
+    period = float(np.median(steps[steps > 0])) if steps.any() else 0.0
+    if period and not _PERIODS[0] <= period <= _PERIODS[1]:
+        raise InputError(
+            f"poses come every {period:.3g} s, which no motion capture does; name the unit of time "
+            'in a mapping: pose = {units = ["ms"]}',
+            file=source,
+            field="time",
+        )
     jumps = np.abs(np.diff(yaw))
     # In radians a wrapped yaw stays within ±π and a continuous one has no jumps.
     wraps_at_360 = np.any((jumps > 300) & (jumps < 361))
-    period = np.median(np.diff(time)) if len(time) > 1 else 0.0
     spins_too_fast = len(jumps) > 0 and period > 0 and np.quantile(jumps, 0.9) / period > 100
     if np.abs(yaw).max() > 2 * np.pi and (wraps_at_360 or spins_too_fast):
         raise InputError(
