@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing, temporary_name
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import RUNGS
 from airpuck.recording.stream import Recording
 
 if TYPE_CHECKING:
+    from airpuck.data.trajectory import Trajectory
+    from airpuck.identification.fit_result import Fit
     from airpuck.report.page import Origin
 
 #: Excitation experiments: seeds of the one to learn from and the one to validate on.
 _SEEDS = {"training": 1, "validation": 2}
+#: What is identified.
+_MODELS = ("M0", "M1", "M2", "M3", "M4")
 #: Models that fly the set points.
 _PILOTS = ("M0", "M4")
 #: A file with this name says that a folder may be made anew.
@@ -58,35 +67,30 @@ def demo(
     InputError
         If the folder holds bags of somebody else, or cannot be written to.
     """
-    from airpuck import read_recording
     from airpuck.evaluation.evaluate import compare
-    from airpuck.identification.fit import identify
-    from airpuck.preprocessing.pipeline import preprocess
+    from airpuck.preprocessing.pipeline import load_trajectory
     from airpuck.report.fit_report import fit_report
     from airpuck.report.judged_sections import Judged, errors_as_text
     from airpuck.report.tracking_report import tracking_sections
-    from airpuck.twin.experiments import excite
-    from airpuck.twin.plant import build_plant
     from airpuck.twin.tracking_study import tracking_study
 
     out = Path(out)
     bags = _own_folder(out / "bags")
-    # The offset of a real craft's centre of mass turns with it.
-    truth = replace(published_model("M3"), frame="body", indexing="start")
-    plant = build_plant(truth)
-    trajectories = {}
-    for name, seed in _SEEDS.items():
-        folder = bags / name
-        progress(f"flying the {name} experiment on the twin: {duration:g} s")
-        _replace_bag(excite(truth, duration, seed, plant=plant), folder)
-        trajectories[name] = preprocess(read_recording(folder))
-        delay = 1e3 * trajectories[name].delay
-        progress(f"preprocessed {folder}: transport delay {delay:.1f} ms")
-    fits = []
-    for name in ("M0", "M1", "M2", "M3", "M4"):
-        fits.append(identify(trajectories["training"], name))
-        fits[-1].model.save(out / "models" / f"{name}.toml")
-        progress(f"identified {name} ({RUNGS[name].summary}) in {fits[-1].wall_s:.1f} s")
+    truth = _truth()
+    names = " and ".join(_SEEDS)
+    progress(f"flying the {names} experiments on the twin, side by side: {duration:g} s each")
+    with _flying_beside(bags / "validation", _SEEDS["validation"], duration):
+        fly_experiment(bags / "training", _SEEDS["training"], duration)
+    trajectories = {name: load_trajectory(bags / name) for name in _SEEDS}
+    for name, trajectory in trajectories.items():
+        delay = 1e3 * trajectory.delay
+        progress(f"preprocessed {bags / name}: transport delay {delay:.1f} ms")
+    progress(f"identifying {', '.join(_MODELS)}, side by side")
+    fits = _identified(trajectories["training"])
+    for fit in fits:
+        name = fit.model.name
+        fit.model.save(out / "models" / f"{name}.toml")
+        progress(f"identified {name} ({RUNGS[name].summary}): loss {fit.loss:.2e}")
     *evaluations, best_possible = compare(
         [*(fit.model for fit in fits), truth], trajectories["validation"]
     )
@@ -110,6 +114,46 @@ def demo(
         more=tracking_sections(flights),
         origin=origin,
     )
+
+
+def _truth() -> Model:
+    """Return what flies: the published M3."""
+    # The offset of a real craft's centre of mass turns with it.
+    return replace(published_model("M3"), frame="body", indexing="start")
+
+
+def fly_experiment(folder: str | os.PathLike[str], seed: int, duration: float) -> None:
+    """Fly the excitation experiment on the twin, and save it as a bag."""
+    from airpuck import excite
+
+    _replace_bag(excite(_truth(), duration, seed), Path(folder))
+
+
+@contextmanager
+def _flying_beside(folder: Path, seed: int, duration: float) -> Iterator[None]:
+    """Call `fly_experiment` in a process of its own; a flight keeps one core busy."""
+    code = "import json, sys, airpuck.report.demo as d; d.fly_experiment(*json.loads(sys.argv[1]))"
+    words = [sys.executable, "-c", code, json.dumps([str(folder), seed, duration])]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield
+        except BaseException:
+            process.kill()
+            raise
+        _, said = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"the flight in a process of its own failed: {said.strip()}")
+
+
+def _identified(training: Trajectory) -> list[Fit]:
+    """Identify all models, side by side, from one recording."""
+    from airpuck.compute.process import usable_cores
+    from airpuck.identification.fit import identify
+
+    # While one compiles or moves packets, others compute; the one that takes longest comes first.
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        fits = {name: pool.submit(identify, training, name) for name in reversed(_MODELS)}
+        return [fits[name].result() for name in _MODELS]
 
 
 def _own_folder(folder: Path) -> Path:

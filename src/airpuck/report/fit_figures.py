@@ -257,7 +257,7 @@ def _draw_ratios(
 ) -> None:
     """Draw ratios as differences in percent: a line of dots for each label, a colour per model."""
     rows = style.label_rows(axes, labels)
-    spread = np.linspace(0.26, -0.26, max(len(ratios), 2))
+    spread = np.linspace(0.26, -0.26, len(ratios)) if len(ratios) > 1 else (0.0,)
     colors = style.model_colors(ratios)
     for offset, (name, (ratio, reach)) in zip(spread, ratios.items(), strict=False):
         reach = 100 * np.where(np.isfinite(reach), reach, 0.0)

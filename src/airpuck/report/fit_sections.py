@@ -148,7 +148,8 @@ def _optimiser_section(study: FitStudy) -> Section:
         f"Losses in 10⁻⁵. Loss: mean of the squared errors, weighted by ({weights}) per m, m and "
         f"rad, over windows, {settings['prediction_length']} steps and the channels x, y, γ, "
         f"without any regulariser; a training window every {settings['stride']} samples, on the "
-        "data as each fit prepares them: compare losses within a row. Time includes compiling."
+        "data as each fit prepares them: compare losses within a row. Time includes compiling, and "
+        "waiting for each other where fits run side by side."
     )
     history = (
         f"Loss over the iterations (method: {settings.get('method')}); it leaps where faults are "

@@ -1,0 +1,34 @@
+"""A reference is judged on the data of the fit that it is compared with."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.report.fit_sections import FitStudy
+
+from .conftest import fit_of, model_of
+
+
+def test_the_loss_of_a_reference_is_that_of_the_fits_own_objective(study):
+    fit = study.fits[3]
+    assert fit.objective is not None
+    moved = replace(study.training, command_time=study.training.command_time + 3e-3)
+    later = fit_of(fit.model, moved)
+    losses = []
+    for one in (fit, later):
+        alone = FitStudy(study.training, (one,), {"M3": study.reference["M3"]})
+        assert one.objective is not None
+        expected = one.objective.quadratic(study.reference["M3"].parameters).loss
+        assert alone.reference_losses["M3"] == pytest.approx(expected, rel=1e-6)
+        losses.append(expected)
+    # Packets that were moved are moved for both.
+    assert abs(losses[1] / losses[0] - 1) > 1e-3
+
+
+def test_a_reference_of_another_name_is_not_judged(study):
+    other = FitStudy(
+        study.training, study.fits[:1], {"M3": model_of(study.models[0].vehicle, "M3")}
+    )
+    assert other.reference_losses == {}
+    assert np.isfinite(list(study.reference_losses.values())).all()
