@@ -10,15 +10,16 @@ from airpuck.boundary.errors import InputError
 from airpuck.recording.conversion import commands_of, poses_of, stamps_of
 from airpuck.recording.mapping import CommandMapping, PoseMapping
 
-#: All renamings of axes that keep a right-handed system, with their matrices.
+#: All renamings of axes with their matrices.
 RENAMINGS = {}
 for order in permutations(range(3)):
     for signs in product((1, -1), repeat=3):
         matrix = np.zeros((3, 3))
         matrix[range(3), order] = signs
-        if np.linalg.det(matrix) > 0:
-            names = tuple(("" if s > 0 else "-") + "xyz"[k] for k, s in zip(order, signs))  # noqa: B905
-            RENAMINGS[names] = matrix
+        names = [
+            "xyz"[k] if sign > 0 else f"-{'xyz'[k]}" for k, sign in zip(order, signs, strict=True)
+        ]
+        RENAMINGS[tuple(names)] = matrix
 
 
 def mapping(**keys) -> PoseMapping:
@@ -29,15 +30,12 @@ def random_rotations(n: int = 50) -> Rotation:
     return Rotation.random(n, random_state=3)
 
 
-def test_there_are_24_right_handed_renamings():
-    assert len(RENAMINGS) == 24
-
-
 @pytest.mark.parametrize("axes", RENAMINGS)
 def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
     renaming, rotations = RENAMINGS[axes], random_rotations()
     positions = np.random.default_rng(1).normal(size=(50, 3))
-    turned = renaming @ rotations.as_matrix() @ renaming.T
+    # The axis of each rotation is renamed; its sense about that axis stays, in a mirror as well.
+    turned = Rotation.from_rotvec(rotations.as_rotvec() @ renaming.T).as_matrix()
     yaw = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
     for kind, numbers in (
         ("quaternion", rotations.as_quat()),
@@ -60,6 +58,21 @@ def test_euler_angles_in_every_order_in_degrees(order: str):
         angles = rotations.as_euler(kind, degrees=True)
         found = poses_of(np.zeros((50, 2)), angles, kind, mapping(units=("deg",)))
         assert np.abs(np.angle(np.exp(1j * (found - expected)[:, 2]))).max() < 1e-9
+
+
+@pytest.mark.parametrize("signs", list(product((1, -1), repeat=3)))
+def test_wrong_signs_of_x_y_and_yaw_are_mended_one_by_one(signs: tuple[int, ...]):
+    rng = np.random.default_rng(2)
+    poses = rng.uniform(-1, 1, (20, 3))
+    logged = poses * signs
+    axes = tuple(axis if sign > 0 else f"-{axis}" for axis, sign in zip("xyz", signs, strict=True))
+    found = poses_of(logged[:, :2], logged[:, 2:], "yaw", mapping(axes=axes))
+    np.testing.assert_array_equal(found, poses)
+    level = Rotation.from_euler("z", logged[:, 2:])
+    for kind, numbers in (("quaternion", level.as_quat()), ("matrix", level.as_matrix())):
+        numbers = numbers.reshape(20, -1)
+        found = poses_of(logged[:, :2], numbers, kind, mapping(axes=axes))
+        np.testing.assert_allclose(found, poses, atol=1e-12)
 
 
 def test_y_up_by_hand():

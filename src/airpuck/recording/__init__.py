@@ -1,4 +1,5 @@
 """Reading and writing what a lab has.
 
-Entry points: `read.read_recording`, `torch_archive.read_authors_experiment`, `mapping.Topics`.
+Entry points: `read.read_recording`, `mapping.read_mapping`, `mapping.RecordingMapping`,
+`stream.Recording`, `torch_archive.read_authors_experiment`.
 """

@@ -65,8 +65,11 @@ def poses_of(
         yaw = yaw_of(x, y, z, orientation[:, 3])
     else:
         matrix = _matrices(orientation, kind, mapping.size("angle"))
-        forward = matrix[:, index, index[0]] * sign * sign[0]
-        yaw = np.arctan2(forward[:, 1], forward[:, 0])
+        # Where the axes are a mirror image, the sense of rotations stays as well.
+        mirrored = np.linalg.det(np.eye(3)[index] * sign[:, None]) < 0
+        row, column = (0, 1) if mirrored else (1, 0)
+        sine = matrix[:, index[row], index[column]] * sign[0] * sign[1]
+        yaw = np.arctan2(sine, matrix[:, index[0], index[0]])
     return np.column_stack([horizontal, yaw])
 
 

@@ -178,7 +178,7 @@ class PoseMapping(_Times):
     axes : str or tuple of str
         ``"Z-up"``, ``"Y-up"`` (the same as ``["x", "-z", "y"]``), or our x, y, z in terms of the
         file's axes. The craft's own axes are renamed alike. A yaw counts about the file's vertical
-        axis.
+        axis, and has the sign of our z: ``["x", "-y", "z"]`` turns y alone.
     body : str
         Rigid body, where an export holds several.
     """
@@ -197,7 +197,7 @@ class PoseMapping(_Times):
 
     @pydantic.field_validator("axes", mode="plain")
     @classmethod
-    def _right_handed(cls, axes: Any) -> tuple[str, ...]:
+    def _three_axes(cls, axes: Any) -> tuple[str, ...]:
         found = _UP.get(axes, axes) if isinstance(axes, str) else axes
         listed = found if isinstance(found, list | tuple) else ()
         if sorted(str(axis).removeprefix("-") for axis in listed) != ["x", "y", "z"]:
@@ -205,9 +205,6 @@ class PoseMapping(_Times):
                 'is "Z-up", "Y-up", or our x, y and z in terms of the file\'s axes, as in '
                 '["x", "-z", "y"]'
             )
-        index, sign = _permutation(listed)
-        if np.linalg.det(np.eye(3)[index] * sign) < 0:
-            raise ValueError(f"{list(listed)} is a mirror image; turn the sign of one axis")
         return tuple(listed)
 
     @property
