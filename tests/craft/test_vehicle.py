@@ -79,6 +79,13 @@ def test_reads_back_what_it_writes(quad, tmp_path):
         ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5]", "1 curves for 2 propellers"),
         ("position_m = [0.0, 0.05]", "position_m = [0.0]", "position_m"),
         ("direction_deg = 0.0", "direction_deg = inf", "direction_deg"),
+        ("[0.0, 0.05]", "[0.0, 50.0]", r"propellers.0.position_m = .*: millimetres\?"),
+        ("[0.0, 0.05]", "[0.0, 5.0]", r"propellers.0.position_m = .*: centimetres\?"),
+        ("mass_kg = 0.2", "mass_kg = 200.0", r"mass_kg = 200 .*: grams\?"),
+        ("mass_kg = 0.2", "mass_kg = 0.2\nradius_m = 70.0", r"radius_m = 70 .*: millimetres\?"),
+        ("= 4e-4", "= 4e3", r"inertia_kg_m2 = 4000 .*: g cm²\?"),
+        ("= 4e-4", "= 400.0", r"inertia_kg_m2 = 400 .*: kg mm²\?"),
+        ("= 4e-4", "= 4.0", r"inertia_kg_m2 = 4 .*: kg cm²\?"),
     ],
 )
 def test_bad_fields_are_named(quad, old, new, message):
@@ -104,6 +111,11 @@ def test_vehicles_compare_and_hash():
     assert default_vehicle() == default_vehicle()
     assert isinstance(hash(default_vehicle()), int)
     assert Vehicle.model_validate(default_vehicle().model_dump()) == default_vehicle()
+    used = default_vehicle()
+    assert used.directions.shape == used.positions.shape == (6, 2)
+    assert used == default_vehicle()
+    assert used != used.model_copy(update={"mass_kg": 0.2})
+    assert hash(used) == hash(default_vehicle())
 
 
 def test_columns_without_names_are_in_the_order_of_the_vehicle():

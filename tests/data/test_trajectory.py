@@ -1,5 +1,6 @@
 """Trajectories: holding, slicing, excluded spans, files."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.trajectory import Span, vehicle_of
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.data.windows import make_windows
 from airpuck.model.model_file import published_model
@@ -40,6 +42,29 @@ def test_file_reads_back_equal(flight, tmp_path):
     )
     with np.load(tmp_path / "flight.npz") as archive:
         assert {"t", "state", "input", "command_time", "command"} <= set(archive.files)
+
+
+def test_files_of_earlier_versions_name_no_vehicle(flight, tmp_path):
+    known = replace(flight, vehicle=default_vehicle())
+    known.save(tmp_path / "new.npz")
+    assert read_trajectory(tmp_path / "new.npz").vehicle == default_vehicle()
+    with np.load(tmp_path / "new.npz") as archive:
+        content = dict(archive)
+    about = json.loads(str(content["about"]))
+    del about["vehicle"]
+    np.savez_compressed(tmp_path / "old.npz", **content | {"about": np.array(json.dumps(about))})
+    assert read_trajectory(tmp_path / "old.npz").vehicle is None
+
+
+def test_trajectories_agree_on_their_vehicle(flight):
+    heavy = default_vehicle().model_copy(update={"name": "heavy", "mass_kg": 0.2})
+    one, unknown, other = (
+        replace(flight, vehicle=vehicle) for vehicle in (heavy, None, default_vehicle())
+    )
+    assert vehicle_of([unknown]) == default_vehicle()
+    assert vehicle_of([unknown, one]) == heavy
+    with pytest.raises(InputError, match="'heavy' with other values; give the vehicle"):
+        vehicle_of([one, unknown, other])
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04junk", b"\x93NUMPY", b"text"])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
-from airpuck.identification.problem import Loss, Preparation
+from airpuck.identification.problem import Loss, Preparation, Problem
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import is_monotone
@@ -55,6 +56,30 @@ def test_two_recordings_at_once():
     assert len(fit.model.data) == 2
     with pytest.raises(InputError, match="given twice"):
         identify([flights[0], flights[0]])
+
+
+def test_the_craft_is_that_of_the_trajectory_unless_told_otherwise():
+    flight, vehicle = fly(published_model("M3"), 2.0), default_vehicle()
+    heavy = vehicle.model_copy(update={"mass_kg": 0.2})
+    remembered = replace(flight, vehicle=heavy)
+    assert Problem.of(remembered, "M3").vehicle == heavy
+    assert Problem.of(remembered, "M3", vehicle=vehicle).vehicle == vehicle
+    assert Problem.of(flight, "M3").vehicle == vehicle
+
+
+def test_recordings_of_different_rates_are_refused():
+    flight = fly(published_model("M3"), 2.0)
+    rare = replace(
+        flight,
+        time=flight.time[::2],
+        state=flight.state[::2],
+        acceleration=flight.acceleration[::2],
+        hashes={},
+    )
+    with pytest.raises(InputError, match="120 Hz, the first recording at 240 Hz"):
+        Loss().samples([flight, rare])
+    assert Loss().samples([flight]) == (40, 50, 7)
+    assert Loss().samples([rare]) == (20, 25, 4)
 
 
 def test_a_craft_with_four_propellers():

@@ -76,8 +76,12 @@ def check(
     json_file: options.Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
-    craft = read_craft(vehicle) or airpuck.default_vehicle()
-    result = airpuck.check_layout(load(recording, craft, mapping), craft)
+    from airpuck.data.trajectory import vehicle_of
+
+    craft = read_craft(vehicle)
+    trajectory = load(recording, craft, mapping, quiet=False)
+    craft = craft or vehicle_of([trajectory])
+    result = airpuck.check_layout(trajectory, craft)
     report(
         result.to_json(),
         json_file,

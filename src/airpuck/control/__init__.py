@@ -1,5 +1,5 @@
 """Model -> motor commands.
 
 Entry points: `lqr.regulator`, `allocation.ThrustAllocator`, `excitation.Excitation`,
-`reference.Reference`.
+`reference.Reference`, `authority.control_authority`.
 """

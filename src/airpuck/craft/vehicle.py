@@ -23,6 +23,7 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
+from airpuck.craft.plausibility import check_sizes
 
 
 class Propeller(Section):
@@ -96,7 +97,14 @@ class Vehicle(Section):
         if self.command_min >= self.command_max:
             raise ValueError("command_min must be below command_max")
         _nominal_thrust(self.nominal.thrust_N, len(names))
+        check_sizes(self.mass_kg, self.radius_m, self.positions, self.nominal.inertia_kg_m2)
         return self
+
+    def __eq__(self, other: object) -> bool:
+        """Compare the fields only: pydantic would compare cached arrays, too."""
+        if not isinstance(other, Vehicle):
+            return NotImplemented
+        return all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
 
     @property
     def propeller_names(self) -> tuple[str, ...]:

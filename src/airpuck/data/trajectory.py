@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing
 from airpuck.boundary.notebook import html_table
-from airpuck.craft.vehicle import Vehicle
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.zero_order_hold import hold, mean_hold
 
 #: Of the file; another one is refused.
@@ -80,6 +80,8 @@ class Trajectory:
         SHA-256 of every file it was made from, by name.
     warnings : tuple of str
         What preprocessing found that does not prevent the use of the data.
+    vehicle : Vehicle or None
+        The craft that it was preprocessed for; None where others have prepared it.
     """
 
     time: Float[np.ndarray, " N"]
@@ -94,6 +96,7 @@ class Trajectory:
     source: str = ""
     hashes: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    vehicle: Vehicle | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -291,6 +294,7 @@ class Trajectory:
             "source": self.source,
             "hashes": dict(self.hashes),
             "warnings": self.warnings,
+            "vehicle": self.vehicle and self.vehicle.model_dump(mode="json"),
         }
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(
@@ -323,6 +327,24 @@ def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
     return list(
         zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
     )
+
+
+def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:
+    """Return the craft that trajectories were preprocessed for; by default the paper's.
+
+    Those of different crafts are refused.
+    """
+    known = [trajectory for trajectory in trajectories if trajectory.vehicle is not None]
+    vehicles = [trajectory.vehicle for trajectory in known]
+    for trajectory, vehicle in zip(known, vehicles, strict=True):
+        if vehicle != vehicles[0]:
+            raise InputError(
+                f"was preprocessed for the vehicle {vehicle.name!r}, {known[0].source} for "
+                f"{vehicles[0].name!r} with other values; give the vehicle that holds for all",
+                file=trajectory.source,
+                field="vehicle",
+            )
+    return vehicles[0] if vehicles else default_vehicle()
 
 
 def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:

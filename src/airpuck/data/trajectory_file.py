@@ -15,6 +15,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked
 from airpuck.boundary.limits import ABOUT_BYTES, ARCHIVE_BYTES, SPANS, Archive, within_means
 from airpuck.boundary.parsing import parse_json
+from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import FORMAT, Span, Trajectory
 
 #: Members that are read; ``input`` follows from the others.
@@ -77,6 +78,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         source=known.source,
         hashes=known.hashes,
         warnings=known.warnings,
+        vehicle=known.vehicle,
     )
     _check(trajectory, path)
     return trajectory
@@ -104,6 +106,8 @@ class _About(Section):
     source: str
     hashes: dict[str, str]
     warnings: tuple[str, ...]
+    #: Earlier versions did not write it.
+    vehicle: Vehicle | None = None
 
 
 def _read_archive(

@@ -71,7 +71,7 @@ def identify(
     model : str or Rung, default "M3"
         The rung of the model ladder; see `airpuck.named_rung` for degrees and frames.
     vehicle : Vehicle, optional
-        The craft; by default the paper's.
+        The craft; by default the one that the trajectories were preprocessed for, or the paper's.
     initial : Parameters, optional
         Where to start; by default the vehicle's nominal values.
     loss : Loss, optional

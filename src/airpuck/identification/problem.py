@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Trajectory, check_propellers
+from airpuck.data.trajectory import Trajectory, check_propellers, vehicle_of
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
@@ -201,6 +201,8 @@ class Problem:
             trajectories = [trajectories]
         rung = named_rung(model) if isinstance(model, str) else model
         given = {name: value for name, value in options.items() if value is not None}
+        if "vehicle" not in given:
+            given["vehicle"] = vehicle_of(trajectories)
         return cls(tuple(trajectories), rung, **given)
 
     def __post_init__(self) -> None:

@@ -159,6 +159,7 @@ def preprocess(
         source=recording.source,
         hashes=recording.hashes,
         warnings=recording.warnings + aligned.warnings + poses.warnings + commands.warnings,
+        vehicle=vehicle,
     )
     nominal = nominal or nominal_parameters(vehicle).dynamics(np, vehicle)
     return _compensate_delay(trajectory, delay, nominal)

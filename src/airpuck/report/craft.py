@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Arc, Circle
+from matplotlib.patches import Arc, Circle, Wedge
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.angle import wrapped
@@ -16,6 +18,13 @@ from airpuck.report import style
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
 #: Propellers farther apart than twice this are partners, but no pair side by side [rad].
 _WIDEST_HALF_ANGLE = 1.0
+
+
+def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
+    """Draw a craft as a file of the kind that ends in ``.svg``, ``.png`` or ``.pdf``."""
+    formats: dict[str, Literal["svg", "png", "pdf"]]
+    formats = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
+    return style.drawn(craft_figure(vehicle), formats[suffix])
 
 
 @style.styled
@@ -40,7 +49,7 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     for (x, y), name in (((axis, 0), "$x^b$"), ((0, axis), "$y^b$")):
         style.draw_arrow(axes, (0, 0), (x, y), lw=1.4, arrowstyle="-|>", mutation_scale=10.6)
         axes.text(1.28 * x, 1.25 * y, name, fontsize=10, ha="center", va="center")
-    axes.plot(0, 0, "o", color=style.BLACK, ms=3)
+    _draw_center_of_mass(axes, 0.05 * disc)
     reach = 1.5 * max(disc, float(radii.max()))
     axes.set(xlim=(-reach, reach), xlabel="$x^b$, forward [mm]")
     axes.set(ylim=(-reach, reach), ylabel="$y^b$, left [mm]", aspect="equal")
@@ -56,8 +65,8 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
     size = 1e3 * style.propeller_size(vehicle)
     # Arrows of opposing propellers must not meet.
     length = min(1.6 * size, 420 * style.closest_propellers(vehicle))
-    for name, (x, y), (dx, dy), color in zip(
-        vehicle.propeller_names, positions, vehicle.directions, colors, strict=True
+    for number, (name, (x, y), (dx, dy), color) in enumerate(
+        zip(vehicle.propeller_names, positions, vehicle.directions, colors, strict=True), start=1
     ):
         axes.add_patch(Circle((x, y), size, facecolor=(color, 0.22), edgecolor=color, lw=1.0))
         tip = (x + length * dx, y + length * dy)
@@ -70,13 +79,20 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
         out = (max(1.06 * disc, radius + 1.3 * size)) / radius
         ha = "left" if x > 0.1 * disc else "right" if x < -0.1 * disc else "center"
         va = "bottom" if y > 0.35 * disc else "top" if y < -0.35 * disc else "center"
-        axes.text(x * out, y * out, name + turn, color=color, fontsize=9, ha=ha, va=va)
+        axes.text(x * out, y * out, f"{number} {name}{turn}", color=color, fontsize=9, ha=ha, va=va)
+
+
+def _draw_center_of_mass(axes: Axes, size: float) -> None:
+    """Draw the sign of a centre of mass at the centre, where a vehicle file takes it to be."""
+    axes.add_patch(Circle((0, 0), size, facecolor="white", edgecolor=style.BLACK, lw=0.8))
+    for first in (0, 180):
+        axes.add_patch(Wedge((0, 0), size, first, first + 90, facecolor=style.BLACK, lw=0))
 
 
 def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
     """Annotate the radius of the propellers and the half-angle of the pairs, where regular."""
     radii = np.hypot(*vehicle.positions.T)
-    notes = []
+    notes = [f"solid: radius {1e3 * vehicle.radius_m:.4g} mm"]
     if np.ptp(radii) < _SAME_RADIUS and radii[0] > 0:
         radius = 1e3 * float(radii.mean())
         line = {"edgecolor": style.GREY, "lw": 0.7, "ls": (0, (4, 3))}
@@ -90,7 +106,7 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
         _draw_half_angle(axes, angles, delta, 1e3 * float(radii.min()))
         notes.append(f"δ = {np.degrees(delta):.1f}°")
     axes.text(0.02, 0.98, "\n".join(notes), transform=axes.transAxes, va="top", ha="left")
-    words = "arrow: force on the craft; ↺ ↻: which way it turns it"
+    words = "arrow: force on the craft; ↺ ↻: which way it turns it;\nquartered disc: centre of mass"
     small = {"fontsize": 8, "color": style.GREY, "transform": axes.transAxes}
     axes.text(0.98, 0.02, words, va="bottom", ha="right", **small)
 

@@ -74,10 +74,12 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def drawn(figure: Figure, suffix: Literal["png", "pdf"]) -> bytes:
-    """Draw a figure in a format: PNG for pages and screens, PDF for papers."""
+def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
+    """Draw a figure in a format: PNG for pages and screens, PDF and SVG for papers."""
     buffer = io.BytesIO()
-    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}}[suffix]
+    # What would differ from one time to the next is left out.
+    changing = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    metadata = changing[suffix]
     with mpl.rc_context(_STYLE):  # ticks are made when they are first drawn
         if figure.get_layout_engine() is not None:
             # Once for all formats: a layout costs as much as drawing.

@@ -1,0 +1,108 @@
+"""What propellers that only push can do together: which motions, and how strong each is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust
+
+#: Each motion: row of the configuration matrix, sign, and how it is said.
+MOTIONS = {
+    "forward": (0, 1, "pushes it forward"),
+    "back": (0, -1, "pushes it back"),
+    "left": (1, 1, "pushes it to the left"),
+    "right": (1, -1, "pushes it to the right"),
+    "turn left": (2, 1, "turns it left (counter-clockwise)"),
+    "turn right": (2, -1, "turns it right (clockwise)"),
+}
+#: Share of what all propellers could do together that counts as nothing.
+_NOTHING = 1e-6
+
+
+@dataclass(frozen=True)
+class Authority:
+    """How strong each motion is that the propellers of a craft can make.
+
+    Attributes
+    ----------
+    alone : mapping of str to float
+        By motion (`MOTIONS`): the largest acceleration with all others zero [m/s², rad/s²]; zero
+        where it cannot be made.
+    together : mapping of str to float
+        The largest one, whatever the craft does beside it.
+    """
+
+    alone: dict[str, float]
+    together: dict[str, float]
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Motions that cannot be made by themselves."""
+        return tuple(name for name, most in self.alone.items() if most == 0)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is missing, and why; empty for a craft that can go and turn everywhere."""
+        if not self.missing:
+            return ()
+        never = [name for name, most in self.together.items() if most == 0]
+        rest = [name for name in self.missing if name not in never]
+        found = [f"no propeller {MOTIONS[name][2]}" for name in never]
+        if rest:
+            found.append(f"not without another motion: {', '.join(rest)}")
+        if len(self.missing) == len(MOTIONS):
+            found.append("no thrusts cancel: it cannot stay at rest")
+        return tuple(found)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        units = {name: "m_s2" if row < 2 else "rad_s2" for name, (row, _, _) in MOTIONS.items()}
+        return {
+            kind: {f"{name.replace(' ', '_')}_{units[name]}": most for name, most in found.items()}
+            for kind, found in (("alone", self.alone), ("together", self.together))
+        } | {"missing": list(self.missing)}
+
+
+def control_authority(model: Model) -> Authority:
+    """Find how strong each motion of a craft can be: six linear programs in the thrusts.
+
+    Parameters
+    ----------
+    model : Model
+        The craft; `airpuck.model.model_file.nominal_model` makes one of a vehicle.
+
+    Returns
+    -------
+    Authority
+        The largest accelerations Π F for thrusts between those of the lowest and of the highest
+        command.
+    """
+    from scipy.optimize import linprog
+
+    effects = np.asarray(model.dynamics.configuration)
+    n, vehicle = effects.shape[1], model.vehicle
+    ends = [
+        thrust(model.dynamics.thrust, np.full(n, command))
+        for command in (vehicle.command_min, vehicle.command_max)
+    ]
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    bounds = np.stack([low, high], axis=1)
+    full = float(high.sum()) / vehicle.mass_kg
+    alone, together = {}, {}
+    for name, (row, sign, _) in MOTIONS.items():
+        along = sign * effects[row]
+        scale = full if row < 2 else full / model.radius_of_gyration
+        others = np.delete(effects, row, axis=0)
+        found = linprog(-along, A_eq=others, b_eq=np.zeros(2), bounds=bounds)
+        alone[name] = _clear(-found.fun, scale) if found.success else 0.0
+        together[name] = _clear(float(np.where(along > 0, high, low) @ along), scale)
+    return Authority(alone, together)
+
+
+def _clear(most: float, scale: float) -> float:
+    """Return zero for what is nothing."""
+    return float(most) if most > _NOTHING * scale else 0.0
