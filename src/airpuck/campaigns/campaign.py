@@ -17,6 +17,7 @@ import numpy as np
 from airpuck import __version__
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing
+from airpuck.boundary.limits import read_text
 from airpuck.campaigns.spec import Entry, read_spec
 from airpuck.campaigns.workers import Result, dispatch
 
@@ -135,11 +136,12 @@ def campaign(
 def read_result(folder: Path, key: str) -> Result | None:
     """Read the result of an item, if it has one."""
     path = folder / "items" / f"{key}.json"
-    try:
-        return Result.model_validate_json(path.read_text(encoding="utf-8"), strict=True)
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, ValueError) as error:
+    text = read_text(path)
+    try:
+        return Result.model_validate_json(text, strict=True)
+    except ValueError as error:
         raise InputError(f"is no result of a campaign ({error}); remove it", file=path) from error
 
 

@@ -135,7 +135,7 @@ def _array(archive: Archive, name: str, most: int = ARCHIVE_BYTES) -> np.ndarray
 
 def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     """Refuse content that `Trajectory.save` cannot have written."""
-    t, n, k = trajectory, len(trajectory.time), len(trajectory.command_time)
+    t, n, k = trajectory, trajectory.time.size, trajectory.command_time.size
     shapes = (
         ("t", t.time, (n,)),
         ("state", t.state, (n, 6)),

@@ -27,6 +27,11 @@ def sha256(path: str | os.PathLike[str]) -> str:
         raise InputError("there is no such file", file=path) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
+    # A name with a null byte.
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"cannot be read ({error})", file=path) from error
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import within_means
 from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
 from airpuck.recording.files import listing
@@ -55,8 +56,13 @@ def read_recording(
     >>> recording["pose"].columns  # doctest: +SKIP
     ('x_m', 'y_m', 'yaw_rad')
     """
-    mapping = mapping or RecordingMapping(topics=topics or Topics())
-    found = Path(path)
+    with within_means(path):
+        return _read(Path(path), mapping or RecordingMapping(topics=topics or Topics()))
+
+
+def _read(path: Path, mapping: RecordingMapping) -> Recording:
+    """Read a recording in one of the forms."""
+    found = path
     try:
         if found.is_dir():
             found = _resolve(found, mapping)

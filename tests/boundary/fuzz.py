@@ -1,0 +1,415 @@
+"""Damaged files of every kind, read in a process with little memory and time for each.
+
+    python -m tests.boundary.fuzz [--cases N] [--first SEED] [KIND ...]
+
+A case is good if it is read or refused by an `InputError` in one printable line, and nothing is
+written. All other exceptions, deaths of the process, cases above the limit of time, and files left
+behind are failures; each is named by kind and seed, which make the same file again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tests.boundary import mutations as m
+
+MEMORY = 2 * 2**30
+SECONDS = 10
+#: Every so many cases go through the command line as well.
+CLI_EVERY = 50
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of file: an intact one, how it is damaged, how it is read."""
+
+    make: Callable[[Path], Path]
+    damage: m.Mutate
+    read: Callable[[Path], Any]
+    #: Command line before the file's name.
+    command: tuple[str, ...] = ()
+
+
+@dataclass
+class Tally:
+    """What became of the cases."""
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    slowest_s: float = 0.0
+    peak_mb: float = 0.0
+    wall_s: float = 0.0
+
+
+class TooSlow(BaseException):
+    """A case takes longer than it may; no `except Exception` swallows it."""
+
+
+def _bag(folder: Path, **options: Any) -> Path:
+    from mcap.writer import CompressionType
+
+    from tests.recording.bags import foreign_topics, write_mcap
+
+    topics = {
+        name: (msgtype, text, messages[:30])
+        for name, (msgtype, text, messages) in foreign_topics().items()
+    }
+    return write_mcap(
+        folder / "a.mcap", topics, compression=CompressionType.NONE, chunk_size=3000, **options
+    )
+
+
+def _db3(folder: Path) -> Path:
+    from tests.recording.test_bag import rosbags_folder
+
+    rosbags_folder(folder / "bag")
+    return folder / "bag" / "bag.db3"
+
+
+def _npz(folder: Path) -> Path:
+    from dataclasses import replace
+
+    from airpuck.data.trajectory import Span
+    from airpuck.recording.torch_archive import read_authors_experiment
+
+    whole = replace(read_authors_experiment(_pt(folder)), excluded=(Span(0.01, 0.02, "gap"),))
+    whole.save(folder / "a.npz")
+    return folder / "a.npz"
+
+
+def _pt(folder: Path) -> Path:
+    from tests.recording.test_torch_archive import archive
+
+    return archive(folder / "data.pt")
+
+
+def _csv(folder: Path) -> Path:
+    from airpuck.recording.csv_folder import write_csv
+    from airpuck.recording.stream import Recording
+    from tests.recording.bags import SIX, stream
+
+    columns = ("x_m", "y_m", "yaw_rad")
+    streams = {"pose": stream(20, 240, columns, 1), "command": stream(10, 100, SIX, 2)}
+    write_csv(Recording(streams, "made up"), folder / "csv")
+    return folder / "csv" / "optitrack_drone_pose.csv"
+
+
+def _metadata(folder: Path) -> Path:
+    from tests.recording.test_bag import rosbags_folder
+
+    rosbags_folder(folder / "bag")
+    return folder / "bag" / "metadata.yaml"
+
+
+def _written(folder: Path, name: str, text: str) -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def _model(folder: Path) -> Path:
+    from airpuck.model.model_file import read_model
+
+    read_model("paper:M3").save(folder / "model.toml")
+    return folder / "model.toml"
+
+
+def _packaged(name: str, folder: Path) -> Path:
+    from importlib import resources
+
+    text = (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
+    return _written(folder, name, text)
+
+
+def _params(folder: Path) -> Path:
+    from airpuck.model.model_file import read_model
+
+    parameters = read_model("paper:M3").parameters
+    values = {
+        "signal2thrust": parameters.thrust.tolist(),
+        "mass": 0.1377,
+        "inertia": float(parameters.inertia),
+        "tau": float(parameters.motor_time_constant),
+        "motor_angle_offset": float(parameters.angle_offset),
+        "center_of_mass": [*parameters.center_of_mass.tolist(), 0.0],
+        "configuration_matrix": [[0.0] * 6] * 3,
+    }
+    learned = "signal2thrust inertia tau motor_angle_offset center_of_mass configuration_matrix"
+    switches = {f"learn_{name}": name != "configuration_matrix" for name in learned.split()}
+    content = {"model": switches, "model_params": values}
+    return _written(folder, "params.json", json.dumps(content, indent=1))
+
+
+def _definition(folder: Path) -> Path:
+    from tests.recording.bags import COMMAND_TEXT, POSE_TEXT
+
+    extra = "float64[36] covariance\nstring[] names\nint32 KIND=3\nfloat64[<=5] some\n"
+    return _written(folder, "a.msg", POSE_TEXT.replace("\n", "\n" + extra, 1) + COMMAND_TEXT[40:])
+
+
+_IDL = """module a { module msg {
+  const long SIZE = 3;
+  @verbatim (language="comment", text="What it holds.")
+  struct A { double x; string names; sequence<double, 5> some; double three[3];
+    @default (value=0.5) float y; };
+}; };
+"""
+
+
+def _read_definition(path: Path, *, idl: bool = False) -> None:
+    """Decode a message by the definition in a file."""
+    from airpuck.boundary.errors import InputError
+    from airpuck.recording.cdr import decode, flatten
+    from airpuck.recording.definition import parse_definition
+
+    try:
+        text = path.read_bytes().decode(errors="replace")
+        types = parse_definition("a/msg/A", text, idl=idl)
+        fields = flatten(types, "a/msg/A")
+        paths = [name for name, code in fields if code.startswith("<")]
+    except ValueError as error:
+        # The reader of bags adds file and topic.
+        raise InputError(str(error), file=path) from error
+    # Zeros fit some definitions only.
+    with contextlib.suppress(ValueError):
+        decode([b"\0\1\0\0" + bytes(400), b"\0\1\0\0" + bytes(300)], types, "a/msg/A", paths)
+
+
+def _reader(module: str, name: str) -> Callable[[Path], Any]:
+    def read(path: Path) -> Any:
+        return getattr(__import__(module, fromlist=[name]), name)(path)
+
+    return read
+
+
+def _read_parent(path: Path) -> Any:
+    from airpuck.recording.read import read_recording
+
+    return read_recording(path.parent)
+
+
+_read_recording = _reader("airpuck.recording.read", "read_recording")
+_read_model = _reader("airpuck.model.model_file", "read_model")
+_TOPICS = '[topics]\npose = "/mocap/pose"\ncommand = "/craft/motors"\nimu = "/imu"\n'
+_SETPOINTS = "".join(
+    f"[[setpoints]]\nat_s = {at}\nx_m = {x}\ny_m = 0.1\nyaw_rad = 1.0\n"
+    for at, x in ((0.0, 0.5), (2.0, -0.5))
+)
+_PLAN = "amplitude = [0.6, 0.7, 0.8]\nduration_s = 20.0\nhold_s = 0.1\n"
+_CAMPAIGN = """kind = "tracking"
+seeds = 2
+[base]
+model = "paper:M3"
+truth = "paper:M4"
+[base.twin.radio]
+loss = 0.1
+[grid]
+controller = ["paper", "full"]
+twin.radio.jitter_s = [0.0, 0.01, 0.03]
+"""
+_PREPROCESS = ("preprocess", "-o", "out.npz")
+
+
+def kinds(scratch: Path) -> dict[str, Kind]:
+    """Return every kind of file by name."""
+    sqlite = functools.partial(m.sqlite_damaged, scratch=scratch / "scratch.db3")
+    text = m.text_damaged
+
+    def toml(content: str, module: str, name: str) -> Kind:
+        make = functools.partial(_written, name="a.toml", text=content)
+        return Kind(lambda folder: make(folder), text, _reader(module, name))
+
+    return {
+        "npz": Kind(
+            _npz,
+            m.archive_damaged,
+            _reader("airpuck.data.trajectory_file", "read_trajectory"),
+            _PREPROCESS,
+        ),
+        "data.pt": Kind(
+            _pt,
+            m.archive_damaged,
+            _reader("airpuck.recording.torch_archive", "read_authors_experiment"),
+            _PREPROCESS,
+        ),
+        "mcap": Kind(_bag, m.mcap_damaged, _read_recording, _PREPROCESS),
+        "mcap without chunks": Kind(
+            functools.partial(_bag, use_chunking=False), m.bytes_damaged, _read_recording
+        ),
+        "db3": Kind(_db3, sqlite, _read_recording, _PREPROCESS),
+        "metadata.yaml": Kind(_metadata, text, _read_parent),
+        "csv": Kind(_csv, m.table_damaged, _read_parent),
+        "definition": Kind(_definition, text, _read_definition),
+        "IDL": Kind(
+            functools.partial(_written, name="a.idl", text=_IDL),
+            text,
+            functools.partial(_read_definition, idl=True),
+        ),
+        "params.json": Kind(_params, text, _read_model, ("present",)),
+        "model": Kind(_model, text, _read_model, ("present",)),
+        "vehicle": Kind(
+            functools.partial(_packaged, "holohover.toml"),
+            text,
+            _reader("airpuck.craft.vehicle", "read_vehicle"),
+        ),
+        "tuning": Kind(
+            functools.partial(_packaged, "tuning.toml"),
+            text,
+            _reader("airpuck.control.tuning", "read_tuning"),
+        ),
+        "twin": Kind(
+            functools.partial(_packaged, "twin.toml"),
+            text,
+            _reader("airpuck.twin.settings", "read_twin_settings"),
+        ),
+        "topics": toml(_TOPICS, "airpuck.recording.stream", "read_topics"),
+        "plan": toml(_PLAN, "airpuck.control.excitation", "read_excitation_plan"),
+        "campaign": toml(_CAMPAIGN, "airpuck.campaigns.spec", "read_spec"),
+        "set points": toml(_SETPOINTS, "airpuck.live.setpoints", "read_setpoints"),
+    }
+
+
+def _too_slow(*_: object) -> None:
+    raise TooSlow(f"takes longer than {SECONDS} s")
+
+
+def _refusal(error: Exception, path: Path) -> str:
+    """Return what is wrong with the way a file was refused; empty for nothing."""
+    message = str(error)
+    if not message.isprintable():
+        return f"the message is not one printable line: {message!r}"
+    if path.name not in message and str(path.parent) not in message:
+        return f"the message does not name the file: {message}"
+    return ""
+
+
+def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
+    """Read one file; return its outcome and what is wrong with that, empty for nothing."""
+    from airpuck.boundary.errors import InputError
+    from tests.command_line import airpuck
+
+    before = sorted(path.parent.iterdir())
+    signal.alarm(SECONDS)
+    try:
+        if cli and kind.command:
+            done = airpuck(*kind.command, path, cwd=path.parent)
+            if done.returncode == 0:
+                (path.parent / "out.npz").unlink(missing_ok=True)
+            outcome = ("read", "?", "refused")[done.returncode]
+            wrong = done.returncode == 2 and len(done.stderr.splitlines()) != 1
+            problem = f"status {done.returncode}: {done.stderr[:300]!r}"
+            problem = problem if wrong or outcome == "?" else ""
+        else:
+            kind.read(path)
+            outcome, problem = "read", ""
+    except InputError as error:
+        outcome, problem = "refused", _refusal(error, path)
+    except (Exception, TooSlow) as error:
+        outcome, problem = "failed", "".join(traceback.format_exception(error))[-2000:]
+    finally:
+        signal.alarm(0)
+    if not problem and sorted(path.parent.iterdir()) != before:
+        problem = "something was written"
+    return ("failed" if problem else outcome), problem
+
+
+def work(name: str, first: int, count: int) -> None:
+    """Run cases in this process; report a line of JSON for each failure, and one at the end."""
+    import warnings
+
+    import airpuck.cli  # noqa: F401
+
+    warnings.simplefilter("ignore")
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+    signal.signal(signal.SIGALRM, _too_slow)
+    with tempfile.TemporaryDirectory() as folder:
+        tempfile.tempdir = folder
+        here = Path(folder) / "here"
+        here.mkdir()
+        kind = kinds(Path(folder))[name]
+        path = kind.make(here)
+        intact = path.read_bytes()
+        kind.read(path)
+        outcomes: Counter[str] = Counter()
+        slowest = 0.0
+        for seed in range(first, first + count):
+            print(json.dumps({"seed": seed}), flush=True)
+            path.write_bytes(kind.damage(intact, random.Random(f"{name} {seed}")))
+            start = time.perf_counter()
+            outcome, problem = run_case(kind, path, cli=seed % CLI_EVERY == CLI_EVERY - 1)
+            slowest = max(slowest, time.perf_counter() - start)
+            outcomes[outcome] += 1
+            if problem:
+                print(json.dumps({"seed": seed, "problem": problem}), flush=True)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(json.dumps({"outcomes": outcomes, "slowest_s": slowest, "peak_mb": peak}), flush=True)
+
+
+def fuzz(name: str, count: int, first: int = 0) -> Tally:
+    """Run cases of a kind in processes of their own, going on where one dies."""
+    tally, start, last = Tally(), time.perf_counter(), first + count
+    while first < last:
+        command = [sys.executable, "-m", "tests.boundary.fuzz", "--work", name]
+        command += ["--first", str(first), "--cases", str(last - first)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+        tally.failures += [
+            f"{name} {line['seed']}: {line['problem']}" for line in lines if "problem" in line
+        ]
+        if lines and "outcomes" in lines[-1]:
+            tally.outcomes.update(lines[-1]["outcomes"])
+            tally.slowest_s = max(tally.slowest_s, lines[-1]["slowest_s"])
+            tally.peak_mb = max(tally.peak_mb, lines[-1]["peak_mb"])
+            break
+        seeds = [line["seed"] for line in lines if "seed" in line]
+        at = seeds[-1] if seeds else first
+        tally.failures.append(f"{name} {at}: died ({done.returncode}): {done.stderr[-1000:]}")
+        tally.outcomes["died"] += 1
+        first = at + 1 if seeds else last
+    tally.wall_s = time.perf_counter() - start
+    return tally
+
+
+def main() -> None:
+    """Run what the command line asks for, and print a row for each kind."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kinds", nargs="*", metavar="KIND")
+    parser.add_argument("--cases", type=int, default=1000, help="of each kind")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--work", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.work:
+        work(given.work, given.first, given.cases)
+        return
+    print("| kind | cases | read | refused | failed | slowest s | wall s | peak MB |")
+    print("|---|---|---|---|---|---|---|---|")
+    failed = False
+    for name in given.kinds or kinds(Path(os.devnull)):
+        tally = fuzz(name, given.cases, given.first)
+        counts = [tally.outcomes[key] for key in ("read", "refused")]
+        cells = [name, given.cases, *counts, len(tally.failures)]
+        cells += [f"{tally.slowest_s:.2f}", f"{tally.wall_s:.1f}", f"{tally.peak_mb:.0f}"]
+        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+        print("".join(f"{failure}\n" for failure in tally.failures[:5]), file=sys.stderr)
+        failed |= bool(tally.failures)
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()
