@@ -23,7 +23,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -53,9 +53,12 @@ class Tally:
 
     outcomes: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
+    seconds: float = 0.0
     slowest_s: float = 0.0
     peak_mb: float = 0.0
-    wall_s: float = 0.0
+    #: The last case, and whether it is the last of all.
+    seed: int | None = None
+    current: bool = False
 
 
 class TooSlow(BaseException):
@@ -206,7 +209,15 @@ def _read_parent(path: Path) -> Any:
 
 _read_recording = _reader("airpuck.recording.read", "read_recording")
 _read_model = _reader("airpuck.model.model_file", "read_model")
-_TOPICS = '[topics]\npose = "/mocap/pose"\ncommand = "/craft/motors"\nimu = "/imu"\n'
+_MAPPING = """[topics]
+pose = "/mocap/pose"
+command = "/craft/motors"
+[pose]
+position = ["x", "y"]
+orientation = "yaw"
+[command]
+values = ["a", "b"]
+"""
 _SETPOINTS = "".join(
     f"[[setpoints]]\nat_s = {at}\nx_m = {x}\ny_m = 0.1\nyaw_rad = 1.0\n"
     for at, x in ((0.0, 0.5), (2.0, -0.5))
@@ -278,10 +289,10 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             text,
             _reader("airpuck.twin.settings", "read_twin_settings"),
         ),
-        "topics": toml(_TOPICS, "airpuck.recording.stream", "read_topics"),
+        "mapping": toml(_MAPPING, "airpuck.recording.mapping", "read_mapping"),
         "plan": toml(_PLAN, "airpuck.control.excitation", "read_excitation_plan"),
         "campaign": toml(_CAMPAIGN, "airpuck.campaigns.spec", "read_spec"),
-        "set points": toml(_SETPOINTS, "airpuck.live.setpoints", "read_setpoints"),
+        "set points": toml(_SETPOINTS, "airpuck.control.reference", "read_setpoints"),
     }
 
 
@@ -305,7 +316,9 @@ def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
     from tests.command_line import airpuck
 
     before = sorted(path.parent.iterdir())
-    signal.alarm(SECONDS)
+    # Of processor time, since other tests may run beside this one; and in all for what waits.
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    signal.alarm(10 * SECONDS)
     try:
         if cli and kind.command:
             done = airpuck(*kind.command, path, cwd=path.parent)
@@ -323,92 +336,122 @@ def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
     except (Exception, TooSlow) as error:
         outcome, problem = "failed", "".join(traceback.format_exception(error))[-2000:]
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
         signal.alarm(0)
     if not problem and sorted(path.parent.iterdir()) != before:
         problem = "something was written"
     return ("failed" if problem else outcome), problem
 
 
-def work(name: str, first: int, count: int) -> None:
-    """Run cases in this process; report a line of JSON for each failure, and one at the end."""
+def work(names: Sequence[str], first: int, count: int, done: int) -> None:
+    """Run cases here, reporting each before and after; `done` of the first kind are left out."""
     import warnings
 
     import airpuck.cli  # noqa: F401
 
     warnings.simplefilter("ignore")
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+    signal.signal(signal.SIGPROF, _too_slow)
     signal.signal(signal.SIGALRM, _too_slow)
-    with tempfile.TemporaryDirectory() as folder:
-        tempfile.tempdir = folder
-        here = Path(folder) / "here"
-        here.mkdir()
-        kind = kinds(Path(folder))[name]
-        path = kind.make(here)
-        intact = path.read_bytes()
-        kind.read(path)
-        outcomes: Counter[str] = Counter()
-        slowest = 0.0
-        for seed in range(first, first + count):
-            print(json.dumps({"seed": seed}), flush=True)
-            path.write_bytes(kind.damage(intact, random.Random(f"{name} {seed}")))
-            start = time.perf_counter()
-            outcome, problem = run_case(kind, path, cli=seed % CLI_EVERY == CLI_EVERY - 1)
-            slowest = max(slowest, time.perf_counter() - start)
-            outcomes[outcome] += 1
-            if problem:
-                print(json.dumps({"seed": seed, "problem": problem}), flush=True)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(json.dumps({"outcomes": outcomes, "slowest_s": slowest, "peak_mb": peak}), flush=True)
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            tempfile.tempdir = folder
+            here = Path(folder) / "here"
+            here.mkdir()
+            kind = kinds(Path(folder))[name]
+            path = kind.make(here)
+            intact = path.read_bytes()
+            kind.read(path)
+            for seed in range(first + done, first + count):
+                _report(kind=name, seed=seed)
+                path.write_bytes(kind.damage(intact, random.Random(f"{name} {seed}")))
+                start = time.process_time()
+                outcome, problem = run_case(kind, path, cli=seed % CLI_EVERY == CLI_EVERY - 1)
+                seconds = time.process_time() - start
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                _report(outcome=outcome, problem=problem, seconds=seconds, peak_mb=peak)
+        tempfile.tempdir, done = None, 0
 
 
-def fuzz(name: str, count: int, first: int = 0) -> Tally:
-    """Run cases of a kind in processes of their own, going on where one dies."""
-    tally, start, last = Tally(), time.perf_counter(), first + count
-    while first < last:
-        command = [sys.executable, "-m", "tests.boundary.fuzz", "--work", name]
-        command += ["--first", str(first), "--cases", str(last - first)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-        tally.failures += [
-            f"{name} {line['seed']}: {line['problem']}" for line in lines if "problem" in line
-        ]
-        if lines and "outcomes" in lines[-1]:
-            tally.outcomes.update(lines[-1]["outcomes"])
-            tally.slowest_s = max(tally.slowest_s, lines[-1]["slowest_s"])
-            tally.peak_mb = max(tally.peak_mb, lines[-1]["peak_mb"])
+def _report(**content: Any) -> None:
+    print(json.dumps(content), flush=True)
+
+
+def fuzz(names: Sequence[str], count: int, first: int = 0) -> dict[str, Tally]:
+    """Run cases of each kind in a process of their own, and another one where it dies."""
+    tallies = {name: Tally() for name in names}
+    left, done = list(names), 0
+    while left:
+        command = [sys.executable, "-m", "tests.boundary.fuzz", *left, "--work"]
+        command += ["--first", str(first), "--cases", str(count), "--done", str(done)]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout and process.stderr
+            for line in process.stdout:
+                if line.startswith("{"):
+                    _take_note(json.loads(line), tallies)
+            said = process.stderr.read()
+        if process.returncode == 0:
             break
-        seeds = [line["seed"] for line in lines if "seed" in line]
-        at = seeds[-1] if seeds else first
-        tally.failures.append(f"{name} {at}: died ({done.returncode}): {done.stderr[-1000:]}")
-        tally.outcomes["died"] += 1
-        first = at + 1 if seeds else last
-    tally.wall_s = time.perf_counter() - start
-    return tally
+        # It died in the last case that it reported, or before the first.
+        name = next((name for name in reversed(left) if tallies[name].seed is not None), left[0])
+        tally = tallies[name]
+        seed = first if tally.seed is None else tally.seed
+        tally.outcomes["failed"] += 1
+        tally.failures.append(f"{name} {seed}: died ({process.returncode}): {said[-1000:]}")
+        left, done = left[left.index(name) :], seed + 1 - first
+        if done >= count:
+            left, done = left[1:], 0
+    return tallies
+
+
+def _take_note(line: dict[str, Any], tallies: dict[str, Tally]) -> None:
+    """Add a report of the working process."""
+    if "seed" in line:
+        for tally in tallies.values():
+            tally.current = False
+        tally = tallies[line["kind"]]
+        tally.seed, tally.current = line["seed"], True
+        return
+    tally = next(tally for tally in tallies.values() if tally.current)
+    tally.outcomes[line["outcome"]] += 1
+    tally.seconds += line["seconds"]
+    tally.slowest_s = max(tally.slowest_s, line["seconds"])
+    tally.peak_mb = max(tally.peak_mb, line["peak_mb"])
+    if line["problem"]:
+        tally.failures.append(f"seed {tally.seed}: {line['problem']}")
+
+
+def table(tallies: dict[str, Tally]) -> str:
+    """Lay the tallies out as a table in Markdown."""
+    rows = ["| kind | cases | read | refused | failed | slowest s | all s | peak MB |"]
+    rows.append("|---|---|---|---|---|---|---|---|")
+    for name, tally in tallies.items():
+        counts = [tally.outcomes[key] for key in ("read", "refused", "failed")]
+        cells = [name, sum(counts), *counts, f"{tally.slowest_s:.2f}", f"{tally.seconds:.0f}"]
+        rows.append("| " + " | ".join(map(str, [*cells, f"{tally.peak_mb:.0f}"])) + " |")
+    return "\n".join(rows)
 
 
 def main() -> None:
     """Run what the command line asks for, and print a row for each kind."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Read damaged files of every kind.")
     parser.add_argument("kinds", nargs="*", metavar="KIND")
     parser.add_argument("--cases", type=int, default=1000, help="of each kind")
     parser.add_argument("--first", type=int, default=0, help="seed of the first")
-    parser.add_argument("--work", help=argparse.SUPPRESS)
+    parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--done", type=int, default=0, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    names = given.kinds or list(kinds(Path(os.devnull)))
     if given.work:
-        work(given.work, given.first, given.cases)
+        work(names, given.first, given.cases, given.done)
         return
-    print("| kind | cases | read | refused | failed | slowest s | wall s | peak MB |")
-    print("|---|---|---|---|---|---|---|---|")
-    failed = False
-    for name in given.kinds or kinds(Path(os.devnull)):
-        tally = fuzz(name, given.cases, given.first)
-        counts = [tally.outcomes[key] for key in ("read", "refused")]
-        cells = [name, given.cases, *counts, len(tally.failures)]
-        cells += [f"{tally.slowest_s:.2f}", f"{tally.wall_s:.1f}", f"{tally.peak_mb:.0f}"]
-        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
-        print("".join(f"{failure}\n" for failure in tally.failures[:5]), file=sys.stderr)
-        failed |= bool(tally.failures)
-    sys.exit(failed)
+    tallies = fuzz(names, given.cases, given.first)
+    print(table(tallies))
+    failures = [f"{name} {text}" for name, tally in tallies.items() for text in tally.failures]
+    print("\n".join(failures[:20]), file=sys.stderr)
+    sys.exit(bool(failures))
 
 
 if __name__ == "__main__":

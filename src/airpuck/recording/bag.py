@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import DEFINITION_BYTES
 from airpuck.boundary.parsing import load_yaml
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, one_line, sha256
-from airpuck.recording.log import Log
+from airpuck.recording.log import Log, TopicLog
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.sqlite_file import read_sqlite
@@ -168,11 +169,20 @@ def _streams(
     return streams, tuple(warnings)
 
 
+def _quick_to_parse(log: Log) -> list[tuple[str, TopicLog]]:
+    """Return the topics among which a missing one is looked for: definitions are parsed for it."""
+    found, spent = [], 0
+    for name, topic in sorted(log.topics.items(), key=lambda item: len(item[1].definition)):
+        spent += len(topic.definition)
+        if spent <= DEFINITION_BYTES and len(found) < _MOST_LOOKED_AT:
+            found.append((name, topic))
+    return sorted(found)
+
+
 def _no_topics(missing: list[str], log: Log) -> str:
     """Say which topics are missing, and show the mapping to write."""
     shown, choices = [], []
-    # Some only: definitions have to be parsed for this.
-    topics = sorted(log.topics.items())[:_MOST_LOOKED_AT]
+    topics = _quick_to_parse(log)
     for stream in missing:
         found = [name for name, topic in topics if may_hold(stream, topic)]
         shown.append(f'{stream} = "{found[0] if found else "/..."}"')

@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import MESSAGE_BYTES, TOPICS, refused
+from airpuck.boundary.limits import MESSAGE_BYTES, MIB, TOPICS, refused
 from airpuck.recording.log import Log, TopicLog
 
 #: A row takes about 15 steps and at least ten bytes. Steps beyond these are of a damaged file.
@@ -21,6 +21,8 @@ _STEPS_AT_ONCE = 10**5
 _IDL = "ros2idl"
 #: Characters of a topic's name and type.
 _LONGEST_NAME = 1000
+#: Characters of all definitions; those of wanted topics come first.
+_DEFINITIONS = MIB
 
 
 def read_sqlite(path: Path, wanted: Collection[str]) -> Log:
@@ -75,8 +77,12 @@ def _topics(
         if name in wanted:
             numbers[number] = topic
     if "message_definitions" in there:
-        for topic in numbers.values():
+        left = _DEFINITIONS
+        for topic in [*numbers.values(), *log.topics.values()]:
             _define(database, topic)
+            left -= len(topic.definition)
+            if left < 0:
+                break
     if len(log.topics) > TOPICS:
         raise refused("holds too many topics", TOPICS, "split it", file=path)
     return log, numbers

@@ -1,0 +1,31 @@
+"""Damaged files of every kind are read, or refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.boundary.fuzz import fuzz, kinds, table
+
+KINDS = list(kinds(Path("/")))
+
+
+def assert_good(cases: int, first: int = 0) -> str:
+    tallies = fuzz(KINDS, cases, first)
+    failures = [f"{name} {text}" for name, tally in tallies.items() for text in tally.failures]
+    assert not failures, "\n".join(failures[:5])
+    assert all(sum(tally.outcomes.values()) == cases for tally in tallies.values())
+    # Damage that is always or never noticed would test one path only.
+    assert sum(tally.outcomes["read"] > 0 for tally in tallies.values()) == len(KINDS)
+    assert sum(tally.outcomes["refused"] > 0 for tally in tallies.values()) >= len(KINDS) - 1
+    return table(tallies)
+
+
+def test_damaged_files():
+    assert_good(350)
+
+
+@pytest.mark.study
+def test_a_hundred_thousand_damaged_files():
+    print(assert_good(100_000 // len(KINDS) + 1, first=1000))
