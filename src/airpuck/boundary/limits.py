@@ -199,19 +199,15 @@ class Archive:
                 file=self._path,
                 field=name,
             )
-        most = min(most, self._left)
         content = bytearray()
-        with self._zip.open(member) as stream:
-            while block := stream.read(ARCHIVE_READ):
-                content += block
-                if len(content) > most:
-                    raise refused(
-                        "unpacks to too much",
-                        most,
-                        "cut the recording into parts",
-                        file=self._path,
-                        field=name,
-                    )
+        # Python's reader stops where the list says that the member ends.
+        if member.file_size <= min(most, self._left):
+            with self._zip.open(member) as stream:
+                while block := stream.read(ARCHIVE_READ):
+                    content += block
+        if max(member.file_size, len(content)) > min(most, self._left):
+            remedy = "cut the recording into parts"
+            raise refused("unpacks to too much", most, remedy, file=self._path, field=name)
         self._left -= len(content)
         return content
 
@@ -228,12 +224,17 @@ class Unpacking:
         self._most = UNPACKED_BYTES + UNPACKED_RATIO * size
         self._spent = 0
 
+    @property
+    def records_left(self) -> int:
+        """How many more records may be handled."""
+        return (self._most - self._spent) // RECORD_BYTES
+
     def spend(self, n_bytes: int, n_records: int = 0) -> None:
         """Count unpacked bytes or handled records; refuse the file where they are too many."""
         self._spent += max(n_bytes, RECORD_BYTES * n_records)
         if self._spent > self._most:
             raise refused(
-                f"unpacks to more than {UNPACKED_RATIO} times its size",
+                f"unpacks to more than {UNPACKED_RATIO} times its size, or to too many records",
                 self._most // MIB * MIB,
                 "record it anew, or split it",
                 file=self._path,

@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -102,7 +103,8 @@ class _Sink:
         """Take in all records of a chunk, or none of them where one is damaged."""
         found: list[tuple[TopicLog, int, bytes]] = []
         times: list[int] = []
-        for code, start, end in _framed(content):
+        records = _framed(content)
+        for code, start, end in islice(records, self._budget.records_left):
             if code == _MESSAGE_CODE:
                 if end - start < _MESSAGE.size:
                     raise _Damaged("a message is cut short")
@@ -116,7 +118,8 @@ class _Sink:
                     found.append((topic, time, content[start + _MESSAGE.size : end]))
             elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
                 self.describe(code, content[start:end])
-        self._budget.spend(len(content), len(times))
+        # One that is left is one too many.
+        self._budget.spend(len(content), len(content) if any(records) else len(times))
         for topic, time, message in found:
             topic.received_ns.append(time)
             topic.messages.append(self.bounded(message))
@@ -137,8 +140,8 @@ def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
     while start <= size:
         code, length = _HEAD.unpack_from(content, start - _HEAD.size)
         end = start + length
-        if end > size:
-            raise _Damaged("a record is longer than what holds it")
+        if end > size or not code:
+            raise _Damaged("a record is longer than what holds it, or none")
         yield code, start, end
         start = end + _HEAD.size
 
