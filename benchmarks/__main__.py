@@ -184,7 +184,13 @@ def peers(table: Table, folder: Path, checkout: Path | None) -> None:
     def peer() -> float:
         return float(workload("peer").figures["wall_s"])
 
+    def demo() -> float:
+        # In turns: what a slow or busy machine does to one, it does to the other.
+        whole = run((*AIRPUCK, "demo", "-q", "-o", folder / "demo"), **COLD).wall_s
+        return whole / peer()
+
     table.add("NumPy and scipy.optimize.least_squares, M3", "s", peer)
+    table.add("demo, whole process, against that fit by NumPy", "–", demo)
     if checkout is not None:
         table.add("an epoch of the authors' code", "s", lambda: authors.epochs(checkout), runs=1)
 

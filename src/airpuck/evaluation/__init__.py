@@ -1,5 +1,5 @@
 """Model x trajectory -> errors.
 
 Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `gauge.physical_thrust`,
-`innovations.innovations`.
+`innovations.innovations`, `verdict.verdict`.
 """

@@ -1,5 +1,5 @@
 """Tables and figures; the only room that imports matplotlib.
 
-Entry points: `animation.animate`, `demo.demo`, `fit_report.fit_report`, `page.write_page`,
-`reproduce.reproduce`.
+Entry points: `animation.animate`, `demo.demo`, `evaluation_report.evaluation_report`,
+`fit_report.fit_report`, `page.write_page`, `reproduce.reproduce`.
 """
