@@ -101,13 +101,16 @@ def test_fits_from_anywhere_end_at_the_same_place(flight):
 
 
 @pytest.mark.study
-def test_resampled_fits_surround_the_fit(flight):
-    rows = Fitting(recordings=[flight], model="M2", resamplings=12, seed=4).run()
+def test_resampled_fits_surround_the_fit(tmp_path):
+    """Of a minute: a quarter of it has eight blocks for nineteen parameters."""
+    flight = str(tmp_path / "minute")
+    write_csv(record(duration=60.0, noise=1e-4), tmp_path / "minute")
+    rows = Fitting(recordings=[flight], model="M2", resamplings=24, seed=4).run()
     fit = identify(load_trajectory(flight), "M2")
     lag = [row["motor_time_constant"] for row in rows]
     centre = float(fit.model.parameters.motor_time_constant)
     error = fit.model.standard_error(lambda m: m.parameters.motor_time_constant)
-    assert 10 <= len(rows) <= 12
-    assert abs(np.median(lag) - centre) < 3 * error
-    assert 0.3 < np.std(lag) / error < 3
+    assert len(rows) == 24
+    assert abs(np.median(lag) - centre) < error
+    assert 0.5 < np.std(lag) / error < 1.5
     assert {row["inertia"] for row in rows} == {float(fit.model.parameters.inertia)}
