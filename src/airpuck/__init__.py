@@ -61,6 +61,10 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.identification.fit_result import Fit as Fit
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
     from airpuck.identification.problem import Loss as Loss, Preparation as Preparation
+    from airpuck.identification.selection import (
+        Selection as Selection,
+        select_model as select_model,
+    )
     from airpuck.model.model_file import Model as Model, read_model as read_model
     from airpuck.model.parameters import Parameters as Parameters
     from airpuck.model.rungs import named_rung as named_rung
@@ -121,6 +125,7 @@ _NAMES = {
     "identification.fit_result": "Fit",
     "identification.levenberg_marquardt": "LevenbergMarquardt",
     "identification.problem": "Loss Preparation",
+    "identification.selection": "Selection select_model",
     "model.model_file": "Model read_model",
     "model.parameters": "Parameters",
     "model.rungs": "named_rung",

@@ -54,9 +54,24 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
         (("--seed", 3), ("--seed", "--bootstrap")),
         (("--bootstrap", 20, "--method", "adam"), ("--bootstrap", "lm only")),
         (("--bootstrap", 3), ("--bootstrap",)),
+        (("--model", "auto", "--method", "adam"), ("--model auto", "lm only")),
     ],
 )
 def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words):
     process = airpuck("identify", bag, "-o", tmp_path / "m.toml", *options)
     assert process.returncode == 2
     assert refused(process, *words) or words
+
+
+def test_the_rung_is_chosen_and_its_rivals_are_shown(tmp_path):
+    write_bag(record(duration=20.0, noise=1e-4), tmp_path / "bag")
+    out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "fit.json")
+    process = airpuck("identify", tmp_path / "bag", "--model", "auto", *out)
+    assert process.returncode == 0, process.stderr
+    figures = json.loads((tmp_path / "fit.json").read_text())
+    selection, model = figures["selection"], read_model(tmp_path / "m.toml")
+    assert model.name == figures["model"] == selection["chosen"]
+    assert model.fit["selection"]["ladder"] == [rung["model"] for rung in selection["rungs"]]
+    assert model.name in process.stdout and "held out in turn" in process.stdout
+    for rung in selection["rungs"]:
+        assert f"{1e3 * rung['rmse']['x_m']:.2f}" in process.stdout

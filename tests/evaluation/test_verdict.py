@@ -128,3 +128,45 @@ def test_a_fit_that_did_not_end_is_not_trusted():
     found = verdict(replace(known(), fit={"converged": False}))
     assert found.trusted is False
     assert "not converged" in found.sentences[1]
+
+
+def timed(lag_error: float, delay_error: float, correlation: float):
+    """M3 that learned lag and delay, with these standard errors [s]."""
+    model = MODEL.with_delay(0.015)
+    masks = [
+        model.parameters.mask(frozenset({name}))
+        for name in ("motor_time_constant", "transport_delay")
+    ]
+    lag, delay = (np.flatnonzero(mask)[0] for mask in masks)
+    vector = model.parameters.to_vector()
+    covariance = np.zeros((len(vector), len(vector)))
+    covariance[lag, lag], covariance[delay, delay] = lag_error**2, delay_error**2
+    covariance[lag, delay] = covariance[delay, lag] = correlation * lag_error * delay_error
+    spread = np.sqrt(np.diag(covariance))
+    known = Uncertainty(
+        vector,
+        covariance,
+        np.where(spread > 0, spread, np.nan),
+        np.zeros((0, len(vector))),
+        30,
+        2.0,
+    )
+    return replace(model, uncertainty=known, free=model.free | masks[1])
+
+
+def of_timing(model):
+    return [words for words in verdict(model).sentences if "the split is not" in words]
+
+
+def test_the_sum_of_lag_and_delay_is_known_where_the_split_is_not():
+    model = timed(3e-3, 2.5e-3, -0.96)
+    # By hand: √(3² + 2.5² - 2·0.96·3·2.5) = √0.85 ms; the published lag is 28.06 ms.
+    [words] = of_timing(model)
+    assert words == (
+        "The sum of lag and delay is known to ±0.92 ms (43.06 ms); the split is not: "
+        "lag 28.1 ± 3.0 ms, delay 15.0 ± 2.5 ms, correlation -0.96."
+    )
+    assert of_timing(timed(3e-3, 2.5e-3, -0.85)) == []
+    [words] = of_timing(timed(0.0, 0.4e-3, 0.0))
+    assert "±0.40 ms" in words and words.endswith("the lag is at its bound.")
+    assert of_timing(MODEL) == []

@@ -55,3 +55,18 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
     np.testing.assert_array_equal(read.free, fit.model.free)
     np.testing.assert_array_equal(read.uncertainty.standard_errors, known.standard_errors)
     assert read.parameters.effects == found.effects
+
+
+def test_the_lag_of_idling_motors_is_told_from_lag_and_delay():
+    settings = default_twin_settings().model_copy(
+        update={"effects": Effects(idle_lag=2.0), "radio": Radio(delay_s=5 / 240)}
+    )
+    plant = build_plant(TRUTH, settings)
+    flight = preprocess(excite(TRUTH, 20.0, 3, settings=settings, plant=plant))
+    found = identify(flight, "M3+idle").model.parameters
+    lag = TRUTH.parameters.motor_time_constant
+    assert abs(found.idle_lag - 2.0) < 0.2
+    assert abs(found.motor_time_constant - lag) < 0.3e-3
+    assert abs(found.transport_delay - 5 / 240) < 0.3e-3
+    # Without the term, the lag takes what it can of it.
+    assert identify(flight, "M3").model.parameters.motor_time_constant - lag > 2e-3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from airpuck.physics.motor import motor_speeds, motor_step
@@ -38,6 +39,44 @@ def test_all_samples_at_once_are_one_after_another(seed, count, tau):
         last = motor_step(np, expected[-1], command[k], duration, tau)
         expected = np.concatenate([expected, last[None]])
     np.testing.assert_allclose(motor_speeds(time, command, tau), expected, atol=1e-13)
+
+
+def idle_motor(speed, command, duration, tau, longer):
+    """φ' = (u - φ)/(τ (1 + c exp(-φ/0.1))), by SciPy."""
+
+    def rate(_, speed):
+        return (command - speed) / (tau * (1 + longer * np.exp(-speed / 0.1)))
+
+    found = solve_ivp(rate, (0, duration), [speed], rtol=1e-10, atol=1e-12)
+    return found.y[0, -1]
+
+
+@pytest.mark.parametrize(("speed", "command"), [(0.03, 1.0), (0.03, 0.3), (1.0, 0.03), (0.5, 0.6)])
+def test_a_motor_with_idle_lag_follows_its_differential_equation(speed, command):
+    errors = []
+    for steps in (6, 12):  # 25 ms in steps of a sample of the motion capture, and of half
+        found = speed
+        for _ in range(steps):
+            found = motor_step(np, found, command, 0.025 / steps, 0.028, 2.0)
+        errors.append(abs(found - idle_motor(speed, command, 0.025, 0.028, 2.0)))
+    assert errors[0] < 2e-3
+    # Of second order: half the step, a quarter of the error.
+    assert errors[1] < 0.35 * errors[0] + 1e-9
+
+
+def test_no_idle_lag_changes_nothing():
+    assert motor_step(np, 0.2, 0.7, 0.01, 0.03, 0.0) == motor_step(np, 0.2, 0.7, 0.01, 0.03)
+
+
+def test_all_samples_with_idle_lag_are_one_after_another():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(1e-3, 9e-3, 400))
+    command = np.repeat(rng.choice([0.03, 0.3, 1.0], (40, 2)), 10, axis=0)
+    expected = command[:1]
+    for k, duration in enumerate(np.diff(time)):
+        last = motor_step(np, expected[-1], command[k], duration, 0.03, 2.0)
+        expected = np.concatenate([expected, last[None]])
+    np.testing.assert_allclose(motor_speeds(time, command, 0.03, 2.0), expected, atol=1e-8)
 
 
 def test_no_lag_follows_at_once():

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument, Option
 
@@ -22,6 +22,7 @@ from airpuck.cli.output import (
     origin,
     print_tenths,
     report,
+    say,
     show_progress,
     table,
     warn,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.presentation import Value
     from airpuck.evaluation.verdict import Verdict
     from airpuck.identification.fit_result import Fit
+    from airpuck.identification.selection import Selection
     from airpuck.model.model_file import Model
 
 PANEL = "From a recording to a validated model"
@@ -86,7 +88,11 @@ def identify(
         list[Path], Argument(metavar="RECORDING...", help="One or more, of one craft.")
     ],
     model: Annotated[
-        str, Option(help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair.")
+        str,
+        Option(
+            help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
+            "that predicts held-out parts of the recordings as well as any."
+        ),
     ] = "M3",
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
     span: options.Span = None,
@@ -156,16 +162,20 @@ def identify(
     """Identify a model from recordings and write it as TOML."""
     from airpuck.identification.bootstrap import bootstrap as resample
     from airpuck.identification.problem import Loss, Preparation
+    from airpuck.identification.selection import LADDER
     from airpuck.model.rungs import named_rung
 
-    rung = named_rung(model, degree=degree, frame=com_frame)
+    names = LADDER if model == "auto" else (model,)
+    rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
     if epochs is not None and method != "adam":
         raise InputError("is of adam only; add --method adam", field="--epochs")
-    if degree is not None and rung.powers is not None:
+    if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
     if delay == "fit" and method != "lm":
         raise InputError("fit is of lm only", field="--delay")
-    for option, given in (("--robust", robust), ("--bootstrap", bootstrap is not None)):
+    automatic, resampled = model == "auto", bootstrap is not None
+    of_lm = (("--model auto", automatic), ("--robust", robust), ("--bootstrap", resampled))
+    for option, given in of_lm:
         if given and method != "lm":
             raise InputError("is of lm only", field=option)
     if seed and bootstrap is None:
@@ -186,20 +196,26 @@ def identify(
         robust=robust,
         **{name: time for name, time in times.items() if time is not None},
     )
-    with show_progress(quiet) as progress:
-        fit = airpuck.identify(
-            trajectories,
-            rung,
-            vehicle=craft,
-            loss=loss,
-            method=airpuck.LevenbergMarquardt() if method == "lm" else adam,
-            preparation=Preparation(faults=faults, delay=delay),
-            progress=progress,
-        )
-        if bootstrap is not None:
-            words = "" if quiet else "resampled {} of {}"
-            show = partial(print_tenths, words, total=bootstrap)
-            fit = resample(fit, bootstrap, seed=seed, progress=show)
+    settings: Any = {
+        "vehicle": craft,
+        "loss": loss,
+        "preparation": Preparation(faults=faults, delay=delay),
+    }
+    selection = None
+    if automatic:
+        show = say(quiet or is_stdout(json_file))
+        selection = airpuck.select_model(trajectories, rungs, progress=show, **settings)
+        fit = selection.fit
+    else:
+        optimiser = airpuck.LevenbergMarquardt() if method == "lm" else adam
+        with show_progress(quiet) as progress:
+            fit = airpuck.identify(
+                trajectories, rungs[0], method=optimiser, progress=progress, **settings
+            )
+    if bootstrap is not None:
+        words = "" if quiet else "resampled {} of {}"
+        show = partial(print_tenths, words, total=bootstrap)
+        fit = resample(fit, bootstrap, seed=seed, progress=show)
     fit.model.save(output)
     found = None if other is None else airpuck.evaluate(fit.model, other)
     if report_folder is not None:
@@ -207,12 +223,37 @@ def identify(
     warn(fit.warnings, quiet)
     said = verdict_of(fit.model, found, other)
     figures = {**fit.to_json(), "verdict": said.to_json()}
+    tried: Iterable[str | Table] = ()
+    if selection is not None:
+        figures["selection"], tried = selection.to_json(), _ladder_summary(selection)
     judged = None
     if found is not None:
         figures["validation"] = found.to_json()
         judged = error_table([fit.model.name], [found])
     summary = _fit_summary(fit, verbose)
-    report(figures, json_file, *said.sentences, judged, *summary, output, quiet=quiet)
+    report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
+
+
+def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
+    """Yield how well every rung predicted what was held out, and which was taken."""
+    from airpuck.identification.selection import selection_words
+
+    rows = []
+    for candidate in selection.candidates:
+        x, y, yaw = candidate.rmse
+        errors = [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
+        change, (low, high) = (
+            100 * (v[..., -1] - 1) for v in (candidate.change, candidate.interval)
+        )
+        step = f"{change:+.1f} % ({low:+.1f} to {high:+.1f})" if math.isfinite(change) else ""
+        rows.append([candidate.name, str(candidate.free), *errors, step])
+    yield table(
+        ("model", "free", "x mm", "y mm", "yaw rad", "against the one above (95 % interval)"),
+        rows,
+        title=f"Errors after 0.2 s on {selection.folds} blocks of time held out in turn, "
+        f"{len(selection.start)} predictions",
+    )
+    yield selection_words(selection)
 
 
 def _write_report(

@@ -100,15 +100,15 @@ def propagate(
 
     In each piece the acceleration is that of its middle, so that the error is of second order.
     """
-    tau = dynamics.motor_time_constant
+    tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
     for k in range(len(durations)):
         h, command = durations[k], commands[k]
-        middle = motor_step(xp, motor_speed, command, h / 2, tau)
+        middle = motor_step(xp, motor_speed, command, h / 2, tau, idle)
         motion = mean[2, 0] + h / 2 * mean[2, 1], mean[0, 1], mean[1, 1], mean[2, 1]
         rate = xp.stack(acceleration(xp, dynamics, motion, middle)) + mean[:, 2]
         p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
         mean = xp.stack([p + h * v + h * h / 2 * rate, v + h * rate, d], axis=1)
-        motor_speed = motor_step(xp, motor_speed, command, h, tau)
+        motor_speed = motor_step(xp, motor_speed, command, h, tau, idle)
     return mean, motor_speed
 
 

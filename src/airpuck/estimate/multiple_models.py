@@ -216,7 +216,7 @@ def drift(
     In each piece they are those of its middle, so that the error is of second order. Returns the
     matrix and the offset that move any x, and the motor speeds.
     """
-    tau = dynamics.motor_time_constant
+    tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
     size = len(e)
     # Of v and p by e, and what a itself gives them.
@@ -225,14 +225,14 @@ def drift(
     total = 0.0
     for k in range(len(durations)):
         h, command = durations[k], commands[k]
-        middle = motor_step(xp, speed, command, h / 2, tau)
+        middle = motor_step(xp, speed, command, h / 2, tau, idle)
         motion = p[2] + h / 2 * v[2], v[0], v[1], v[2]
         a, by_e = sensitivity(xp, dynamics, motion, middle, command)
         rate = a + d + small_product(xp, by_e, e)
         p_by_e, v_by_e = p_by_e + h * v_by_e + h * h / 2 * by_e, v_by_e + h * by_e
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
         p, v = p + h * v + h * h / 2 * rate, v + h * rate
-        speed = motor_step(xp, speed, command, h, tau)
+        speed = motor_step(xp, speed, command, h, tau, idle)
         total = total + h
     eye, none = xp.eye(3), xp.zeros((3, 3))
     transition = xp.concatenate(

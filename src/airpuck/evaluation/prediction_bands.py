@@ -257,12 +257,12 @@ def _one_prediction(
         return durations + later * (parameters(free).transport_delay - estimate.transport_delay)
 
     def follow(free: Any, speed: Any, lead: Any) -> Any:
-        tau = parameters(free).motor_time_constant
+        lag = parameters(free).motor_time_constant, parameters(free).idle_lag
         flat = lead[0].reshape(-1, n), delayed(free, *lead[1:]).ravel()
 
         def turn(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
             command, duration = held
-            speed = motor_step(jnp, speed, command, duration, tau)
+            speed = motor_step(jnp, speed, command, duration, *lag)
             return speed, speed
 
         return scan(jnp, turn, speed, flat)[0]

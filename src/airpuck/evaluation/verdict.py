@@ -25,6 +25,8 @@ RESPONSE_LIMIT = 0.005
 MISSED_LIMIT = 0.25
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3
+#: Correlation of motor lag and transport delay below which data know their sum only.
+_NO_SPLIT = -0.9
 #: An error of this size counts as a whole: an angle of a radian turns a thrust away altogether.
 _WHOLE_ANGLE = 1.0
 
@@ -107,7 +109,15 @@ def verdict(model: Model, missed: Float[np.ndarray, " 3"] | None = None) -> Verd
     more = [] if judged else ["Nothing is known of its parameters' errors: identify it anew."]
     if judged and missed is None:
         more.append("How it predicts a flight that it was not learned from is not known: give one.")
-    sentences = (outcome, *wrong, *unknown, *known, *more, *_errors_in_words(errors))
+    sentences = (
+        outcome,
+        *wrong,
+        *unknown,
+        *_timing(model),
+        *known,
+        *more,
+        *_errors_in_words(errors),
+    )
     return Verdict(trusted, sentences, errors, missed)
 
 
@@ -166,6 +176,36 @@ def _unknown(model: Model, errors: dict[str, float]) -> list[str]:
         return []
     return [
         f"Unknown: {', '.join(named)}. Fly an excitation; `airpuck design` says which finds them."
+    ]
+
+
+def _timing(model: Model) -> list[str]:
+    """Say that the sum of lag and delay is known, and the split is not, where that is so."""
+    masks = [
+        model.parameters.mask(frozenset({name}))
+        for name in ("motor_time_constant", "transport_delay")
+    ]
+    if model.uncertainty is None or not all((model.free & mask).any() for mask in masks):
+        return []
+    lag, delay = (int(np.flatnonzero(mask)[0]) for mask in masks)
+    error = float(model.standard_error(_response_time))
+    correlation = float(model.uncertainty.correlation[lag, delay])
+    if not np.isfinite(error) or correlation > _NO_SPLIT:
+        return []
+    why = "the lag is at its bound"
+    if np.isfinite(correlation):
+        shown = (
+            f"{1e3 * value:.1f} ± {1e3 * spread:.1f} ms"
+            for value, spread in zip(
+                model.parameters.to_vector()[[lag, delay]],
+                model.uncertainty.standard_errors[[lag, delay]],
+                strict=True,
+            )
+        )
+        why = "lag {}, delay {}, correlation {:.2f}".format(*shown, correlation)
+    return [
+        f"The sum of lag and delay is known to ±{1e3 * error:.2f} ms "
+        f"({1e3 * _response_time(model):.2f} ms); the split is not: {why}."
     ]
 
 

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from airpuck.compute.compiled import for_batches
 from airpuck.data.windows import gather_past
 from airpuck.estimate.encoder import StateEncoder
+from airpuck.physics.effects import IdleLag
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, acceleration
 from airpuck.physics.thrust import thrust, thrust_slope
@@ -48,20 +49,28 @@ def normal_equations(
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
     `lengths` are E and T. Local coordinates are the thrust coefficients, K directions of Π and the
-    effects, the centre of mass where it acts beside Π, τ, and the transport delay.
+    effects, the centre of mass where it acts beside Π, τ and how much it grows at standstill, and
+    the transport delay.
 
     Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
     of each.
     """
-    coefficients, linear, center, tau = dynamics
+    coefficients, linear, center, lag_values = dynamics
+    tau, lags = lag_values[0], lag_values.shape[0]
     (n, degree), batch = coefficients.shape, starts.shape[0]
-    by_tau, (before, ahead) = jnp.array([1.0, 0.0]), lengths
+    # The lag does not follow the delay, the last local coordinate.
+    by_lag, (before, ahead) = jnp.eye(lags + 1, lags), lengths
 
     past = gather_past(jnp, time, state, command, starts, before)
     past_slope = gather_past(jnp, time, state, command_slope, starts, before).command
 
-    def encode(tau: Any, command: Any) -> Any:
-        model = Dynamics(coefficients, linear[0], center, tau, frame, linear[1])
+    def with_delay(slope: Any) -> Any:
+        """Return the derivative of a command by lag and delay."""
+        return jnp.stack([*[jnp.zeros_like(slope)] * lags, slope])
+
+    def encode(values: Any, command: Any) -> Any:
+        idle = [IdleLag(value) for value in values[1:]]
+        model = Dynamics(coefficients, linear[0], center, values[0], frame, (*linear[1], *idle))
         return encoder.encode(jnp, model, replace(past, command=command))
 
     def accelerate(*by: Any) -> Any:
@@ -87,7 +96,7 @@ def normal_equations(
 
     # Without effects nothing depends on the velocity.
     felt = range(4) if linear[1] else (0, 3)
-    sizes = (coefficients.size, len(basis[0]), 2, 2)
+    sizes = (coefficients.size, len(basis[0]), 2, lags + 1)
     edges = list(accumulate(sizes, initial=0))
 
     # Compiled in itself only so that it is traced once for all four stages.
@@ -111,15 +120,18 @@ def normal_equations(
 
     def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
         end, push = jax.linearize(
-            lambda speed, held, tau: motor_step(jnp, speed, held, duration, tau), speed, held, tau
+            lambda speed, held, values: motor_step(jnp, speed, held, duration, *values),
+            speed,
+            held,
+            lag_values,
         )
-        return end, jax.vmap(push)(d_speed, d_held, by_tau)
+        return end, jax.vmap(push)(d_speed, d_held, by_lag)
 
     def step(carry: Any, k: Any) -> tuple[Any, None]:
         position, motion, speed, d_position, d_yaw, d_velocity, d_speed, sums = carry
         now = starts + before - 1 + k
         held, h = command[now].T, time[now + 1] - time[now]
-        d_held = jnp.stack([jnp.zeros_like(held), command_slope[now].T])
+        d_held = with_delay(command_slope[now].T)
         # As in `airpuck.physics.rollout.step`, with every quantity beside its sensitivities.
         begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
         middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
@@ -148,11 +160,12 @@ def normal_equations(
         sums = square, score, curvature
         return (position, motion, end[0], d_position, d_yaw, d_velocity, end[1], sums), None
 
-    encoded, push = jax.linearize(encode, tau, past.command)
-    d_encoded = jax.vmap(push)(by_tau, jnp.stack([jnp.zeros_like(past_slope), past_slope]))
+    encoded, push = jax.linearize(encode, lag_values, past.command)
+    d_encoded = jax.vmap(push)(by_lag, with_delay(past_slope))
     size = edges[-1]
-    # Only the last two local coordinates move the encoder's estimate.
-    d_state = jnp.zeros((6, size, batch)).at[:, -2:].set(jnp.moveaxis(d_encoded[:, :6], 0, 1))
+    # Only lag and delay move the encoder's estimate.
+    d_begun = jnp.moveaxis(d_encoded[:, :6], 0, 1)
+    d_state = jnp.zeros((6, size, batch)).at[:, -(lags + 1) :].set(d_begun)
     carry = (
         encoded[:2],
         encoded[2:6],

@@ -22,6 +22,7 @@ from airpuck.data.windows import Windows
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.normal_equations import compiled_normal_equations
 from airpuck.model.parameters import Parameters
+from airpuck.physics.effects import IdleLag
 from airpuck.physics.rigid_body import CenterOfMassFrame, register_pytrees
 
 #: Weights of the x, y and yaw errors before squaring, as in the published fits.
@@ -190,8 +191,10 @@ class PredictionLoss:
         values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
         windows = self.windows_at(parameters)
         slope = np.zeros_like(windows.input) if windows.input_slope is None else windows.input_slope
-        tau = np.asarray(parameters.motor_time_constant, dtype=float)
-        dynamics = (parameters.thrust, values, parameters.center_of_mass, tau)
+        lag = np.array([parameters.motor_time_constant], dtype=float)
+        if parameters.idle_lag is not None:
+            lag = np.append(lag, parameters.idle_lag)
+        dynamics = (parameters.thrust, values, parameters.center_of_mass, lag)
         samples = (windows.time, windows.state, windows.input, slope)
         with double_precision():
             # Put, not made by jax.numpy, which would compile a program for each shape.
@@ -264,12 +267,15 @@ def _linear_basis(
 
     def at(vector: Any) -> tuple[Any, Any]:
         dynamics = parameters.with_vector(vector).dynamics(np, vehicle)
-        return dynamics.configuration, dynamics.effects
+        # The motors' lag is no part of the accelerations.
+        effects = tuple(e for e in dynamics.effects if not isinstance(e, IdleLag))
+        return dynamics.configuration, effects
 
     names = {"inertia", "angle_offset", "center_of_mass"}
     if parameters.configuration_matrix is not None:
         names = {"configuration_matrix"} | ({"angle_offset"} if parameters.effects else set())
-    moved_by = np.flatnonzero(parameters.mask(frozenset(names) | parameters.effects))
+    moving = (names | parameters.effects) - {"idle_lag"}
+    moved_by = np.flatnonzero(parameters.mask(frozenset(moving)))
     vector, step = parameters.to_vector(), 1e-30
     moved = [at(vector + 1j * step * unit) for unit in np.eye(len(vector))[moved_by]]
     slopes = jax.tree.map(lambda *values: np.imag(np.array(values)) / step, *moved)
@@ -282,9 +288,10 @@ def _local_coordinates(
     """Return d(local)/dθ for the coordinates that `normal_equations` differentiates by.
 
     These are the thrust coefficients, the K directions of Π and the effects, the centre of mass
-    where it acts beside Π, the time constant, and the transport delay.
+    where it acts beside Π, the time constant, the idle lag where there is one, and the transport
+    delay.
     """
-    last = ("center_of_mass", "motor_time_constant", "transport_delay")
+    last = ("center_of_mass", "motor_time_constant", "idle_lag", "transport_delay")
     thrust, *others = (parameters.mask(frozenset({name})) for name in ("thrust", *last))
     entry = np.eye(len(thrust))
     return np.concatenate([entry[part] for part in (thrust, moved_by, *others)])

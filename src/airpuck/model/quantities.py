@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.files import NonNegative, Positive
-from airpuck.physics.effects import Drag, Effect, Inflow, PairInteraction, Tilt, VoltageSag
+from airpuck.physics.effects import (
+    Drag,
+    Effect,
+    IdleLag,
+    Inflow,
+    PairInteraction,
+    Tilt,
+    VoltageSag,
+)
 
 Pair = tuple[float, float]
 Rows = tuple[tuple[float, ...], ...]
@@ -116,6 +124,8 @@ QUANTITIES = (
              default=None, effect=VoltageSag, term="sag"),
     Quantity("tilt", "tilt_rad", "rad", "sₓ, s_y", "slope of the table", Pair, bounds=(-0.5, 0.5),
              labels=("x", "y"), default=None, effect=Tilt, term="tilt", start=(0.0, 0.0)),
+    Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",
+             bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
     # No part of the equations of motion.
     Quantity("transport_delay", "transport_delay_s", "s", "d",
              "from a command's stamp to the motors", NonNegative, bounds=(0.0, 0.5),

@@ -164,6 +164,24 @@ class VoltageSag(Effect):
 
 
 @dataclass(frozen=True, eq=False)
+class IdleLag(Effect):
+    """Motors that hardly turn are slow to change their speed: τ (1 + c exp(-φ/0.1)).
+
+    Empirical. A controller without sensors times a brushless motor by the voltage that this
+    induces, which grows with the speed: near standstill it has little to go by. The motors' step
+    (`airpuck.physics.motor`) takes it into account; forces are what they were.
+    """
+
+    #: c, by how much the lag is longer at standstill.
+    coefficient: Any
+
+    @classmethod
+    def of(cls, layout: Layout, value: Any) -> Effect:
+        """Take the one coefficient; see `Effect.of`."""
+        return cls(value)
+
+
+@dataclass(frozen=True, eq=False)
 class Tilt(Effect):
     """The table is not level: a constant acceleration in the world frame."""
 

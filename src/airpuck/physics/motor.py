@@ -7,14 +7,35 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+#: Speed over which the additional lag of idling motors fades.
+IDLE = 0.1
+#: Passes after which speeds of idling motors no longer change, and by how much they still may.
+_MOST_PASSES, _SETTLED = 50, 1e-9
 
-def motor_step(xp: Any, speed: Any, command: Any, duration: Any, time_constant: Any) -> Any:
-    """Advance the motor speeds under a constant command, exactly.
+
+def motor_step(
+    xp: Any, speed: Any, command: Any, duration: Any, time_constant: Any, idle_lag: Any = None
+) -> Any:
+    """Advance the motor speeds under a constant command.
 
     φ(t + h) = u + (φ(t) - u) exp(-h/τ), the solution of eq. motor_dynamics. A time constant of zero
-    means a motor that follows at once.
+    means a motor that follows at once. Where the lag depends on the speed
+    (`airpuck.physics.effects.IdleLag`), it is that in the middle of the step, of second order.
     """
+    if idle_lag is not None:
+        time_constant = _lag_within(xp, speed, command, duration, time_constant, idle_lag)
     return command + (speed - command) * lag_decay(xp, duration, time_constant)
+
+
+def _lag_within(
+    xp: Any, speed: Any, command: Any, duration: Any, time_constant: Any, idle_lag: Any
+) -> Any:
+    """Return τ(φ) = τ (1 + c exp(-φ/0.1)) in the middle of a step."""
+
+    def at(speed: Any) -> Any:
+        return time_constant * (1 + idle_lag * xp.exp(-speed / IDLE))
+
+    return at(command + (speed - command) * lag_decay(xp, duration / 2, at(speed)))
 
 
 def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
@@ -27,7 +48,10 @@ def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
 
 
 def motor_speeds(
-    time: Float[np.ndarray, " N"], command: Float[np.ndarray, "N n"], time_constant: float
+    time: Float[np.ndarray, " N"],
+    command: Float[np.ndarray, "N n"],
+    time_constant: float,
+    idle_lag: float | None = None,
 ) -> Float[np.ndarray, "N n"]:
     """Let motors follow held commands.
 
@@ -39,18 +63,38 @@ def motor_speeds(
         Command in force from each sample to the next.
     time_constant : float
         Lag τ ≥ 0 [s].
+    idle_lag : float, optional
+        How much the lag grows at standstill; see `airpuck.physics.effects.IdleLag`.
 
     Returns
     -------
     array, shape (N, n)
         Normalised motor speeds, at the first sample equal to the command.
     """
+    duration = np.diff(time)[:, None]
+    speed = _followed(command, lag_decay(np, duration, time_constant))
+    if idle_lag is None:
+        return speed
+    # The lag of the last pass, until it no longer changes: then each step is that of `motor_step`.
+    for _ in range(_MOST_PASSES):
+        before = speed
+        lag = _lag_within(np, speed[:-1], command[:-1], duration, time_constant, idle_lag)
+        speed = _followed(command, lag_decay(np, duration, lag))
+        if np.abs(speed - before).max() < _SETTLED:
+            break
+    return speed
+
+
+def _followed(
+    command: Float[np.ndarray, "N n"], decays: Float[np.ndarray, "M k"]
+) -> Float[np.ndarray, "N n"]:
+    """Let speeds decay towards the commands, by a given factor in each step."""
     # φ' = d φ + (1 - d) u over one step, over two, over four, …: composed until the initial speeds
     # no longer matter.
-    decay = np.concatenate([[0.0], lag_decay(np, np.diff(time), time_constant)])[:, None]
+    decay = np.concatenate([np.zeros_like(decays[:1]), decays])
     speed = np.concatenate([command[:1], (1 - decay[1:]) * command[:-1]])
     steps = 1
-    while steps < len(time) and decay.any():
+    while steps < len(command) and decay.any():
         speed[steps:] += decay[steps:] * speed[:-steps]
         decay[steps:] = decay[steps:] * decay[:-steps]
         steps *= 2

@@ -14,7 +14,7 @@ import numpy as np
 
 from airpuck.compute.arrays import linear_map, register_pytree
 from airpuck.compute.rotation import cos_sin
-from airpuck.physics.effects import BodyMotion, Effect
+from airpuck.physics.effects import BodyMotion, Effect, IdleLag
 from airpuck.physics.thrust import thrust
 
 #: In which frame the offset of the centre of mass is constant. Physically it is the body; the
@@ -52,6 +52,12 @@ class Dynamics:
     motor_time_constant: Any
     frame: CenterOfMassFrame = "body"
     effects: tuple[Effect, ...] = ()
+
+    @property
+    def idle_lag(self) -> Any:
+        """By how much the motors' lag is longer at standstill; None: the same at any speed."""
+        longer = [effect.coefficient for effect in self.effects if isinstance(effect, IdleLag)]
+        return sum(longer) if longer else None
 
 
 @cache

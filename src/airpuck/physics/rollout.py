@@ -15,11 +15,11 @@ from airpuck.physics.rigid_body import Dynamics, acceleration
 
 def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:
     """Advance the extended state under a constant command by one Runge-Kutta step."""
-    h, tau = duration, dynamics.motor_time_constant
+    h, tau, idle = duration, dynamics.motor_time_constant, dynamics.idle_lag
     # A motor without lag has its new speed from the start of the step.
     begin = xp.where(tau > 0, state[6:], command)
-    middle = motor_step(xp, begin, command, h / 2, tau)
-    end = motor_step(xp, begin, command, h, tau)
+    middle = motor_step(xp, begin, command, h / 2, tau, idle)
+    end = motor_step(xp, begin, command, h, tau, idle)
 
     def rates(motion: Any, motor_speed: Any) -> Any:
         return xp.stack([motion[3], *acceleration(xp, dynamics, motion, motor_speed)])

@@ -1,0 +1,357 @@
+"""Which rung? The ladder is tried on blocks of the user's own recording that no fit has seen.
+
+The richest rung prepares the data for all (faults, packets): it can be any of the others. Each rung
+is fitted to all of them. For each of K blocks of time the fit then goes on without it, from its
+optimum, and predicts it from every start. Nothing that a fold learns from lies within a window's
+length of what it predicts. All they share is the preparation, by parameters that saw all data; the
+block itself is predicted as it was recorded.
+
+Rungs are compared in pairs, on the same predictions, with intervals by blocks of time. The simplest
+whose error is within one standard error of the least is taken (Breiman, Friedman, Olshen and Stone,
+"Classification and Regression Trees", 1984, section 3.4.3; here with the standard error of the
+difference). Errors within half a percent count as equal: on the twin, drag that is not there lowers
+them by a tenth of a percent, since it damps the noise that predictions start with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import Windows, make_windows
+from airpuck.evaluation.block_bootstrap import log_mean_square_errors, rmse_ratio
+from airpuck.evaluation.evaluate import by_channel, hold_for, prediction_errors
+from airpuck.identification.fault_exclusion import Exclusion
+from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.problem import Loss, Preparation, Problem
+from airpuck.model.model_file import Model
+from airpuck.model.rungs import Rung, named_rung
+
+#: Rungs that are tried, the simplest first.
+LADDER = ("M0", "M2", "M3", "M5", "M5+drag", "M5+drag+idle")
+#: Time ahead at which predictions are judged, and from one start to the next [s].
+_HORIZON, _SPACING = 0.2, 4 / 240
+#: Logarithm of a ratio of mean squares that counts for nothing: half a percent of the root.
+_NEGLIGIBLE = 0.01
+#: Of the windows a fold learns from every second: 2 % of the information for half of the time.
+_EVERY = 2
+#: A fold starts at the optimum of all data: few steps, and rough ones, suffice.
+_FOLD_FIT = LevenbergMarquardt(max_iterations=15, tolerance=1e-4)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A rung that was tried.
+
+    Attributes
+    ----------
+    model : Model
+        Fitted to all data, as prepared for the richest rung.
+    errors : array, shape (4, W)
+        Errors of W held-out predictions after 0.2 s: x, y [m], yaw [rad], and the root of the sum
+        of their weighted squares, which is what rungs are judged by.
+    change : array, shape (4,)
+        Root mean squares over those of the next simpler rung; NaN for the first.
+    interval : array, shape (2, 4)
+        95 % interval of `change`.
+    excess : float
+        Logarithm of the mean weighted square over that of the best rung.
+    standard_error : float
+        Of `excess`.
+    """
+
+    model: Model
+    errors: Float[np.ndarray, "4 W"]
+    change: Float[np.ndarray, " 4"]
+    interval: Float[np.ndarray, "2 4"]
+    excess: float
+    standard_error: float
+
+    @property
+    def name(self) -> str:
+        """Name of the rung."""
+        return self.model.name
+
+    @property
+    def free(self) -> int:
+        """Number of free parameters."""
+        return int(self.model.free.sum())
+
+    @property
+    def rmse(self) -> Float[np.ndarray, " 3"]:
+        """Root mean squares of x, y [m] and yaw [rad]."""
+        return np.sqrt(np.mean(self.errors[:3] ** 2, axis=1))
+
+    @property
+    def within(self) -> bool:
+        """Whether it is within one standard error of the best, or as good."""
+        return self.excess <= max(self.standard_error, _NEGLIGIBLE)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The ladder, tried on held-out blocks of the data.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+        All rungs, the simplest first.
+    fit : Fit
+        That of the chosen rung to all data; its model file says what it was chosen from.
+    folds : int
+        Blocks of time that were held out in turn.
+    start : array, shape (W,)
+        When each held-out prediction starts [s].
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+    folds: int
+    start: Float[np.ndarray, " W"]
+
+    @property
+    def best(self) -> Candidate:
+        """The rung with the least held-out error."""
+        return min(self.candidates, key=lambda candidate: candidate.excess)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``chosen, best, folds, predictions, rungs``.
+        """
+        return {
+            "chosen": self.fit.model.name,
+            "best": self.best.name,
+            "folds": self.folds,
+            "predictions": len(self.start),
+            "rungs": [_figures(candidate) for candidate in self.candidates],
+        }
+
+
+def _figures(candidate: Candidate) -> dict[str, Any]:
+    """Return the figures of one rung."""
+    low, high = candidate.interval
+    first = bool(np.isnan(candidate.change).any())
+    return {
+        "model": candidate.name,
+        "free": candidate.free,
+        "rmse": by_channel(candidate.rmse),
+        "change": None if first else _by_error(candidate.change),
+        "change_lower_95": None if first else _by_error(low),
+        "change_upper_95": None if first else _by_error(high),
+        "excess": candidate.excess,
+        "excess_standard_error": candidate.standard_error,
+        "within_one_standard_error": candidate.within,
+    }
+
+
+def _by_error(values: Float[np.ndarray, " 4"]) -> dict[str, float]:
+    """Name ratios of the errors."""
+    return dict(zip(("x", "y", "yaw", "weighted"), values.tolist(), strict=True))
+
+
+def select_model(
+    trajectories: Trajectory | Sequence[Trajectory],
+    ladder: Sequence[str | Rung] = LADDER,
+    *,
+    vehicle: Vehicle | None = None,
+    loss: Loss | None = None,
+    preparation: Preparation | None = None,
+    folds: int = 5,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Selection:
+    """Try the rungs of the ladder on held-out blocks of the data, and identify with the best.
+
+    Taken is the simplest rung whose held-out error is within one standard error of the least.
+
+    Parameters
+    ----------
+    trajectories : Trajectory or sequence of Trajectory
+        Data of one craft.
+    ladder : sequence of str or Rung, optional
+        What to try, the simplest first.
+    vehicle, loss, preparation
+        As for `airpuck.identify`.
+    folds : int, default 5
+        Blocks of time that are held out in turn.
+    progress : callable, optional
+        Told in words what was done.
+
+    Returns
+    -------
+    Selection
+        Held-out errors of every rung, and the fit of the chosen one to all data.
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the vehicle, or are too short for so many blocks.
+    """
+    loss, preparation = loss or Loss(), preparation or Preparation()
+    if loss.prediction_time is None:
+        raise InputError("needs windows shorter than the recording", field="prediction_time")
+    if isinstance(trajectories, Trajectory):
+        trajectories = [trajectories]
+    rungs = [named_rung(rung) if isinstance(rung, str) else rung for rung in ladder]
+    settings: Any = {"vehicle": vehicle, "loss": loss}
+    richest = identify(trajectories, rungs[-1], preparation=preparation, **settings)
+    healthy = richest.exclusion.trajectories if richest.exclusion else tuple(trajectories)
+    settings["preparation"] = replace(preparation, faults="keep")
+    held_out = _HeldOut.of(healthy, loss, folds)
+    models, errors = [], []
+    for rung in rungs:
+        model, objective = _learned(Problem.of(healthy, rung, **settings), richest.objective)
+        models.append(model)
+        errors.append(held_out.errors_of(model, objective, loss))
+        progress(f"{rung.name}: predicted {folds} held-out blocks of time")
+    candidates = _compared(models, errors, held_out)
+    chosen = [candidate.within for candidate in candidates].index(True)
+    fit = richest
+    if chosen != len(rungs) - 1:
+        fit = identify(healthy, rungs[chosen], **settings)
+    return Selection(
+        candidates, _recorded(fit, richest.exclusion, candidates), folds, held_out.start
+    )
+
+
+def selection_words(selection: Selection) -> str:
+    """Tell in a sentence what was chosen, and why."""
+    name, best = selection.fit.model.name, selection.best
+    if name == best.name:
+        return f"{name} predicts best, and nothing simpler is within one standard error of it"
+    [chosen] = [candidate for candidate in selection.candidates if candidate.name == name]
+    # Half the difference of the logarithms of mean squares is that of the roots.
+    excess, error = 50 * chosen.excess, 50 * chosen.standard_error
+    return (
+        f"{name} is the simplest that is as good as any: its errors are {excess:.1f} ± {error:.1f} "
+        f"% above those of {best.name}, the best"
+    )
+
+
+def _learned(problem: Problem, prepared: PredictionLoss | None) -> tuple[Model, PredictionLoss]:
+    """Fit a rung to data as they were prepared for another."""
+    assert prepared is not None
+    loss = problem.loss_on(prepared.windows.trajectories)
+    loss = replace(loss, multiplicity=prepared.multiplicity)
+    outcome = LevenbergMarquardt().minimize(loss, problem.start, problem.free)
+    return problem.model(outcome.parameters), loss
+
+
+@dataclass(frozen=True, eq=False)
+class _HeldOut:
+    """Predictions from every start of the data, in blocks of time that are held out in turn."""
+
+    #: Those that lie within one block.
+    windows: Windows
+    #: The block of each.
+    block: Int[np.ndarray, " W"]
+    #: First sample of each block, and the end of the last.
+    edges: Int[np.ndarray, " E"]
+
+    @classmethod
+    def of(cls, trajectories: Sequence[Trajectory], loss: Loss, folds: int) -> _HeldOut:
+        """Cut the data into blocks of equally many predictions."""
+        before, ahead, _ = loss.samples(trajectories)
+        steps = trajectories[0].steps
+        ahead = min(steps(_HORIZON), ahead or 1)
+        windows = make_windows(trajectories, before, ahead, steps(_SPACING))
+        cuts = np.arange(1, folds) * len(windows) // folds
+        edges = np.concatenate([[0], windows.starts[cuts], [len(windows.time)]])
+        block = np.searchsorted(edges, windows.starts, side="right") - 1
+        inside = windows.starts + _length(windows) <= edges[block + 1]
+        if len(set(block[inside].tolist())) < folds:
+            raise InputError(
+                f"is too short to hold out {folds} blocks of time; name a model instead",
+                file=trajectories[0].source,
+            )
+        return cls(replace(windows, starts=windows.starts[inside]), block[inside], edges)
+
+    @property
+    def start(self) -> Float[np.ndarray, " W"]:
+        """When each prediction starts [s]."""
+        return self.windows.time[self.windows.present]
+
+    def errors_of(
+        self, model: Model, objective: PredictionLoss, loss: Loss
+    ) -> Float[np.ndarray, "4 W"]:
+        """Learn without each block, and predict it; see `Candidate.errors`."""
+        errors = np.empty((4, len(self.windows)))
+        for number in range(len(self.edges) - 1):
+            members = self.block == number
+            learned = self._without(model, objective, number)
+            windows = hold_for(learned, replace(self.windows, starts=self.windows.starts[members]))
+            errors[:3, members] = prediction_errors(learned.dynamics, windows, loss.encoder)[-1]
+        weighted = np.array(loss.weights)[:, None] * errors[:3]
+        errors[3] = np.sqrt(np.sum(weighted**2, axis=0))
+        return errors
+
+    def _without(self, model: Model, loss: PredictionLoss, number: int) -> Model:
+        """Let a fit go on without a block, and without what lies within a window of it."""
+        first, gap = loss.windows.starts, _length(loss.windows)
+        apart = first + 2 * gap <= self.edges[number]
+        apart |= first >= self.edges[number + 1] + gap
+        apart &= np.arange(len(first)) % _EVERY == 0
+        counted = apart if loss.multiplicity is None else apart * loss.multiplicity
+        kept = replace(loss, multiplicity=counted.astype(float), clusters=None)
+        outcome = _FOLD_FIT.minimize(kept, model.parameters, model.free)
+        return replace(model, parameters=outcome.parameters)
+
+
+def _length(windows: Windows) -> int:
+    """Return the samples of a window."""
+    return windows.encoder_length + windows.prediction_length
+
+
+def _compared(
+    models: Sequence[Model], errors: Sequence[Float[np.ndarray, "4 W"]], held_out: _HeldOut
+) -> tuple[Candidate, ...]:
+    """Compare every rung with the next simpler one and with the best."""
+    start = held_out.start
+    squares = np.array([of_rung[3] ** 2 for of_rung in errors])
+    logs = np.log(squares.mean(axis=1))
+    best = int(np.argmin(logs))
+    covariance, degrees = log_mean_square_errors(squares, start)
+    if not degrees:
+        raise InputError(
+            f"has too few predictions to compare models by ({len(start)}); name a model instead",
+            file=held_out.windows.trajectories[0].source,
+        )
+    own = np.diag(covariance)
+    variance = own + own[best] - 2 * covariance[best]
+    found = []
+    for k, model in enumerate(models):
+        change, interval = np.full(4, np.nan), np.full((2, 4), np.nan)
+        if k:
+            change, interval, _ = rmse_ratio(errors[k - 1], errors[k], start)
+        spread = float(np.sqrt(max(variance[k], 0.0)))
+        excess = float(logs[k] - logs[best])
+        found.append(Candidate(model, errors[k], change, interval, excess, spread))
+    return tuple(found)
+
+
+def _recorded(fit: Fit, exclusion: Exclusion | None, candidates: Sequence[Candidate]) -> Fit:
+    """Write into a fit what it was chosen from, and what was left out for it."""
+    record = {
+        "rule": "simplest within one standard error, or half a percent, of the best",
+        "ladder": [candidate.name for candidate in candidates],
+        "excess": [candidate.excess for candidate in candidates],
+        "excess_standard_errors": [candidate.standard_error for candidate in candidates],
+    }
+    conditions = {**fit.model.fit, "selection": record}
+    if exclusion is not None:
+        conditions["left_out"] = exclusion.to_json()
+    model = replace(fit.model, fit=conditions)
+    return replace(fit, model=model, exclusion=exclusion)
