@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from airpuck.evaluation.presentation import Value
     from airpuck.evaluation.verdict import Verdict
     from airpuck.identification.fit_result import Fit
+    from airpuck.identification.method import Method
     from airpuck.identification.selection import Selection
     from airpuck.model.model_file import Model
+    from airpuck.model.rungs import Rung
 
 PANEL = "From a recording to a validated model"
 
@@ -196,22 +198,10 @@ def identify(
         robust=robust,
         **{name: time for name, time in times.items() if time is not None},
     )
-    settings: Any = {
-        "vehicle": craft,
-        "loss": loss,
-        "preparation": Preparation(faults=faults, delay=delay),
-    }
-    selection = None
-    if automatic:
-        show = say(quiet or is_stdout(json_file))
-        selection = airpuck.select_model(trajectories, rungs, progress=show, **settings)
-        fit = selection.fit
-    else:
-        optimiser = airpuck.LevenbergMarquardt() if method == "lm" else adam
-        with show_progress(quiet) as progress:
-            fit = airpuck.identify(
-                trajectories, rungs[0], method=optimiser, progress=progress, **settings
-            )
+    preparation = Preparation(faults=faults, delay=delay)
+    settings: Any = {"vehicle": craft, "loss": loss, "preparation": preparation}
+    optimiser = airpuck.LevenbergMarquardt() if method == "lm" else adam
+    fit, selection = _fitted(trajectories, rungs, optimiser, settings, quiet)
     if bootstrap is not None:
         words = "" if quiet else "resampled {} of {}"
         show = partial(print_tenths, words, total=bootstrap)
@@ -223,15 +213,31 @@ def identify(
     warn(fit.warnings, quiet)
     said = verdict_of(fit.model, found, other)
     figures = {**fit.to_json(), "verdict": said.to_json()}
-    tried: Iterable[str | Table] = ()
-    if selection is not None:
-        figures["selection"], tried = selection.to_json(), _ladder_summary(selection)
+    tried = _ladder_summary(selection) if selection else ()
+    figures.update({"selection": selection.to_json()} if selection else {})
     judged = None
     if found is not None:
         figures["validation"] = found.to_json()
         judged = error_table([fit.model.name], [found])
     summary = _fit_summary(fit, verbose)
     report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
+
+
+def _fitted(
+    trajectories: list[Trajectory],
+    rungs: list[Rung],
+    method: Method,
+    settings: dict[str, Any],
+    quiet: bool,
+) -> tuple[Fit, Selection | None]:
+    """Identify a rung; or of several, the one that predicts best what is held out."""
+    if len(rungs) > 1:
+        found = airpuck.select_model(trajectories, rungs, progress=say(quiet), **settings)
+        return found.fit, found
+    with show_progress(quiet) as progress:
+        return airpuck.identify(
+            trajectories, rungs[0], method=method, progress=progress, **settings
+        ), None
 
 
 def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
