@@ -1,14 +1,23 @@
-"""Standard errors on the command line."""
+"""Standard errors and the choice of a rung on the command line."""
 
+import io
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
+from rich.console import Console
 
-from airpuck.model.model_file import read_model
+from airpuck.cli.identification import _ladder_summary
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.selection import Candidate, Selection
+from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
 
 from ..command_line import airpuck, refused
 from ..synthetic import record
+
+MODEL = published_model("M3")
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +72,28 @@ def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words
     assert refused(process, *words) or words
 
 
-def test_the_rung_is_chosen_and_its_rivals_are_shown(tmp_path):
-    write_bag(record(duration=20.0, noise=1e-4), tmp_path / "bag")
-    out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "fit.json")
-    process = airpuck("identify", tmp_path / "bag", "--model", "auto", *out)
-    assert process.returncode == 0, process.stderr
-    figures = json.loads((tmp_path / "fit.json").read_text())
-    selection, model = figures["selection"], read_model(tmp_path / "m.toml")
-    assert model.name == figures["model"] == selection["chosen"]
-    assert model.fit["selection"]["ladder"] == [rung["model"] for rung in selection["rungs"]]
-    assert model.name in process.stdout and "held out in turn" in process.stdout
-    for rung in selection["rungs"]:
-        assert f"{1e3 * rung['rmse']['x_m']:.2f}" in process.stdout
+def test_the_ladder_is_shown_with_what_each_rung_buys():
+    def tried(name, millimetres, change):
+        errors = np.full((4, 10), 1e-3 * millimetres)
+        ratio = np.full(4, change)
+        interval = np.stack([ratio - 0.02, ratio + 0.02])
+        model = replace(MODEL, name=name)
+        excess = 2 * np.log(millimetres / 4.0)
+        return Candidate(model, errors, ratio, interval, float(excess), 0.03)
+
+    candidates = (tried("M2", 8.0, np.nan), tried("M3", 4.04, 0.505), tried("M5", 4.0, 0.99))
+    chosen = Fit(candidates[1].model, 0.0, (), True, "", 10, 0.0, ())
+    selection = Selection(candidates, chosen, 5, np.arange(10.0))
+    shown, words = _ladder_summary(selection)
+    printer = Console(width=160, file=io.StringIO())
+    printer.print(shown)
+    rows = [line for line in printer.file.getvalue().splitlines() if line.startswith("│")]
+    assert len(rows) == 3
+    assert "8.00" in rows[0] and "%" not in rows[0]
+    assert "4.04" in rows[1] and "-49.5 % (-51.5 to -47.5)" in rows[1]
+    assert "-1.0 % (-3.0 to +1.0)" in rows[2]
+    # ln(4.04/4) = 1.0 %; half of 0.03 in squares is 1.5 %.
+    assert words == (
+        "M3 is the simplest that is as good as any: its errors are 1.0 ± 1.5 % above those of M5, "
+        "the best"
+    )
