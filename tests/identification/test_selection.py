@@ -26,6 +26,8 @@ RICH = Effects(
     inflow_s_m=0.2,
     pair_interaction_1_N=20.0,
 )
+#: Two programs to compile instead of four.
+SHORT_LADDER = ("M2", "M3", "M5+drag")
 
 
 def flight(effects=None, duration=30.0, seed=0):
@@ -42,21 +44,20 @@ def plain():
 
 
 def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
-    selection = select_model(plain)
+    selection = select_model(plain, SHORT_LADDER)
     assert selection.fit.model.name == "M3"
     names = [candidate.name for candidate in selection.candidates]
-    assert names == ["M0", "M2", "M3", "M5", "M5+drag", "M5+drag+idle"]
+    assert names == list(SHORT_LADDER)
     # What the craft has, each rung finds and is the better for; what it lacks changes nothing.
     changes = [candidate.change[-1] for candidate in selection.candidates[1:]]
-    assert changes[0] < 0.8 and changes[1] < 0.8
-    assert all(0.995 < change < 1.005 for change in changes[2:])
+    assert changes[0] < 0.8 and 0.995 < changes[1] < 1.005
     selection.fit.model.save(tmp_path / "model.toml")
     assert read_model(tmp_path / "model.toml").fit["selection"]["ladder"] == names
 
 
 def test_a_craft_with_inflow_pair_interaction_and_drag_gets_them():
     told = []
-    selection = select_model(flight(RICH), ("M3", "M5", "M5+drag"), progress=told.append)
+    selection = select_model(flight(RICH), SHORT_LADDER, progress=told.append)
     assert selection.fit.model.name == "M5+drag"
     assert len(told) == 3
     for candidate in selection.candidates[1:]:
