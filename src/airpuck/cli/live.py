@@ -150,7 +150,7 @@ def fly(
         raise InputError("is the time at each --setpoint; none is given", field="--dwell")
     _refuse_unless_excited(excite, seed=seed, plan=plan, amplitude=amplitude, hold=hold)
     if excite and pilot is not None:
-        raise InputError("--excite has a pilot of its own; give one of the two", field="--pilot")
+        raise InputError("is for a flight to set points; --excite has its own", field="--pilot")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     experiment = inputs.read_excitation(plan, duration, amplitude, hold)
@@ -164,18 +164,15 @@ def fly(
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
     make_own = None if pilot is None else pilot_maker(pilot)
+    signals = {"hold": experiment.hold_s, "margin": experiment.margin_m, "seed": seed or 0}
+    excitation = partial(Excitation, tuning=controls, amplitude=experiment.amplitude, **signals)
+    if excite:
+        excitation(craft)  # refuses numbers out of range before the graph is joined
     low_latency()
 
     def make_pilot() -> Pilot:
         if excite:
-            return Excitation(
-                craft,
-                tuning=controls,
-                amplitude=experiment.amplitude,
-                hold=experiment.hold_s,
-                margin=experiment.margin_m,
-                seed=seed or 0,
-            )
+            return excitation(craft)
         if make_own is not None:
             return make_own(craft, reference)
         return airpuck.TrackingController(craft, reference, controls)
