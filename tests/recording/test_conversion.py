@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import re
 from itertools import permutations, product
 
 import numpy as np
@@ -48,6 +50,29 @@ def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
         np.testing.assert_array_equal(found[:, :2], (positions @ renaming.T)[:, :2])
         apart = np.angle(np.exp(1j * (found[:, 2] - yaw)))
         assert np.abs(apart).max() < 1e-9, kind
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_another_axis_that_is_up_is_told_by_the_positions(up: str):
+    """A flight over the table, turned as a program with that vertical axis logs it."""
+    t = np.linspace(0, 20, 500)
+    rng = np.random.default_rng(4)
+    flight = np.column_stack([np.sin(t), 0.4 * np.cos(2 * t), 0.02 + 1e-3 * rng.normal(size=500)])
+    yaw = 3 * np.sin(t)
+    # Our x, y, z are logged in this order and with these signs.
+    logged = {"z": flight, "y": flight[:, [0, 2, 1]] * [1, 1, -1], "x": flight[:, [2, 0, 1]]}[up]
+    about = {"z": [0, 0, 1], "y": [0, 1, 0], "x": [1, 0, 0]}[up]
+    numbers = Rotation.from_rotvec(yaw[:, None] * about).as_quat()
+    if up == "z":
+        poses_of(logged, numbers, "quaternion", mapping())
+        return
+    with pytest.raises(InputError, match=f"{up.upper()} is up") as caught:
+        poses_of(logged, numbers, "quaternion", mapping())
+    axes = re.search(r"axes = (\[.*?\])", str(caught.value))
+    assert axes is not None
+    mended = poses_of(logged, numbers, "quaternion", mapping(axes=tuple(json.loads(axes[1]))))
+    np.testing.assert_allclose(mended[:, :2], flight[:, :2], atol=1e-12)
+    assert np.abs(np.angle(np.exp(1j * (mended[:, 2] - yaw)))).max() < 1e-9
 
 
 @pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])

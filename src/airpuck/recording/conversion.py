@@ -13,6 +13,9 @@ SECOND_NS = 10**9
 _UNIT = 1e-3
 #: Numbers of a rotation matrix are exported with five digits or more.
 _ORTHOGONAL = 1e-2
+#: A third coordinate that changes by so much is no height above the table [m]; the vertical one
+#: changes by at most this share of it.
+_TABLE, _LEVEL = 0.2, 0.02
 #: By so much scale and offset may leave a command outside [0, 1].
 _ROUNDING = 1e-9
 
@@ -56,6 +59,7 @@ def poses_of(
         raise InputError(
             "has two coordinates, and axes needs the third; name three", field="pose.position"
         )
+    _check_vertical(position, mapping)
     horizontal = position[:, index[:2]] * sign[:2] * mapping.size("length")
     # Renaming the axes of table and craft turns the axis of a rotation, but not its angle.
     if kind == "yaw":
@@ -71,6 +75,28 @@ def poses_of(
         sine = matrix[:, index[row], index[column]] * sign[0] * sign[1]
         yaw = np.arctan2(sine, matrix[:, index[0], index[0]])
     return np.column_stack([horizontal, yaw])
+
+
+def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) -> None:
+    """Refuse poses whose third coordinate moves over the table, while x or y hardly changes."""
+    finite = position[np.isfinite(position).all(axis=1)]
+    if position.shape[1] < 3 or len(finite) == 0:
+        return
+    index, _ = mapping.permutation
+    x, y, z = np.ptp(np.quantile(finite[:, index], (0.01, 0.99), axis=0), axis=0)
+    size = mapping.size("length")
+    if z * size < _TABLE or min(x, y) > _LEVEL * z:
+        return
+    first, second, third = mapping.axes
+    opposite = third.removeprefix("-") if third.startswith("-") else f"-{third}"
+    axes = [first, opposite, second] if y < x else [second, third, first]
+    level, table = ("y", "x and z") if y < x else ("x", "y and z")
+    listed = ", ".join(f'"{axis}"' for axis in axes)
+    raise InputError(
+        f"the craft moves along {table}, while {level} stays within {1e3 * min(x, y) * size:.1f} "
+        f"mm: {level.upper()} is up; say so in a file for --mapping: pose = {{axes = [{listed}]}}",
+        field="pose.position",
+    )
 
 
 def _matrices(

@@ -44,6 +44,7 @@ _RECEIVED = "log_time_ns"
 _SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _FRAME = "header.frame_id"
 _POSITION = PATHS["pose"]["geometry_msgs/msg/PoseStamped"][:2]
+_HEIGHT = "pose.position.z"
 _YAW = "pose.orientation.yaw"
 _QUATERNION = tuple(f"pose.orientation.{axis}" for axis in "wxyz")
 #: int64 nanoseconds end in the year 2262.
@@ -178,12 +179,18 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     return Stream(stamp, received, values, COLUMNS[stream]), table.warnings
 
 
+def _usual_position(table: Table) -> tuple[str, ...]:
+    """Return the columns of the position, the height among them where every row has one."""
+    heights = table.columns.get(_HEIGHT, ())
+    return (*_POSITION, _HEIGHT) if heights and all(map(str.strip, heights)) else _POSITION
+
+
 def _poses(table: Table, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]:
     """Pick the columns of poses: those that the mapping names, or the authors'."""
     # The authors' conversion added the yaw; a plain one leaves the quaternion alone.
     plain = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
     usual = Orientation("quaternion", _QUATERNION[1:] + _QUATERNION[:1])
-    position = mapping.position or _POSITION
+    position = mapping.position or _usual_position(table)
     orientation = mapping.orientation or (usual if plain else Orientation("yaw", (_YAW,)))
     names = (*position, *orientation.columns)
     _require("pose", table, names, mapping)
