@@ -197,7 +197,7 @@ def test_joint_states_without_names_or_stamps(tmp_path: Path):
         ),
         ([NAMES] * 5 + [("x", *NAMES[1:])] * 25, VALUES, "message 6 names other joints"),
         ([("x",) * 4] * N, VALUES, "names other joints"),
-        ([NAMES] * N, np.zeros((N, 0)), "hold no number"),
+        ([NAMES] * N, np.zeros((N, 0)), "messages without a number"),
     ],
 )
 def test_joint_states_that_do_not_fit(tmp_path: Path, names, columns, says: str):
@@ -215,6 +215,7 @@ def test_arrays_of_changing_length(tmp_path: Path):
     ("keys", "says"),
     [
         ({"values": ("data[4]",)}, r"has 4 entries, so there is no data\[4\]"),
+        ({"values": ("layout.data_offset[0]",)}, "has no entries, so there is no"),
         ({"values": ("speeds",)}, r"has no number speeds \(it has layout.data_offset, data\)"),
         ({"values": ("layout.dim",)}, "has no number layout.dim"),
         ({"propellers": NAMES[:3]}, "command.propellers: names 3 propellers for 4 values"),
@@ -312,3 +313,15 @@ def test_the_mapping_that_an_error_shows_is_the_one_to_write(tmp_path: Path):
 def test_a_file_in_the_mapping_of_a_bag(tmp_path: Path):
     with pytest.raises(InputError, match=r"command\.file: is a bag, which has no such file"):
         read(tmp_path, array("Float64"), command=CommandMapping(file="motors.csv"))
+
+
+def test_a_topic_without_messages(tmp_path: Path):
+    msgtype, text, _ = array("Float64")
+    with pytest.raises(InputError, match="/motors: holds no message"):
+        read(tmp_path, (msgtype, text, []))
+
+
+def test_arrival_times_may_be_shifted(tmp_path: Path):
+    command = read(tmp_path, array("Float64"), command=CommandMapping(start_s=-0.5))["command"]
+    assert command.stamp_ns[1] == START_NS + 10**7 - 5 * 10**8
+    assert command.received_ns[1] == START_NS + 10**7

@@ -91,21 +91,22 @@ def commands_in(
             )
     names: list[str] = []
     parts = []
-    for path, index in places:
+    for path, entry in places:
         part = found[path].astype(np.float64)
-        if part.ndim == 1:
-            part, called = part[:, None], [path]
-        elif index is not None and index >= part.shape[1]:
-            raise InputError(f"{path} has {part.shape[1]} entries, so there is no {path}[{index}]")
-        else:
-            part = part if index is None else part[:, [index]]
-            called = [""] * part.shape[1]
+        single = part.ndim == 1
+        part = part[:, None] if single else part
+        if entry is not None:
+            if single or entry >= part.shape[1]:
+                entries = "no" if single else part.shape[1]
+                raise InputError(f"{path} has {entries} entries, so there is no {path}[{entry}]")
+            part = part[:, [entry]]
         parts.append(part)
-        names += called
+        names += [path if single else ""] * part.shape[1]
     if not names:
-        raise InputError("its messages hold no number")
+        raise InputError("holds no message, or messages without a number")
     values = np.concatenate(parts, axis=1)
-    if joints is not None and 0 < values.shape[1] == joints.shape[1]:
+    whole = len(places) == 1 and places[0].entry is None
+    if joints is not None and whole and values.shape[1] == joints.shape[1]:
         return _in_one_order(joints, values)
     return tuple(names) if all(names) else unnamed_columns(len(names)), values
 

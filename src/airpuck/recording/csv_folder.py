@@ -140,21 +140,17 @@ def _file_of(
         )
     if candidates:
         return candidates[0]
-    if named or mapping.topics.required(stream):
-        usual = named or _file_name(mapping.topics.by_stream[stream])
+    if not named and not mapping.topics.required(stream):
+        return None
+    usual = named or f"{_file_name(mapping.topics.by_stream[stream])} or the like"
+    problem = f"has no {stream} file ({usual})"
+    if stream in _TO_WRITE:
         there = listing(sorted(file.name for file in folder.iterdir() if file.suffix in TABLES))
-        hint = _TO_WRITE.get(stream)
-        raise InputError(
-            f"has no {stream} file ({usual}{'' if named else ' or the like'})"
-            + (
-                f"; name it in a file for --mapping: {stream} = {{file = "
-                f'"...", {hint}}} out of {there}'
-                if hint
-                else ""
-            ),
-            file=folder,
+        problem += (
+            f'; name it in a file for --mapping: {stream} = {{file = "...", {_TO_WRITE[stream]}}} '
+            f"out of {there}"
         )
-    return None
+    raise InputError(problem, file=folder)
 
 
 def _file_name(topic: str) -> str:

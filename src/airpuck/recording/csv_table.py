@@ -105,24 +105,24 @@ def plain_table(rows: Rows) -> Table:
         raise InputError(
             "there are two columns of this name", file=rows.path, field=one_line(twice[0]) or None
         )
-    return table_below(rows, 0, {name: index for index, name in enumerate(header)})
+    return table_below(rows, 0, {name: index for index, name in enumerate(header)}, exact=True)
 
 
-def table_below(rows: Rows, header: int, places: dict[str, int]) -> Table:
-    """Return some columns, by name, of the rows below the header."""
-    width = len(rows.cells[header])
+def table_below(rows: Rows, header: int, places: dict[str, int], *, exact: bool = False) -> Table:
+    """Return some columns, by name, of the rows below the header; `exact`: of its length."""
+    whole = len(rows.cells[header])
+    width = whole if exact else max(places.values()) + 1
     cells, lines = rows.cells[header + 1 :], rows.lines[header + 1 :]
     warnings: tuple[str, ...] = ()
-    if cells and len(cells[-1]) < width and not rows.ends:
+    if cells and len(cells[-1]) < whole and not rows.ends:
         cells, lines, line = cells[:-1], lines[:-1], lines[-1]
         warnings = (
             f"{rows.path.name} is cut short: its last line ({line}) is not whole and left out",
         )
     for line, row in zip(lines, cells, strict=True):
-        if len(row) != width:
+        if len(row) < width or (exact and len(row) > width):
             raise InputError(
                 f"line {line} has {len(row)} fields, the header has {width}", file=rows.path
             )
-    columns = list(zip(*cells, strict=True)) if cells else [()] * width
-    found = {name: columns[index] for name, index in places.items()}
+    found = {name: [row[index] for row in cells] for name, index in places.items()}
     return Table(rows.path, found, lines, warnings)

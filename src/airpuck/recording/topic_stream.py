@@ -83,8 +83,10 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     columns, values = convert(found)
     received = np.array(topic.received_ns, dtype=np.int64)
     stamp = _stamps([found[path] for path in times], own)
-    stamped = stamp is not None
-    return Stream(stamp if stamped else received, received, values, columns), stamped
+    if stamp is None:
+        arrived = received + round(own.start_s * SECOND_NS)
+        return Stream(arrived, received, values, columns), False
+    return Stream(stamp, received, values, columns), True
 
 
 def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:
