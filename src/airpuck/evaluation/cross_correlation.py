@@ -2,25 +2,30 @@
 
 Commands of a pair exclude each other and are held over many samples, so that the correlations with
 one motor hold some of the others', and of its own at other lags. The bands account for the latter
-(Ljung 1999, equation 16.69); the test is Wald's in one regression on all motors' past commands.
+(Ljung 1999, equation 16.69); the test is Wald's in one regression on all motors' past commands,
+with a covariance that does not mind that innovations are larger where commands change (HC3: White
+1980, MacKinnon and White 1985).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.evaluation.statistical_tests import BAND, LEVEL, holm, p_text, with_pauses
+from airpuck.evaluation.statistical_tests import (
+    BAND,
+    LEVEL,
+    beyond_least,
+    holm,
+    p_text,
+    with_pauses,
+)
 
 #: Share of the largest eigenvalue of a regression below which a direction is not in the data.
 _NONE = 1e-10
-#: Share of the motors that must err the same way for timing to be suspected.
-_ALIKE = 0.75
-#: How much less likely than any other's one motor's innocence must be for it to be named alone.
-_ALONE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,19 +45,21 @@ class CrossCorrelation:
     statistic: float
     #: Of the χ² that it follows then.
     degrees: int
-    #: Probability of so large a statistic, adjusted for the number of motors (Holm).
+    #: Probability of so large a statistic if the motor explains no more than `LEAST_SHARE` of the
+    #: variance, adjusted for the number of motors (Holm).
     p_value: float
+    #: Share of the variance that it explains, estimated.
+    share: float
     #: Summed coefficients of the first third of the lags, in standard errors, positive where the
     #: motor does more than modelled: how the innovations answer to a step of the command.
     early: float
-    #: How much the motor moves the channel in the model, against the strongest motor; 0 where none
-    #: does.
-    share: float
+    #: False where the commands do not tell this motor from the others.
+    tested: bool
 
     @property
     def passed(self) -> bool:
-        """Whether independence is not rejected at the 1 % level."""
-        return self.p_value >= LEVEL
+        """Whether it was not tested, or independence is not rejected at the 1 % level."""
+        return not self.tested or self.p_value >= LEVEL
 
     @property
     def peak(self) -> tuple[int, float]:
@@ -70,8 +77,8 @@ class CrossCorrelation:
             return f"{self.motor} explains nothing more of {self.channel} ({test})"
         lag, value = self.peak
         return (
-            f"{self.motor} still explains {self.channel}: correlation {value:.2g} after {lag} "
-            f"samples, band ±{self.band:.2g} ({test})"
+            f"{self.motor} still explains {100 * self.share:.1f} % of {self.channel}: correlation "
+            f"{value:.2g} after {lag} samples, band ±{self.band:.2g} ({test})"
         )
 
 
@@ -83,10 +90,9 @@ def cross_correlations(
     motors: Sequence[str],
     effect: Float[np.ndarray, " n"],
     lags: int,
+    told: Collection[str] | None = None,
 ) -> list[CrossCorrelation]:
-    """Test one channel against all motors."""
-    from scipy.stats import chi2
-
+    """Test one channel against all motors; only those `told` apart by the commands, if given."""
     moved: list[int] = np.flatnonzero(np.ptp(command[used], axis=0) > 0).tolist()
     if not moved:
         return []
@@ -107,8 +113,11 @@ def cross_correlations(
         first = np.arange(lags) < lags // 3
         spread = np.sqrt(max(float(first @ own @ first), 1e-300))
         early.append(float(np.sign(effect[motor]) * blocks[k] @ first / spread))
-    strength = np.abs(effect) / (np.abs(effect).max() or 1.0)
-    adjusted = holm(np.array([chi2.sf(q, d) for q, d in zip(statistics, degrees, strict=True)]))
+    tested = np.array([told is None or motors[motor] in told for motor in moved])
+    given = zip(statistics, degrees, strict=True)
+    p_values, shares = np.array([beyond_least(q, d, len(at)) for q, d in given]).T
+    adjusted = np.ones(len(moved))
+    adjusted[tested] = holm(p_values[tested])
     return [
         CrossCorrelation(
             channel,
@@ -117,8 +126,9 @@ def cross_correlations(
             statistics[k],
             degrees[k],
             float(adjusted[k]),
+            float(shares[k]),
             early[k],
-            float(strength[motor]),
+            bool(tested[k]),
         )
         for k, motor in enumerate(moved)
     ]
@@ -149,41 +159,15 @@ def _regress(
     regressors: Float[np.ndarray, "L F"], row: Float[np.ndarray, " L"]
 ) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F F"]]:
     """Return least-squares coefficients and their covariance."""
-    inverse, rank = _pseudo_inverse(regressors.T @ regressors)
+    inverse, _ = _pseudo_inverse(regressors.T @ regressors)
     coefficients = inverse @ (regressors.T @ row)
-    left = row - regressors @ coefficients
-    return coefficients, inverse * float(left @ left) / max(len(row) - rank, 1)
+    leverage = np.einsum("lf,lf->l", regressors @ inverse, regressors)
+    left = (row - regressors @ coefficients) / np.maximum(1 - leverage, 0.1)
+    scores = regressors * left[:, None]
+    return coefficients, inverse @ (scores.T @ scores) @ inverse
 
 
 def _pseudo_inverse(matrix: Float[np.ndarray, "F F"]) -> tuple[Float[np.ndarray, "F F"], int]:
     """Invert a symmetric matrix in the directions that the data show, and count them."""
     rank = np.linalg.matrix_rank(matrix, rtol=_NONE, hermitian=True)
     return np.linalg.pinv(matrix, rtol=_NONE, hermitian=True), int(rank)
-
-
-def suspicions(tests: Sequence[CrossCorrelation]) -> list[str]:
-    """Say what rejected tests look like: timing, which concerns all motors, or one motor."""
-    if all(test.passed for test in tests):
-        return []
-    motors = list(dict.fromkeys(test.motor for test in tests))
-    answers = np.array([_pooled([t for t in tests if t.motor == name]) for name in motors])
-    common = float(answers.sum() / np.sqrt(len(answers)))
-    alike = float(np.mean(np.sign(answers) == np.sign(common)))
-    if abs(common) > BAND and alike >= _ALIKE:
-        when, what = ("more", "large") if common > 0 else ("less", "small")
-        return [
-            f"{round(alike * len(motors))} of {len(motors)} motors do {when} than modelled in the "
-            f"first samples after a command (z = {common:.1f}): is the model's delay or lag too "
-            f"{what}?"
-        ]
-    least = {name: min(t.p_value for t in tests if t.motor == name) for name in motors}
-    first, *others = sorted(motors, key=least.__getitem__)
-    if others and least[first] < _ALONE * min(least[name] for name in others):
-        return [f"it is {first} above all: does it push as much, and where, as modelled?"]
-    return []
-
-
-def _pooled(tests: Sequence[CrossCorrelation]) -> float:
-    """Pool the answers of the channels to one motor, by how much it moves them."""
-    weight = np.array([test.share for test in tests])
-    return float(weight @ [test.early for test in tests] / (np.sqrt(weight @ weight) or 1.0))

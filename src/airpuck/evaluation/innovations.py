@@ -48,6 +48,10 @@ class Innovations:
     #: False in excluded spans, and at the first two samples of every stretch, which only determine
     #: where the craft is and how fast it moves.
     used: Bool[np.ndarray, " N"]
+    #: Samples at which the filter begins anew.
+    restart: Bool[np.ndarray, " N"]
+    #: What the model adds to position and velocity of each axis, from the sample before.
+    added: Float[np.ndarray, "N 3 2"]
     #: Estimates after each pose: axes x, y, γ; components p, v, d.
     mean: Float[np.ndarray, "N 3 3"]
     #: Of the estimates, for each axis.
@@ -129,9 +133,22 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
             given = pose, added, period, restart, used, trajectory.sample_period
             noise, counts = most_likely_noise(*given, noise if near else None)
     filtered = _run_filter(model, trajectory, noise, restart, begin)
-    values, variance, _, mean, covariance, speed = filtered
-    deviation = np.sqrt(variance)
-    return Innovations(time, values, deviation, used, mean, covariance, speed, noise, counts)
+    values, variance, added, mean, covariance, speed = filtered
+    found = values, np.sqrt(variance), used, restart, added, mean, covariance, speed
+    return Innovations(time, *found, noise, counts)
+
+
+def motor_speeds_at(trajectory: Trajectory, delay: float, lag: float) -> Float[np.ndarray, "N n"]:
+    """Let motors follow commands that act after a delay; return their speeds at each sample."""
+    acts = trajectory.command_time + delay
+    speed = speed_before(float(trajectory.time[0]), acts, trajectory.command, lag)
+    speeds = np.empty((len(trajectory), len(speed)))
+    durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
+    for k in range(len(trajectory)):
+        for duration, held in zip(durations[k], commands[k], strict=True):
+            speed = motor_step(np, speed, held, duration, lag)
+        speeds[k] = speed
+    return speeds
 
 
 def free_run(
@@ -240,9 +257,11 @@ def speed_before(
     time_constant: float,
 ) -> Float[np.ndarray, " n"]:
     """Let motors follow all commands before a time."""
-    past = int(np.searchsorted(event_time, time, side="right"))
+    # The first command is taken to have been in force before.
+    past = max(int(np.searchsorted(event_time, time, side="right")), 1)
+    begins = np.minimum(event_time[:past], time)
     ends = np.append(event_time[1:past], time)
     speed = command[0]
-    for held, begin, end in zip(command[:past], event_time[:past], ends, strict=True):
+    for held, begin, end in zip(command[:past], begins, ends, strict=True):
         speed = motor_step(np, speed, held, end - begin, time_constant)
     return speed

@@ -2,7 +2,8 @@
 
 Two questions. Are the innovations white, or do past ones say something about the next? Do the
 motor commands still explain them, so that the model has not used all of their information? Both
-tests are made in the frame of the body, where a motor pushes one way whatever the yaw.
+tests are made in the frame of the body, where a motor pushes one way whatever the yaw. A third asks
+which error of the model that would be. Late packets and feedback are part of the null hypothesis.
 """
 
 from __future__ import annotations
@@ -15,14 +16,13 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory, hold
-from airpuck.evaluation.cross_correlation import (
-    CrossCorrelation,
-    cross_correlations,
-    suspicions,
-)
+from airpuck.evaluation.cross_correlation import CrossCorrelation, cross_correlations
 from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.innovations import Innovations, innovations
-from airpuck.evaluation.statistical_tests import Whiteness, ljung_box, p_text
+from airpuck.evaluation.late_packets import LatePackets, late_packets
+from airpuck.evaluation.model_errors import ModelError, model_errors, verdicts
+from airpuck.evaluation.statistical_tests import Whiteness, ljung_box
+from airpuck.evaluation.structure import Structure, cut, find_structure, missing_accelerations
 from airpuck.model.model_file import Model
 
 #: Channels of the innovations in the frame of the body.
@@ -49,8 +49,14 @@ class ResidualTests:
         One for each of `BODY_CHANNELS`.
     correlations : tuple of CrossCorrelation
         For each channel, each motor that moved.
+    errors : tuple of ModelError
+        Of each motor, the mass and the delay.
+    structure : tuple of Structure
+        What residuals depend on, for each regressor and channel.
     innovations : Innovations
-        What was tested.
+        Of the filter that does not know of late packets.
+    late : LatePackets
+        Innovations of the one that does: what was tested.
     """
 
     model: str
@@ -58,25 +64,34 @@ class ResidualTests:
     sample_period: float
     whiteness: tuple[Whiteness, ...]
     correlations: tuple[CrossCorrelation, ...]
+    errors: tuple[ModelError, ...]
+    structure: tuple[Structure, ...]
     innovations: Innovations
+    late: LatePackets
 
     @property
     def passed(self) -> bool:
         """Whether nothing was rejected."""
-        return all(test.passed for test in (*self.whiteness, *self.correlations))
+        tests = *self.whiteness, *self.correlations, *self.errors, *self.structure
+        return all(test.passed for test in tests)
 
     @property
     def verdicts(self) -> list[str]:
         """Sentences: whiteness of each channel, motors that still explain something, and why."""
         said = [test.verdict for test in self.whiteness]
         for channel in BODY_CHANNELS:
-            tests = [test for test in self.correlations if test.channel == channel]
+            tests = [t for t in self.correlations if t.channel == channel and t.tested]
             failed = [test for test in tests if not test.passed]
             said += [test.verdict for test in sorted(failed, key=lambda test: test.p_value)]
             if tests and not failed:
-                least = min(test.p_value for test in tests)
-                said.append(f"no motor explains more of {channel} (smallest {p_text(least)})")
-        return said + suspicions(self.correlations)
+                most = 100 * max(test.share for test in tests)
+                said.append(f"no motor explains more of {channel} (at most {most:.1f} %)")
+        shown = sorted((s for s in self.structure if s.shown), key=lambda s: -s.share)
+        said += verdicts(self.errors) + [one.verdict for one in shown]
+        if not shown:
+            names = ", ".join(dict.fromkeys(one.regressor for one in self.structure))
+            said.append(f"residuals depend on none of {names}")
+        return said
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures.
@@ -84,8 +99,8 @@ class ResidualTests:
         Returns
         -------
         dict
-            ``model, samples, sample_period_s, passed, verdicts, noise``, and lists ``whiteness``
-            and ``cross_correlation``.
+            ``model, samples, sample_period_s, passed, verdicts, noise, jitter_s``, and lists
+            ``whiteness``, ``cross_correlation``, ``model_errors`` and ``structure``.
         """
         noise = self.innovations.noise
         return {
@@ -99,6 +114,7 @@ class ResidualTests:
                 "acceleration_density": list(noise.acceleration),
                 "disturbance_density": list(noise.disturbance),
             },
+            "jitter_s": self.late.jitter.tolist(),
             "whiteness": [
                 {**_figures(test), "autocorrelation": test.autocorrelation.tolist()}
                 for test in self.whiteness
@@ -107,17 +123,20 @@ class ResidualTests:
                 {
                     **_figures(test),
                     "motor": test.motor,
+                    "tested": test.tested,
                     "early": test.early,
                     "correlation": test.correlation.tolist(),
                 }
                 for test in self.correlations
             ],
+            "model_errors": [error.to_json() for error in self.errors],
+            "structure": [one.to_json() for one in self.structure],
         }
 
 
 def _figures(test: Whiteness | CrossCorrelation) -> dict[str, Any]:
     """Return what all tests have."""
-    names = ("channel", "passed", "statistic", "p_value", "band")
+    names = ("channel", "passed", "statistic", "p_value", "share", "band")
     return {name: getattr(test, name) for name in names} | {"degrees_of_freedom": test.degrees}
 
 
@@ -151,18 +170,29 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
             field="lags",
         )
     found = innovations(model, trajectory)
-    body = to_body(found, trajectory.state[:, 2])
+    bins = cut(trajectory, found)
+    others = missing_accelerations(bins, trajectory.state[:, 2])
+    late = late_packets(model, trajectory, found, others)
+    motors, used = trajectory.propellers, found.used
+    # A delay that the model did not learn is that of the recording, found in whole samples.
+    period = trajectory.sample_period
+    known = 0.0 if model.delay_learned else period
+    errors = model_errors(motors, late, used, period, known)
+    told = {error.name for error in errors if error.tested}
+    # The mean delay of the packets is judged by itself.
+    late_by = errors[0].value
+    structure = find_structure(model, trajectory, found, late, bins, late_by)
+    body = to_body(late.values, trajectory.state[:, 2])
     whiteness = tuple(
-        ljung_box(name, body[:, k], found.used, lags, found.noise_parameters[k] - 1)
+        ljung_box(name, body[:, k], used, lags, found.noise_parameters[k] - 1)
         for k, name in enumerate(BODY_CHANNELS)
     )
     acts = trajectory.command_time + delay_for(model, trajectory)
-    held = hold(acts, trajectory.command, trajectory.time)
-    motors, effects = trajectory.propellers, _effects(model)
+    held, effects = hold(acts, trajectory.command, trajectory.time), _effects(model)
     correlations = [
         test
         for k, name in enumerate(BODY_CHANNELS)
-        for test in cross_correlations(name, body[:, k], found.used, held, motors, effects[k], lags)
+        for test in cross_correlations(name, body[:, k], used, held, motors, effects[k], lags, told)
     ]
     return ResidualTests(
         model=model.name,
@@ -170,7 +200,10 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
         sample_period=trajectory.sample_period,
         whiteness=whiteness,
         correlations=tuple(correlations),
+        errors=tuple(errors),
+        structure=tuple(structure),
         innovations=found,
+        late=late,
     )
 
 
@@ -183,8 +216,10 @@ def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
     return np.where(np.abs(effects) > _ROUNDING * np.abs(effects).max(), effects, 0.0)
 
 
-def to_body(found: Innovations, yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
-    """Turn standardised innovations into the frame of the body."""
-    x, y, spin = found.standardised.T
+def to_body(
+    values: Float[np.ndarray, "N 3"], yaw: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 3"]:
+    """Turn x, y, γ into the frame of the body."""
+    x, y, spin = values.T
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.stack([cos * x + sin * y, cos * y - sin * x, spin], axis=1)

@@ -1,4 +1,8 @@
-"""Whiteness by the test of Ljung and Box (1978), and several tests at once by Holm (1979)."""
+"""Whiteness by the test of Ljung and Box (1978), and several tests at once by Holm (1979).
+
+With enough samples any model is wrong. So effects are tested against a smallest one that counts, a
+share of the variance, and not against none at all (Murphy and Myors 1999).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,8 @@ from jaxtyping import Bool, Float
 
 #: Level of the residual tests.
 LEVEL = 0.01
+#: Share of a channel's variance below which what is left does not count.
+LEAST_SHARE = 0.01
 #: 99.5 % quantile of the normal distribution: half of a 99 % band, in standard deviations.
 BAND = 2.5758293035489004
 
@@ -28,8 +34,10 @@ class Whiteness:
     #: Of the χ² that Q follows for white innovations: M less the ratios of noises that were fitted
     #: to these data.
     degrees: int
-    #: Probability of so large a Q.
+    #: Probability of so large a Q if the past says no more than `LEAST_SHARE` of the variance.
     p_value: float
+    #: Share of the variance that the past says, estimated: Q less what chance adds, over N.
+    share: float
 
     @property
     def passed(self) -> bool:
@@ -40,6 +48,7 @@ class Whiteness:
     def verdict(self) -> str:
         """One sentence."""
         q = f"Q = {self.statistic:.1f}, {self.degrees} degrees of freedom, {p_text(self.p_value)}"
+        q = f"past ones say {100 * self.share:.1f} % of the variance, {q}"
         if self.passed:
             return f"{self.channel} innovations are white ({q})"
         lag = int(np.abs(self.autocorrelation).argmax())
@@ -57,16 +66,51 @@ def ljung_box(
     fitted: int,
 ) -> Whiteness:
     """Test one channel by Ljung and Box."""
-    from scipy.stats import chi2
-
     row = with_pauses(values[:, None], used, lags)[:, 0]
     count = int(used.sum())
     correlation = np.array([row[k:] @ row[: len(row) - k] for k in range(lags + 1)])
     r = correlation[1:] / correlation[0]
     statistic = count * (count + 2) * float(np.sum(r**2 / (count - np.arange(1, lags + 1))))
     degrees = lags - fitted
-    p_value = float(chi2.sf(statistic, degrees))
-    return Whiteness(channel, r, BAND / np.sqrt(count), statistic, degrees, p_value)
+    p_value, share = beyond_least(statistic, degrees, count)
+    return Whiteness(channel, r, BAND / np.sqrt(count), statistic, degrees, p_value, share)
+
+
+def beyond_least(statistic: float, degrees: int, count: int) -> tuple[float, float]:
+    """Test a χ² of `count` samples against the smallest effect that counts.
+
+    Returns the probability of so large a statistic under that effect (noncentral χ²), and the share
+    of the variance that the statistic stands for.
+    """
+    from scipy.stats import ncx2
+
+    p_value = float(ncx2.sf(statistic, degrees, LEAST_SHARE * count)) if degrees else 1.0
+    return p_value, max(statistic - degrees, 0.0) / count
+
+
+def block_regression(
+    columns: Float[np.ndarray, "M 3 m"],
+    values: Float[np.ndarray, "M 3"],
+    period: float,
+    block_s: float,
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"], int]:
+    """Regress three channels together; the covariance is from blocks of time.
+
+    Returns coefficients, their covariance, and the number of blocks. What the data do not show gets
+    a standard error of a hundred units.
+    """
+    flat = columns.reshape(-1, columns.shape[2])
+    inverse = np.linalg.inv(flat.T @ flat + 1e-4 * np.eye(flat.shape[1]))
+    coefficients = inverse @ (flat.T @ values.reshape(-1))
+    scores = np.einsum("kcm,kc->km", columns, values - columns @ coefficients)
+    starts = np.arange(0, len(scores), max(1, round(block_s / period)))
+    blocks = len(starts)
+    of_block = np.add.reduceat(scores, starts)
+    spread = inverse @ (of_block.T @ of_block) @ inverse * blocks / max(blocks - 1, 1)
+    # Never less than independent innovations would give.
+    variance = np.diag(spread)
+    grown = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(variance, 1e-300), 1.0))
+    return coefficients, spread * np.outer(grown, grown), blocks
 
 
 def with_pauses(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import Table
@@ -34,10 +34,13 @@ _SILENT = 0.1
 _AT_RAIL = 0.01
 #: Largest difference of a pose from its prediction that is no jump [m, m, rad].
 _JUMP = (0.05, 0.05, 0.5)
-#: Deviations are reported above four standard deviations and these sizes [1, s]: jitter of
-#: the radio that is not white makes a few milliseconds of delay come and go.
-_CERTAIN, _LOSS, _LATE = 4.0, 0.05, 0.006
-#: Shares of the squared error above this are reported.
+#: A deviation is reported if the interval of so many standard deviations leaves out all that are
+#: smaller than these [1, s].
+_CERTAIN, _LOSS, _LATE = 3.0, 0.1, 0.004
+#: Standard deviations above these mean that it is not known [1, s]: the commands change too little.
+#: Then they follow the noise of the poses that errors are judged by, and estimates are biased.
+_KNOWN_LOSS, _KNOWN_DELAY = 0.05, 0.0025
+#: Shares of the squared error above this are reported, of what deviates.
 _NOTABLE = 0.1
 #: Predictions needed before anything is reported.
 _ENOUGH = 20
@@ -99,21 +102,37 @@ class Health:
     found: Deviations
 
     @property
+    def known(self) -> Bool[np.ndarray, " m"]:
+        """Whether the commands told enough of each motor, and last of the delay."""
+        limits = np.append(np.full(len(self.motors), _KNOWN_LOSS), _KNOWN_DELAY)
+        return (self.found.deviation <= limits) & (self.found.predictions >= _ENOUGH)
+
+    @property
+    def deviates(self) -> Bool[np.ndarray, " m"]:
+        """Which motors, and last whether the delay, surely differ by what matters."""
+        n = len(self.motors)
+        modelled, least = np.append(np.ones(n), 0.0), np.append(np.full(n, _LOSS), _LATE)
+        apart = np.abs(self.found.value - modelled) - _CERTAIN * self.found.deviation
+        return self.known & (apart > least)
+
+    @property
     def findings(self) -> tuple[str, ...]:
-        """Differences from the model in words, above four standard deviations."""
-        if self.found.predictions < _ENOUGH:
-            return ()
-        *thrusts, (late, sd) = zip(self.found.value, self.found.deviation, strict=True)
-        findings = [
-            f"propeller {name} at {100 * e:.0f} % ± {100 * sd:.0f} %"
-            for name, (e, sd) in zip(self.motors, thrusts, strict=True)
-            if abs(e - 1) > max(_CERTAIN * sd, _LOSS)
-        ]
-        if abs(late) > max(_CERTAIN * sd, _LATE):
-            word = "longer" if late > 0 else "shorter"
-            findings.append(
-                f"delay {1e3 * abs(late):.0f} ms ± {1e3 * sd:.0f} ms {word} than the model's"
-            )
+        """Differences from the model in words, with 95 % intervals."""
+        findings = []
+        for i in np.flatnonzero(self.deviates):
+            value, half = self.found.value[i], 1.96 * self.found.deviation[i]
+            if i < len(self.motors):
+                low, high = 100 * (value - half), 100 * (value + half)
+                findings.append(
+                    f"propeller {self.motors[i]} at {100 * value:.0f} % ({low:.0f} to {high:.0f} %)"
+                )
+            else:
+                word = "longer" if value > 0 else "shorter"
+                low, high = 1e3 * (abs(value) - half), 1e3 * (abs(value) + half)
+                findings.append(
+                    f"delay {1e3 * abs(value):.0f} ms ({low:.0f} to {high:.0f} ms) {word} than the "
+                    "model's"
+                )
         return tuple(findings)
 
     def __str__(self) -> str:
@@ -122,20 +141,33 @@ class Health:
         if not self.found.predictions:
             return "no prediction judged yet"
         x, y, yaw = self.found.error.tolist()
-        text = (
-            f"after {HORIZON:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad; "
-            + (", ".join(self.findings) or "motors and delay as the model says")
-        )
-        causes = zip((*self.motors, "delay"), self.found.share, strict=True)
-        largest = [f"{name} {100 * share:.0f} %" for name, share in causes if share > _NOTABLE]
-        return text + (f"; shares of the error: {', '.join(largest)}" if largest else "")
+        text = f"after {HORIZON:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad"
+        causes = np.array([*self.motors, "delay"])
+        said = list(self.findings)
+        if not said and self.known.any():
+            said = ["what is known is as the model says"]
+        if self.known.all() and not self.findings:
+            said = ["motors and delay as the model says"]
+        if not self.known.all():
+            said.append(f"not known: {', '.join(causes[~self.known])} (little excitation)")
+        notable = self.deviates & (self.found.share > _NOTABLE)
+        shares = zip(causes[notable], self.found.share[notable], strict=True)
+        largest = [f"{name} {100 * share:.0f} %" for name, share in shares]
+        said += [f"shares of the error: {', '.join(largest)}"] if largest else []
+        return "; ".join([text, *said])
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
         found = self.found
+        half = 1.96 * found.deviation
+        interval = np.column_stack([found.value - half, found.value + half]).tolist()
         figures = np.column_stack([found.value, found.deviation, found.share]).tolist()
-        thrust_keys = "effectiveness", "deviation", "error_share"
-        delay_keys = "difference_s", "deviation_s", "error_share"
+        rows = [
+            (*row, span, known)
+            for row, span, known in zip(figures, interval, self.known.tolist(), strict=True)
+        ]
+        thrust_keys = "effectiveness", "deviation", "error_share", "interval_95", "known"
+        delay_keys = "difference_s", "deviation_s", "error_share", "interval_95_s", "known"
         return {
             "flying": self.flying,
             "horizon_s": HORIZON,
@@ -143,9 +175,9 @@ class Health:
             "rmse_m_m_rad": found.error.tolist(),
             "propellers": {
                 name: dict(zip(thrust_keys, row, strict=True))
-                for name, row in zip(self.motors, figures[:-1], strict=True)
+                for name, row in zip(self.motors, rows[:-1], strict=True)
             },
-            "delay": dict(zip(delay_keys, figures[-1], strict=True)),
+            "delay": dict(zip(delay_keys, rows[-1], strict=True)),
             "findings": list(self.findings),
         }
 

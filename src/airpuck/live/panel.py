@@ -150,14 +150,19 @@ def health_html(health: Health) -> str:
     *thrusts, (late, sd) = np.column_stack([found.value, found.deviation]).tolist()
     words = [f"{100 * share:.0f} ± {100 * deviation:.0f} %" for share, deviation in thrusts]
     words.append(f"{1e3 * late:+.1f} ± {1e3 * sd:.1f} ms")
-    causes = map(Gauge, (*health.motors, "delay"), words, found.share.tolist())
+    causes = [
+        Gauge(name, text, share) if known else Gauge(name, "not known: little excitation")
+        for name, text, share, known in zip(
+            (*health.motors, "delay"), words, found.share.tolist(), health.known, strict=True
+        )
+    ]
     findings = "".join(paragraph(finding, _WARNING) for finding in health.findings)
     return (
         paragraph(f"Errors after {HORIZON:g} s (bar: of 16 mm, 0.5 rad)")
         + gauges_html(list(errors))
         + paragraph("Thrust and delay against the model's (bar: of the squared error)")
-        + gauges_html(list(causes))
-        + (findings or paragraph("as the model says"))
+        + gauges_html(causes)
+        + (findings or paragraph("nothing that deviates from the model"))
     )
 
 

@@ -151,7 +151,7 @@ def watch_live(
             named = tuple(finding.split(" at ")[0] for finding in health.findings)
             if named != findings:
                 findings = named
-                text = ", ".join(health.findings) or "motors and delay as the model says"
+                text = ", ".join(health.findings) or "nothing deviates from the model any more"
                 events.log(level, text)
             events.heartbeat(level, str(health), {})
         return observer.to_json()

@@ -43,6 +43,9 @@ from airpuck.recording.torch_archive import read_authors_experiment
 #: A command this far above the lowest one means that the experiment has begun.
 _BEGINS_ABOVE_MINIMUM = 0.02
 _NO_COMMANDS = "no commands"
+#: Correlation below which there is no delay to be found, as in a flight that only hovers: 0.1
+#: there, above 0.5 between set points.
+_NO_DELAY_BELOW = 0.3
 #: Correlation below which the commands hardly explain the motion.
 _WEAK_CORRELATION = 0.5
 
@@ -162,7 +165,8 @@ def preprocess(
         vehicle=vehicle,
     )
     nominal = nominal or nominal_parameters(vehicle).dynamics(np, vehicle)
-    return _compensate_delay(trajectory, delay, nominal)
+    usual = vehicle.nominal.transport_delay_s
+    return _compensate_delay(trajectory, delay, nominal, usual)
 
 
 def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samples, Aligned]:
@@ -215,12 +219,15 @@ def _velocity_and_acceleration(
     return rates, accelerations, short
 
 
-def _compensate_delay(trajectory: Trajectory, delay: float | None, nominal: Dynamics) -> Trajectory:
+def _compensate_delay(
+    trajectory: Trajectory, delay: float | None, nominal: Dynamics, usual: float
+) -> Trajectory:
     """Set the transport delay, given or found, and leave out what precedes the first command."""
     warnings = list(trajectory.warnings)
     if delay is None:
         samples, correlation = estimate_delay(trajectory, nominal)
-        if samples < 0:
+        found = correlation >= _NO_DELAY_BELOW
+        if samples < 0 and found:
             warnings.append(
                 f"the motion precedes the commands by {-samples} samples; no delay was "
                 "compensated: check the clocks of both streams"
@@ -230,8 +237,10 @@ def _compensate_delay(trajectory: Trajectory, delay: float | None, nominal: Dyna
                 f"the commands explain little of the motion (correlation {correlation:.2f}): "
                 "check motor order and signs with `airpuck check`"
             )
-        first = max(samples, 0)
-        delay = first * trajectory.sample_period
+        if not found:
+            warnings.append(f"no delay is found; the vehicle's, {1e3 * usual:.1f} ms, is taken")
+        delay = max(samples, 0) * trajectory.sample_period if found else usual
+        first = round(delay / trajectory.sample_period)
     else:
         first = int(np.searchsorted(trajectory.time, trajectory.time[0] + delay))
     if len(trajectory) - first < 2:

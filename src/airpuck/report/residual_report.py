@@ -18,11 +18,19 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.evaluation.prediction_bands import PredictionBands
 from airpuck.evaluation.residuals import ResidualTests
+from airpuck.evaluation.structure import Structure
 from airpuck.model.model_file import Model
 from airpuck.report import style
 from airpuck.report.fit_sections import sources_section
 from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
 
+_STRUCTURE = (
+    "Acceleration that the model lacks, in bins of as many samples each, with 99 % bands, each by "
+    "itself: zero where nothing depends on anything. Speeds, motor speed and time act along the "
+    "body (forward, left), the position along the world (x, y). In red what differs at "
+    "the 1 % level, all panels together, by 2 % or more of what the motors do; in orange what "
+    "differs by less."
+)
 #: Opacity of the total band, and of that of the parameters on it.
 _TOTAL, _PARAMETERS = 0.35, 0.55
 
@@ -38,15 +46,18 @@ def residual_report(
 ) -> Path:
     """Write a page on the residual tests."""
     caption = (
-        "Correlations of the one-step innovations, turned into the frame of the body, "
+        "Correlations of the one-step innovations, which allow for late packets, turned into the "
+        "frame of the body, "
         f"{tests.samples} samples. Above: with themselves. Below: with the command in force that "
         "many samples before; broad lines are motors whose test rejects at the 1 % level. Bands "
         "hold 99 % of the values, each by itself, where there is nothing to find. Left of zero are "
         "commands still to come."
     )
     residuals = Picture("residuals", residual_figure(tests, model.vehicle), caption)
+    structure = Picture("structure", structure_figure(tests), _STRUCTURE)
     sections = [
         Section("tests", "Residual tests", (Text(tests.verdicts, bullets=True), residuals)),
+        Section("structure", "What residuals depend on", (structure,)),
         *([_bands_section(bands)] if bands else []),
         Section("fit", "Fit", (_fit_table(fit), _noise_table(tests))),
         sources_section(trajectory),
@@ -158,6 +169,38 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     handles += [style.key(name, **line) for name, line in styles.items()]
     style.top_legend(figure, handles, columns=min(len(handles), 7))
     return figure
+
+
+@style.styled
+def structure_figure(tests: ResidualTests) -> Figure:
+    """Draw what residuals depend on: a column for each regressor, a row for each channel."""
+    regressors = list(dict.fromkeys(one.regressor for one in tests.structure))
+    figure = style.new_figure(style.PAGE_WIDTH, 5.4)
+    grid = figure.subplots(3, len(regressors), squeeze=False, sharex="col", sharey="row")
+    for k, column in enumerate(np.moveaxis(grid, 1, 0)):
+        channels = [one for one in tests.structure if one.regressor == regressors[k]]
+        for axes, one in zip(column, channels, strict=True):
+            _draw_structure(axes, one)
+        column[-1].set_xlabel(f"{regressors[k]}\n[{channels[0].regressor_unit}]")
+    for axes, name in zip(
+        grid[:, 0], ("forward, or x [m/s²]", "left, or y [m/s²]", "yaw [rad/s²]"), strict=True
+    ):
+        axes.set_ylabel(name)
+    handles: list[Artist] = [
+        style.key("mean in a bin, 99 % band", style.BLUE),
+        style.key("differs, below 2 % of what motors do", style.ORANGE),
+        style.key("differs", style.VERMILLION),
+    ]
+    style.top_legend(figure, handles)
+    return figure
+
+
+def _draw_structure(axes: Axes, one: Structure) -> None:
+    """Draw the means of one channel over the bins of one regressor."""
+    color = style.BLUE if not one.shown else style.ORANGE if one.passed else style.VERMILLION
+    axes.axhline(0, color=style.GREY, lw=0.7)
+    axes.errorbar(one.middle, one.mean, one.half_band, color=color, marker="o", ms=3, lw=1.1)
+    axes.margins(x=0.08)
 
 
 def _draw_correlations(

@@ -1,0 +1,241 @@
+"""Innovations where packets come late: the radio's jitter belongs to the null hypothesis.
+
+A packet that changes the acceleration by Δa and comes late by δ leaves the motors, for as long as
+they lag, short of Δa δ/τ. So each axis has a fourth state m, the acceleration that late packets
+withhold or add, m' = -m/τ, kicked by each packet with the variance σ² Δa²/τ². With it innovations
+are white under jitter and feedback, too: what a packet will change is known when it is sent. Along
+a motion already found the axes are linear, and so is what an error of the model does to the
+innovations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.compute.arrays import scan
+from airpuck.compute.compiled import for_batches
+from airpuck.data.trajectory import Trajectory
+from airpuck.estimate.axis_filter import process_noise
+from airpuck.estimate.motor_regression import accelerations_by_motor
+from airpuck.evaluation.evaluate import delay_for
+from airpuck.evaluation.innovations import Innovations, motor_speeds_at
+from airpuck.evaluation.noise_likelihood import initial_covariance
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import thrust
+
+#: How far around its usual time a packet acts: standard deviation of a usual radio [s].
+_SCATTER = 0.007
+#: Shortest lag of the motors [s].
+_LEAST_LAG = 1e-3
+#: Ranges of log₁₀ of the noises in units of the pose's variance: accelerations and disturbances
+#: [(per sample period)³ and ⁵], delays in units of `_SCATTER`² over the pose's. The lower is none.
+_LOWEST, _HIGHEST = np.array([-14.0, -22.0, -8.0]), np.array([3.0, 3.0, 4.0])
+#: First and last steps of the search [decades].
+_COARSEST, _FINEST = 1.0, 0.1
+#: A better likelihood is better by at least this much.
+_GAIN = 1e-3
+#: Step of delay and lag that says what these do [s].
+_STEP = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class LatePackets:
+    """Innovations that allow for late packets, and what errors of the model would do to them."""
+
+    #: In standard deviations: x, y, γ; zero where they are not used.
+    values: Float[np.ndarray, "N 3"]
+    #: The same of a filter without a disturbance that wanders: that would follow what the model
+    #: lacks, where it changes slowly, and hide it.
+    steady: Float[np.ndarray, "N 3"]
+    #: What the latter would be, to first order, if all that is wrong were: a delay longer by one
+    #: second; a lag longer and a delay shorter by one second; each motor twice as strong.
+    directions: Float[np.ndarray, "N 3 m"]
+    #: The same for other accelerations that the model may lack, of 1 m/s² or rad/s².
+    others: Float[np.ndarray, "N 3 s"]
+    #: Standard deviation of the delay of single packets, as each axis sees it [s].
+    jitter: Float[np.ndarray, " 3"]
+
+
+def late_packets(
+    model: Model, trajectory: Trajectory, found: Innovations, others: Float[np.ndarray, "N 3 s"]
+) -> LatePackets:
+    """Filter a trajectory anew, along the motion already found; see `LatePackets` for `others`."""
+    time, period = trajectory.time, trajectory.sample_period
+    kicks = _kicks(model, trajectory)
+    steps = np.diff(time, prepend=time[0])
+    lag = max(float(model.dynamics.motor_time_constant), _LEAST_LAG)
+    pose, directions = trajectory.state[:, :3], _directions(model, trajectory, found)
+    per_sample = kicks, steps, found.restart, found.used.astype(float)
+    one = pose[..., None], found.added[:, :, None], *per_sample
+    known = 1 + directions.shape[2]
+    added = np.concatenate(
+        [found.added[:, :, None], directions, _over_steps(others, steps)], axis=2
+    )
+
+    def filtered(wanders: bool) -> tuple[Float[np.ndarray, "N 3 s"], Float[np.ndarray, " 3"]]:
+        ratios, variance = _most_likely(found, one, lag, period, wanders)
+        given = pose[..., None], added if not wanders else added[:, :, :1], *per_sample
+        scaled = np.asarray(_compiled()(ratios[None], lag, period, given)[2])
+        scaled = np.where(found.used[:, None, None], scaled / np.sqrt(variance)[:, None], 0.0)
+        return scaled, np.sqrt(ratios[:, 2] * variance)
+
+    (usual, jitter), (scaled, _) = filtered(True), filtered(False)
+    return LatePackets(
+        values=usual[..., 0],
+        steady=scaled[..., 0],
+        directions=-scaled[..., 1:known],
+        others=-scaled[..., known:],
+        jitter=jitter,
+    )
+
+
+def _kicks(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "N 3"]:
+    """Return Σ Δa²/τ² of the packets that act before each sample, spread by how they scatter."""
+    time, dynamics = trajectory.time, model.dynamics
+    acts = trajectory.command_time + delay_for(model, trajectory)
+    force = thrust(dynamics.thrust, trajectory.command.T)
+    changes = np.diff(force, axis=1, prepend=force[:, :1])
+    inside = (acts > time[0]) & (acts < time[-1])
+    at = np.searchsorted(time, acts[inside])
+    lag = max(float(dynamics.motor_time_constant), _LEAST_LAG)
+    squares = np.zeros((len(time), 3))
+    for sample, change in zip(at, changes[:, inside].T, strict=True):
+        matrix, _ = acceleration_map(np, dynamics, trajectory.state[sample, 2], 0.0)
+        squares[sample] += (matrix @ change / lag) ** 2
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(squares, _SCATTER / trajectory.sample_period, axis=0, mode="constant")
+
+
+def _directions(
+    model: Model, trajectory: Trajectory, found: Innovations
+) -> Float[np.ndarray, "N 3 m 2"]:
+    """Return what a delay, a lag and the motors add to position and velocity over each step."""
+    now = _accelerations(model, trajectory, found.motor_speed)
+    delay, lag = delay_for(model, trajectory), float(model.dynamics.motor_time_constant)
+    later = motor_speeds_at(trajectory, delay + _STEP, lag)
+    slower = motor_speeds_at(trajectory, delay, lag + _STEP)
+    by_delay, by_lag = (
+        (_accelerations(model, trajectory, speed) - now).sum(axis=2, keepdims=True) / _STEP
+        for speed in (later, slower)
+    )
+    rates = np.concatenate([by_delay, by_lag - by_delay, now], axis=2)
+    return _over_steps(rates, np.diff(trajectory.time, prepend=trajectory.time[0]))
+
+
+def _over_steps(
+    rates: Float[np.ndarray, "N 3 m"], steps: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 3 m 2"]:
+    """Integrate accelerations over each step: what they add to position and velocity."""
+    before, h = np.concatenate([rates[:1], rates[:-1]]), steps[:, None, None]
+    return np.stack([h**2 / 6 * (2 * before + rates), h / 2 * (before + rates)], axis=-1)
+
+
+def _accelerations(
+    model: Model, trajectory: Trajectory, speed: Float[np.ndarray, "N n"]
+) -> Float[np.ndarray, "N 3 n"]:
+    """Return what each motor gives along the measured motion."""
+    given = trajectory.state[..., None], speed[..., None]
+    return accelerations_by_motor(model.dynamics, *given)[0][..., 0]
+
+
+def _most_likely(
+    found: Innovations, given: tuple[np.ndarray, ...], lag: float, period: float, wanders: bool
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+    """Find the noises with the largest likelihood, and the pose's variance.
+
+    A search like that of `most_likely_noise`, from the noises without jitter; those that do not pay
+    for themselves are none, and disturbances are none unless they may wander.
+    """
+    count, axis = given[-1].sum(), np.arange(3)
+    pose = np.square(found.noise.pose)
+    units = np.stack([np.full(3, period**-3), np.full(3, period**-5), _SCATTER**2 / pose], axis=1)
+
+    def costs(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        ratios = np.where(points > _LOWEST, 10.0**points, 0.0) * units
+        ratios[..., 1] *= wanders
+        squares, logs = (np.asarray(a) for a in _compiled()(ratios, lag, period, given)[:2])
+        return 0.5 * (count * np.log(squares / count) + logs), squares / count, ratios
+
+    densities = np.square([found.noise.acceleration, found.noise.disturbance]).T / pose[:, None]
+    point = np.zeros((3, 3))
+    point[:, :2] = np.log10(densities / units[:, :2] + 1e-300)
+    point, least = np.clip(point, _LOWEST + _COARSEST, _HIGHEST), np.full(3, np.inf)
+    # Each noise by itself, and accelerations against delays, which stand in for each other.
+    alone = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    around = np.concatenate([alone, [[-1, 0, 1], [1, 0, -1]]])[:, None]
+    step = np.full((3, 3), _COARSEST)
+    while (step > _FINEST).any():
+        candidates = np.clip(point + around * step, _LOWEST, _HIGHEST)
+        cost = costs(candidates)[0]
+        best = cost.argmin(axis=0)
+        better = cost[best, axis] < least - _GAIN
+        point = np.where(better[:, None], candidates[best, axis], point)
+        least = np.where(better, cost[best, axis], least)
+        step = np.where(better[:, None], step, step / 2)
+    # Every noise or none of it; Akaike's criterion chooses. As many candidates as in the search.
+    without = np.unpackbits(np.arange(8, dtype=np.uint8)[:, None], axis=1)[:, -3:].astype(bool)
+    some = np.where(np.resize(without, (len(around), 3))[:, None], _LOWEST, point)
+    cost, variance, ratios = costs(some)
+    best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
+    return ratios[best, axis], variance[best, axis]
+
+
+@cache
+def _compiled() -> Any:
+    """Compile the pass over the samples, for some candidates of the noises and some signals."""
+    import jax.numpy as jnp
+
+    def program(ratios: Any, lag: Any, typical: Any, given: Any) -> Any:
+        count, signals = ratios.shape[0] * 3, given[1].shape[2]
+        acceleration, disturbance, lateness = ratios.reshape(count, 3).T
+        one = jnp.ones(count)
+        start = jnp.zeros((count, 4, 4))
+        start = start.at[:, :3, :3].set(initial_covariance(jnp, one, disturbance, typical))
+
+        def advance(carry: Any, now: Any) -> Any:
+            mean, covariance, squares, logs = carry
+            pose, added, kicks, h, restart, used = now
+            pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
+            # The first signal is the measured pose; of the others only what they add is seen.
+            pose = jnp.pad(pose, ((0, 0), (0, signals - 1)))
+            left = jnp.exp(-h / lag)
+            gone = lag * (1 - left)
+            step = jnp.array(
+                [
+                    [1, h, h * h / 2, lag * (h - gone)],
+                    [0, 1, h, gone],
+                    [0, 0, 1, 0],
+                    [0, 0, 0, left],
+                ]
+            )
+            late = lateness * jnp.tile(kicks, count // 3)
+            covariance = step @ covariance.at[:, 3, 3].add(late) @ step.T
+            grown = process_noise(jnp, h, acceleration, disturbance)
+            covariance = covariance.at[:, :3, :3].add(grown)
+            mean = (mean @ step.T).at[..., :2].add(added)
+            innovation, variance = pose - mean[..., 0], covariance[:, 0, 0] + 1.0
+            squares = squares + used * innovation[:, 0] ** 2 / variance
+            logs = logs + used * jnp.log(variance)
+            gain = covariance[:, :, 0] / variance[:, None]
+            mean = mean + gain[:, None] * innovation[..., None]
+            covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
+            fresh = jnp.zeros_like(mean).at[..., 0].set(pose)
+            mean = jnp.where(restart, fresh, mean)
+            covariance = jnp.where(restart, start, covariance)
+            # A search needs only the sums.
+            scaled = innovation / jnp.sqrt(variance)[:, None] if count == 3 else None
+            return (mean, covariance, squares, logs), scaled
+
+        zero = jnp.zeros(count)
+        first = jnp.zeros((count, signals, 4)), start, zero, zero
+        (_, _, squares, logs), scaled = scan(jnp, advance, first, given)
+        return squares.reshape(-1, 3), logs.reshape(-1, 3), scaled
+
+    return for_batches(program)

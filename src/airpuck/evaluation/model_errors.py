@@ -1,0 +1,161 @@
+"""Which error of a model would explain its innovations: a motor, mass, delay, lag; how large.
+
+One regression of the innovations on what each error would do to them. An error is reported only if
+it is surely larger than what hardly matters, and only tested if the commands would have shown one
+that does. Standard errors come from blocks of time, since late packets leave traces that last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from airpuck.evaluation.late_packets import LatePackets
+from airpuck.evaluation.statistical_tests import BAND, LEVEL, block_regression, holm
+
+#: Errors that hardly matter, and those that a test must be able to show: shares, and seconds.
+_SHARE, _SHARE_SHOWN = 0.05, 0.2
+_DELAY, _DELAY_SHOWN = 0.005, 0.01
+#: Errors that are times.
+_TIMES = ("delay", "lag")
+#: Length of a block [s].
+_BLOCK_S = 0.5
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """One error that a model may have."""
+
+    #: A motor, ``mass``, ``delay`` (with the lag, which delays on average as much) or ``lag``.
+    name: str
+    #: By how much more a motor gives than modelled, or the craft moves than it turns [1]; by how
+    #: much later commands act, or slower motors follow [s].
+    value: float
+    standard_error: float
+    #: Errors below this do not count [1, s].
+    least: float
+    #: Whether the commands would have shown an error that matters.
+    tested: bool
+    #: That the error is smaller than `least`, adjusted for all that were tested (Holm).
+    p_value: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether no error is shown at the 1 % level."""
+        return not self.tested or self.p_value >= LEVEL
+
+    @property
+    def size(self) -> str:
+        """The value in words, without its sign."""
+        unit, factor = (" ms", 1e3) if self.name in _TIMES else (" %", 100.0)
+        return f"{factor * abs(self.value):.1f}{unit} ± {factor * self.standard_error:.1f}{unit}"
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on an error that is shown."""
+        less = self.value < 0
+        if self.name == "delay":
+            when, what = ("earlier", "large") if less else ("later", "small")
+            return (
+                f"commands act {self.size} {when} than modelled: is the model's delay or lag too "
+                f"{what}?"
+            )
+        if self.name == "lag":
+            how = "faster" if less else "slower"
+            return f"motors follow {self.size} {how} than modelled, beside any delay"
+        word = "less" if less else "more"
+        if self.name == "mass":
+            how = "light" if less else "heavy"
+            return (
+                f"motors move the craft {self.size} {word} than modelled, compared with how they "
+                f"turn it: is the model too {how}?"
+            )
+        return f"{self.name} gives {self.size} {word} than modelled"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures."""
+        unit = "_s" if self.name in _TIMES else ""
+        return {
+            "name": self.name,
+            f"value{unit}": self.value,
+            f"standard_error{unit}": self.standard_error,
+            "tested": self.tested,
+            "passed": self.passed,
+            "p_value": self.p_value,
+        }
+
+
+def model_errors(
+    motors: Sequence[str],
+    late: LatePackets,
+    used: Bool[np.ndarray, " N"],
+    period: float,
+    delay_known: float = 0.0,
+) -> list[ModelError]:
+    """Estimate the errors of all motors, the mass and the delay together, and test them.
+
+    A delay that was found in the recording is known to `delay_known` only [s].
+    """
+    from scipy.stats import t
+
+    translation = late.directions[..., 2:].sum(axis=2, keepdims=True) * [[1.0], [1.0], [0.0]]
+    regressors = np.concatenate([late.directions, translation], axis=2)[used]
+    names = *_TIMES, *motors, "mass"
+    timing = np.array([name in _TIMES for name in names])
+    least = np.where(timing, _DELAY, _SHARE)
+    shown = np.where(timing, _DELAY_SHOWN, _SHARE_SHOWN)
+    least[0], shown[0] = least[0] + delay_known, shown[0] + delay_known
+    # In units of what hardly matters, so that all columns are alike.
+    given = regressors * least, late.steady[used], period, _BLOCK_S
+    values, covariance, blocks = block_regression(*given)
+    deviations = np.sqrt(np.diag(covariance))
+    tested = shown / least - BAND * deviations > 1
+    p_values = t.sf((np.abs(values) - 1) / deviations, blocks - 1)
+    adjusted = np.ones(len(names))
+    adjusted[tested] = holm(p_values[tested])
+    figures = zip(names, least * values, least * deviations, least, tested, adjusted, strict=True)
+    return [
+        ModelError(name, float(v), float(d), float(s), bool(able), float(p))
+        for name, v, d, s, able, p in figures
+    ]
+
+
+def verdicts(errors: Sequence[ModelError]) -> list[str]:
+    """Say which errors are shown, which were not tested, and that the others were not found."""
+    shown = sorted((e for e in errors if not e.passed), key=lambda e: e.p_value)
+    motors = [e for e in errors if e.name not in (*_TIMES, "mass")]
+    failed = [e for e in motors if not e.passed]
+    said = [e.verdict for e in shown if e not in failed]
+    alike = len({e.value > 0 for e in failed}) == 1 and len(failed) == len(motors) > 1
+    if alike:
+        mean = 100 * float(np.mean([e.value for e in motors]))
+        word = "less" if mean < 0 else "more"
+        said.append(
+            f"all motors give {word} than modelled, {abs(mean):.0f} % on average: thrust, or mass "
+            "and inertia alike?"
+        )
+    else:
+        said += [e.verdict for e in shown if e in failed]
+    untested = [e for e in errors if not e.tested]
+    if untested:
+        said.append(
+            "not tested, since the commands do not tell: "
+            + ", ".join(f"{e.name} (± {_half_band(e)})" for e in untested)
+        )
+    fine = [e.name for e in errors if e.tested and e.passed]
+    if fine:
+        said.append(
+            f"no error above {100 * _SHARE:.0f} % or {1e3 * _DELAY:.0f} ms is shown of "
+            + ", ".join(fine)
+        )
+    return said
+
+
+def _half_band(error: ModelError) -> str:
+    """Write half the 99 % interval."""
+    half = BAND * error.standard_error
+    return f"{1e3 * half:.0f} ms" if error.name in _TIMES else f"{100 * half:.0f} %"

@@ -1,0 +1,234 @@
+"""Whether residuals depend on something: speed, spin, motor speed, position on the table, time.
+
+For each regressor its range is cut into bins. Which acceleration, constant within a bin, is missing
+in the model follows from the innovations by regression: the mean of the residuals in that bin, in
+m/s² and rad/s², as efficiently as innovations allow. That all bins need the same is tested by Wald
+with a covariance from blocks of time.
+
+What the air or the motors leave out acts along the body, as does what changes with time (batteries
+and motors). What the table leaves out, a tilt or a dent, acts along the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.innovations import Innovations
+from airpuck.evaluation.late_packets import LatePackets
+from airpuck.evaluation.statistical_tests import LEVEL, block_regression, holm, p_text
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration
+
+#: Bins of as many samples each.
+BINS = 6
+#: Share of what the motors do, root mean squares, below which a dependence does not count.
+LEAST_SHARE = 0.02
+#: Length of a block [s], and the fewest blocks: in short flights they are shorter.
+_BLOCK_S, _FEWEST_BLOCKS = 1.0, 15
+#: What residuals may depend on, with its unit and the frame in which it would act.
+REGRESSORS = (
+    ("forward speed", "m/s", "body"),
+    ("left speed", "m/s", "body"),
+    ("spin", "rad/s", "body"),
+    ("motor speed", "–", "body"),
+    ("time", "s", "body"),
+    ("x", "m", "world"),
+    ("y", "m", "world"),
+)
+_CHANNELS = {"body": ("forward", "left", "yaw"), "world": ("x", "y", "yaw")}
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Means of one channel's residuals over the bins of one regressor."""
+
+    regressor: str
+    regressor_unit: str
+    #: Where the residual points: forward, left, yaw; or x, y, yaw.
+    channel: str
+    #: Borders of the bins, and their middles (medians).
+    edges: Float[np.ndarray, " B1"]
+    middle: Float[np.ndarray, " B"]
+    #: Acceleration that the model lacks [m/s² or rad/s²], and half its 99 % band, each by itself.
+    mean: Float[np.ndarray, " B"]
+    half_band: Float[np.ndarray, " B"]
+    #: Root mean square of the means about their mean, less what chance adds.
+    size: float
+    #: The same against what the motors do in this channel.
+    share: float
+    #: That all means are alike; adjusted for all regressors and channels (Holm).
+    p_value: float
+
+    @property
+    def unit(self) -> str:
+        """Of the means."""
+        return "rad/s²" if self.channel == "yaw" else "m/s²"
+
+    @property
+    def shown(self) -> bool:
+        """Whether the means differ beyond chance, at the 1 % level."""
+        return self.p_value < LEVEL
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is shown, or too little to count."""
+        return not self.shown or self.share < LEAST_SHARE
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on a dependence that is shown."""
+        low, high = int(self.mean.argmin()), int(self.mean.argmax())
+        ends = " to ".join(
+            f"{self.mean[k]:.2g} {self.unit} near {self.middle[k]:.2g} {self.regressor_unit}"
+            for k in (low, high)
+        )
+        but = "" if not self.passed else ", too little to count"
+        return (
+            f"{self.channel} residuals depend on {self.regressor}: {ends}; root mean square "
+            f"{self.size:.2g} {self.unit}, {100 * self.share:.1f} % of what the motors do{but} "
+            f"({p_text(self.p_value)})"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures."""
+        unit = "rad_s2" if self.channel == "yaw" else "m_s2"
+        return {
+            "regressor": self.regressor,
+            "regressor_unit": self.regressor_unit,
+            "channel": self.channel,
+            "passed": self.passed,
+            "shown": self.shown,
+            "p_value": self.p_value,
+            f"size_{unit}": self.size,
+            "share": self.share,
+            "middle": self.middle.tolist(),
+            f"mean_{unit}": self.mean.tolist(),
+            f"half_band_{unit}": self.half_band.tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """How one regressor is cut."""
+
+    name: str
+    unit: str
+    frame: str
+    edges: Float[np.ndarray, " B1"]
+    middle: Float[np.ndarray, " B"]
+    #: Which bin each sample is in.
+    member: Bool[np.ndarray, "N B"]
+
+
+def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
+    """Cut the range of each regressor into bins of as many used samples each.
+
+    Regressors are what was known one sample before, as the innovations' filter estimates it: noise
+    of the pose that is judged would otherwise be in both, and look like structure in a slow flight.
+    """
+    before = np.concatenate([found.mean[:1], found.mean[:-1]])
+    (x, y, yaw), (vx, vy, spin) = before[:, :, 0].T, before[:, :, 1].T
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    speeds = found.motor_speed.mean(axis=1)
+    values = cos * vx + sin * vy, cos * vy - sin * vx, spin, speeds, trajectory.time, x, y
+    bins = []
+    for (name, unit, frame), value in zip(REGRESSORS, values, strict=True):
+        used = value[found.used]
+        edges = np.unique(np.quantile(used, np.linspace(0, 1, BINS + 1)))
+        if len(edges) < 3:
+            continue
+        which = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
+        member = which[:, None] == np.arange(len(edges) - 1)
+        middle = np.array([np.median(value[found.used & column]) for column in member.T])
+        bins.append(Bins(name, unit, frame, edges, middle, member))
+    return bins
+
+
+def missing_accelerations(
+    bins: Sequence[Bins], yaw: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 3 S"]:
+    """Return 1 m/s² or rad/s² along each channel in each bin, in the world: what may be missing."""
+    cos, sin, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    axes = {
+        "body": np.array([[cos, sin, zero], [-sin, cos, zero], [zero, zero, one]]),
+        "world": np.eye(3)[:, :, None] * one,
+    }
+    parts = [
+        np.einsum("can,nb->nacb", axes[one.frame], one.member).reshape(len(yaw), 3, -1)
+        for one in bins
+    ]
+    return np.concatenate(parts, axis=2)
+
+
+def find_structure(
+    model: Model,
+    trajectory: Trajectory,
+    found: Innovations,
+    late: LatePackets,
+    bins: Sequence[Bins],
+    late_by: float,
+) -> list[Structure]:
+    """Test every regressor and channel; `late.others` answers to `missing_accelerations`.
+
+    A delay longer by `late_by` [s] than the model's is taken out before.
+    """
+    left = late.steady - late.directions[..., 0] * late_by
+    modelled = _rms_of_model(model, trajectory, found)
+    structures, first = [], 0
+    for one in bins:
+        size = 3 * one.member.shape[1]
+        columns = late.others[found.used][:, :, first : first + size]
+        first += size
+        structures += _tested(one, columns, left[found.used], trajectory.sample_period, modelled)
+    adjusted = holm(np.array([one.p_value for one in structures]))
+    return [replace(one, p_value=float(p)) for one, p in zip(structures, adjusted, strict=True)]
+
+
+def _tested(
+    bins: Bins,
+    columns: Float[np.ndarray, "M 3 S"],
+    values: Float[np.ndarray, "M 3"],
+    period: float,
+    modelled: dict[str, float],
+) -> list[Structure]:
+    """Regress on the bins of one regressor, all three channels together."""
+    from scipy.stats import f, t
+
+    count = bins.member.shape[1]
+    length = min(_BLOCK_S, period * len(values) / _FEWEST_BLOCKS)
+    mean, covariance, blocks = block_regression(columns, values, period, length)
+    weight = np.full(count, 1 / count)
+    contrast = np.eye(count)[1:] - weight
+    found = []
+    for k, channel in enumerate(_CHANNELS[bins.frame]):
+        part = slice(k * count, (k + 1) * count)
+        own, spread = mean[part], covariance[part, part]
+        apart = contrast @ own
+        statistic = float(apart @ np.linalg.pinv(contrast @ spread @ contrast.T) @ apart)
+        # Hotelling's T², since a covariance from some blocks is not known exactly.
+        degrees, rest = count - 1, max(blocks - count + 1, 1)
+        p_value = float(f.sf(statistic * rest / degrees / (blocks - 1), degrees, rest))
+        center = np.eye(count) - weight
+        square = np.mean((center @ own) ** 2) - np.trace(center @ spread @ center.T) / count
+        size = float(np.sqrt(max(square, 0.0)))
+        half = t.ppf(1 - LEVEL / 2, blocks - 1) * np.sqrt(np.diag(spread))
+        share = size / modelled[channel]
+        figures = bins.edges, bins.middle, own, half, size, share, p_value
+        found.append(Structure(bins.name, bins.unit, channel, *figures))
+    return found
+
+
+def _rms_of_model(model: Model, trajectory: Trajectory, found: Innovations) -> dict[str, float]:
+    """Return the root mean square of the modelled accelerations in each channel."""
+    motion = trajectory.state[found.used, 2:].T
+    ax, ay, angular = acceleration(np, model.dynamics, motion, found.motor_speed[found.used].T)
+    cos, sin = np.cos(motion[0]), np.sin(motion[0])
+    along = {"forward": cos * ax + sin * ay, "left": cos * ay - sin * ax}
+    every = {**along, "x": ax, "y": ay, "yaw": angular}
+    return {name: max(float(np.sqrt(np.mean(a**2))), 1e-12) for name, a in every.items()}

@@ -1,0 +1,71 @@
+"""Innovations under jitter, against flights whose packets come late by known amounts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.innovations import innovations
+from airpuck.evaluation.late_packets import late_packets
+from airpuck.evaluation.residuals import resid
+
+from ..noisy import TRUTH, noisy
+
+JITTER = 0.007
+#: The truth, which knows its delay better than whole samples tell.
+MODEL = replace(TRUTH, free=TRUTH.free | TRUTH.parameters.mask(frozenset({"transport_delay"})))
+
+
+def late_flight(seed, jitter=JITTER, later=0.0, duration=12.0):
+    """A flight whose poses are those of packets that came late; its log knows the mean only."""
+    flight = noisy(duration=duration, seed=seed)
+    lateness = np.random.default_rng([seed, 3]).normal(size=len(flight.command_time)) * jitter
+    sent = np.maximum.accumulate(flight.command_time - lateness)
+    return replace(flight, command_time=sent - later)
+
+
+def nothing(flight):
+    return np.zeros((len(flight), 3, 0))
+
+
+@pytest.mark.parametrize("jitter", [0.0, JITTER])
+def test_jitter_is_found(jitter):
+    found = []
+    for seed in range(2):
+        flight = late_flight(seed, jitter)
+        late = late_packets(TRUTH, flight, innovations(TRUTH, flight), nothing(flight))
+        found += late.jitter.tolist()
+    # Packets that wait for each other scatter less than the radio.
+    assert np.mean(found) == pytest.approx(jitter, abs=0.0015)
+
+
+def test_late_packets_are_no_reason_to_reject_the_truth():
+    tests = resid(MODEL, late_flight(0))
+    assert tests.passed, tests.verdicts
+    delay = tests.errors[0]
+    assert delay.value == pytest.approx(0.0, abs=0.003)
+
+
+def test_a_delay_is_told_from_jitter():
+    tests = resid(MODEL, late_flight(1, later=0.012))
+    assert [error.name for error in tests.errors if not error.passed] == ["delay"]
+    assert tests.errors[0].value == pytest.approx(0.012, abs=0.003)
+
+
+def test_directions_are_differences_of_filtered_innovations():
+    """The linear answer to a stronger motor, against the innovations of a model that has it."""
+    flight, step = noisy(duration=4.0, seed=3), 1e-3
+    before = innovations(TRUTH, flight)
+    late = late_packets(TRUTH, flight, before, nothing(flight))
+    thrust = np.array(TRUTH.parameters.thrust)
+    thrust[2] *= 1 + step
+    stronger = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=thrust))
+    after = innovations(stronger, flight, before.noise)
+    same = innovations(TRUTH, flight, before.noise)
+    change = -(after.values - same.values) / step / same.deviation
+    answer = late.directions[..., 2 + 2]
+    # Of x and y the answer leaves out that the yaw turns thrusts; the poses correct it at once.
+    used = before.used
+    np.testing.assert_allclose(
+        change[used, 2], answer[used, 2], atol=2e-3 * np.abs(answer[used, 2]).max()
+    )
