@@ -40,21 +40,23 @@ from airpuck.evaluation.block_bootstrap import rmse_interval, rmse_ratio
 from airpuck.evaluation.evaluate import EveryStart
 from airpuck.recording.dataset import dataset_folder
 
-RUNGS = ("M0", "M1", "M2", "M3", "M4", "M5", "M5+drag")
+RUNGS = ("M0", "M1", "M2", "M3", "M4", "M5", "M5+drag", "M5+drag+idle")
 #: What each rung is compared with.
-BEFORE = {"M1": "M0", "M2": "M0", "M3": "M2", "M4": "M3", "M5": "M3", "M5+drag": "M5"}
+BEFORE = {"M1": "M0", "M2": "M0", "M3": "M2", "M4": "M3", "M5": "M3"}
+BEFORE |= {"M5+drag": "M5", "M5+drag+idle": "M5+drag"}
 #: After a fault, until motor speeds are known again: three time constants.
 SETTLING_S = 0.08
 
 
 def flights(names: list[str] | None) -> Iterator[tuple[str, Vehicle, Trajectory]]:
-    """Load the authors' file of every recording at hand, with its craft."""
+    """Load every recording at hand, raw or as the authors prepared it, with its craft."""
     for folder in sorted((dataset_folder() / "experiments").iterdir()):
         if not (folder / "data.pt").exists():
             continue
         if names and not any(name in folder.name for name in names):
             continue
-        yield folder.name, craft(folder), load_trajectory(folder / "data.pt")
+        raw = any(folder.rglob("optitrack_drone_pose.csv"))
+        yield folder.name, craft(folder), load_trajectory(folder if raw else folder / "data.pt")
 
 
 def craft(folder: Path) -> Vehicle:
