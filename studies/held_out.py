@@ -49,14 +49,13 @@ SETTLING_S = 0.08
 
 
 def flights(names: list[str] | None) -> Iterator[tuple[str, Vehicle, Trajectory]]:
-    """Load every recording at hand, raw or as the authors prepared it, with its craft."""
+    """Load the authors' file of every recording at hand, with its craft."""
     for folder in sorted((dataset_folder() / "experiments").iterdir()):
         if not (folder / "data.pt").exists():
             continue
         if names and not any(name in folder.name for name in names):
             continue
-        raw = any(folder.rglob("optitrack_drone_pose.csv"))
-        yield folder.name, craft(folder), load_trajectory(folder if raw else folder / "data.pt")
+        yield folder.name, craft(folder), load_trajectory(folder / "data.pt")
 
 
 def craft(folder: Path) -> Vehicle:
