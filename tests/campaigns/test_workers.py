@@ -14,6 +14,7 @@ from airpuck.campaigns import workers as module
 from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import DEADLY, dispatch
+from airpuck.compute.process import Stopped, stop
 
 
 class Mortal(Item):
@@ -104,22 +105,32 @@ def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
 
 
 class Interrupted:
-    """Ctrl-C comes in a destructor, out of which Python lets no exception."""
+    """A signal comes in a destructor, out of which Python lets no exception."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
 
     def __del__(self):
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(self.number)
 
 
-def test_an_interrupt_in_a_destructor_is_not_lost(cluster, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "handler"),
+    [(signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, stop)],
+    ids=["Ctrl-C", "SIGTERM"],
+)
+def test_a_signal_in_a_destructor_is_not_lost(cluster, tmp_path, number, handler):
     cluster.scale(1)
+    before = signal.signal(number, handler)
     items = [Mortal(seed=s, folder=str(tmp_path)) for s in range(20)]
     entries, count = [Entry(f"interrupted {i.seed}", {}, i) for i in items], 0
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Stopped, match="run it again") as stopped:
         for count, _ in enumerate(dispatch(entries, scheduler=cluster.scheduler_address), start=1):
             if count == 2:
-                Interrupted()
+                Interrupted(number)
     assert 2 <= count <= 3
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert stopped.value.number == number
+    assert signal.signal(number, before) is handler
 
 
 def test_a_missing_scheduler_is_refused(monkeypatch):

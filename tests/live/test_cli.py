@@ -24,7 +24,7 @@ def run(*arguments: str) -> None:
         ((*MODEL, "--setpoint", "0", "0", "0", "--topic"), "fly: give one of --setpoint"),
         (
             (*MODEL, "--setpoint", "0", "0", "0", "--dwell", "0"),
-            "--dwell: must be a number of seconds above 0",
+            "--dwell: must be from 0.1 to 1000 s",
         ),
         ((*MODEL, "--dwell", "2"), "--dwell: is the time at each --setpoint; none is given"),
         ((*MODEL, "--seed", "1"), "--seed: is for --excite, which is not given"),
@@ -34,13 +34,15 @@ def run(*arguments: str) -> None:
         (("--excite", "--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
         (("--excite", "--pilot", "mine.py:Mine"), "--pilot: is for a flight to set points"),
         ((*MODEL, "--pilot", "nowhere.py:Mine"), "nowhere.py: --pilot: there is no such file"),
-        ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be two finite distances above 0"),
-        ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be two finite distances above 0"),
-        ((*MODEL, "--geofence", "inf", "1"), "--geofence: must be two finite distances above 0"),
-        ((*MODEL, "--duration", "-3"), "--duration: must be a number of seconds above 0"),
+        ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
+        ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
+        ((*MODEL, "--geofence", "inf", "1"), "--geofence: must be above 0, at most 100 m"),
+        ((*MODEL, "--setpoint", "0", "0", "1e308"), "--setpoint: must be from -100 to 100"),
+        ((*MODEL, "--setpoint", "0", "nan", "0"), "--setpoint: must be from -100 to 100"),
+        ((*MODEL, "--duration", "-3"), "--duration: must be from 0.01 to 604800 s"),
         ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model has its vehicle in it"),
         ((*MODEL, "--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
-        ((*MODEL, "--domain", "500"), "--domain: must be a whole number from 0 to 232"),
+        ((*MODEL, "--domain", "500"), "--domain: must be from 0 to 232"),
     ],
 )
 def test_fly_refuses_in_one_line(arguments, problem):
@@ -49,6 +51,7 @@ def test_fly_refuses_in_one_line(arguments, problem):
 
 
 def test_a_recorder_does_not_write_over_anything(tmp_path):
+    (tmp_path / "mine").touch()
     with pytest.raises(InputError, match="exists already"):
         run("record", "-o", str(tmp_path))
 
@@ -59,3 +62,15 @@ def test_a_recorder_does_not_write_over_anything(tmp_path):
 def test_a_recorded_check_takes_no_options_of_a_flown_one(flown, tmp_path):
     with pytest.raises(InputError, match=f"{flown[0]}: is for a test that is flown"):
         run("preflight", "--recording", str(tmp_path), *flown)
+
+
+def test_a_recorder_that_finds_the_disk_full_says_so(domain, tmp_path, monkeypatch):
+    from airpuck.live.process import LiveSettings
+    from airpuck.live.record import BagFile, record
+
+    def full(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(BagFile, "flush", full)
+    with pytest.raises(InputError, match=r"bag: cannot be written \(No space left on device\)"):
+        record(tmp_path / "bag", LiveSettings(domain=domain, duration=5.0, quiet=True))

@@ -153,5 +153,5 @@ def test_the_domain_is_that_of_the_option_or_of_ros(given, environment, number):
 
 @pytest.mark.parametrize("text", ["-1", "233", "four"])
 def test_a_domain_that_does_not_exist_is_refused(text):
-    with pytest.raises(InputError, match="ROS_DOMAIN_ID: must be a whole number from 0 to 232"):
+    with pytest.raises(InputError, match="ROS_DOMAIN_ID: must be from 0 to 232"):
         dds.domain_id(None, {"ROS_DOMAIN_ID": text})

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from airpuck import __version__
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import replacing
 from airpuck.boundary.limits import read_text
@@ -116,6 +117,8 @@ def campaign(
     InputError
         If the spec is wrong, Dask is not installed, or the scheduler is not there.
     """
+    if workers is not None:
+        numbers.WORKERS.check(workers, "workers")
     entries, folder = read_spec(spec), Path(output)
     found = {entry.key: read_result(folder, entry.key) for entry in entries}
     results = {k: r for k, r in found.items() if r and (r.failure is None or not retry)}

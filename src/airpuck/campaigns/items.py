@@ -16,8 +16,10 @@ import pydantic
 from jaxtyping import Float
 
 from airpuck import __version__
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Fraction, Positive, Section, checked, laid_over
+from airpuck.boundary.files import Fraction, Section, checked, laid_over
+from airpuck.boundary.numbers import Range
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
@@ -44,6 +46,10 @@ Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is No
 Row = dict[str, Figure]
 
 
+#: Of all craft of a fleet together [s]: a gigabyte.
+_MOST_FLOWN = 100_000
+
+
 def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
     """Complete a spec's table, which names only what differs from the packaged file."""
 
@@ -64,12 +70,24 @@ def _known_rung(name: str) -> str:
     return name
 
 
+def _within(limits: Range) -> pydantic.AfterValidator:
+    """Refuse a number outside of a range."""
+
+    def check(number: float) -> float:
+        limits.check(number, "")
+        return number
+
+    return pydantic.AfterValidator(check)
+
+
 TwinTable = Annotated[TwinSettings, _laid_over(default_twin_settings)]
 TuningTable = Annotated[Tuning, _laid_over(default_tuning)]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
 Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
+Duration = Annotated[float, _within(numbers.FLIGHT_DURATION)]
+Hold = Annotated[float, _within(numbers.HOLD)]
 #: How much a craft differs from its model, at random; see `moved`.
 Spread = Fraction
 
@@ -150,7 +168,7 @@ class Tracking(Flight):
     #: What the controller believes.
     model: str = "paper:M4"
     #: Time at each set point.
-    dwell_s: Annotated[float, pydantic.Field(ge=0.1, le=1000)] = DWELL
+    dwell_s: Annotated[float, _within(numbers.DWELL)] = DWELL
     #: As flown in the paper; "full" also compensates the delay and rejects disturbances.
     controller: Literal["paper", "full"] = "paper"
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
@@ -175,9 +193,9 @@ class Tracking(Flight):
 class Recovery(Flight, Identification):
     """One excitation flight of the twin, identified, and compared with the truth."""
 
-    duration_s: Positive = 90.0
+    duration_s: Duration = 90.0
     amplitude: Amplitude = 1.0
-    hold_s: Positive = 0.2
+    hold_s: Hold = 0.2
 
     def run(self) -> list[Row]:
         """Fly, identify, compare; see `Item.run`."""
@@ -208,11 +226,18 @@ class Fleet(Item):
     #: Number of craft.
     craft: Count = 500
     #: Length of the flight; commands are drawn anew every `hold_s`, up to `amplitude`.
-    duration_s: Positive = 0.5
-    hold_s: Annotated[float, pydantic.Field(ge=0.01)] = 0.2
+    duration_s: Duration = 0.5
+    hold_s: Annotated[Hold, pydantic.Field(ge=0.01)] = 0.2
     amplitude: Amplitude = 1.0
     precision: Literal["double", "single"] = "double"
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+
+    @pydantic.model_validator(mode="after")
+    def _fits_in_memory(self) -> Fleet:
+        if self.craft * self.duration_s > _MOST_FLOWN:
+            flown = f"{self.craft} craft for {self.duration_s:g} s"
+            raise ValueError(f"{flown} take gigabytes; give fewer craft, and more seeds")
+        return self
 
     def run(self) -> list[Row]:
         """Fly; see `Item.run`."""
@@ -249,7 +274,7 @@ class Fitting(Identification):
     #: How much the start differs from the nominal values, at random; see `moved`.
     start_spread: Spread = 0.0
     #: Fits to blocks of time drawn with replacement, from the fit to all data.
-    resamplings: Natural = 0
+    resamplings: Annotated[Natural, pydantic.Field(le=numbers.REPLICATES.high)] = 0
     #: Of the thrust polynomials.
     degree: Annotated[int, pydantic.Field(ge=1, le=9)] | None = None
     #: Where the offset of the centre of mass is constant.

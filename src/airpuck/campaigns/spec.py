@@ -18,7 +18,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.campaigns.items import KINDS, Count, Item, Natural, fingerprint
 
-#: More items than this are taken for a mistake.
+#: More items than this are taken for a mistake: all are laid out before the first is computed.
 _MOST = 1_000_000
 
 
@@ -55,7 +55,8 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
     seeds = range(spec.seeds) if isinstance(spec.seeds, int) else spec.seeds
     size = math.prod(map(len, axes.values()), start=len(seeds))
     if size > _MOST:
-        raise InputError(f"asks for {size} items, more than {_MOST}", file=path)
+        problem = f"asks for {size} items, more than {_MOST}; draw fewer seeds, or split the grid"
+        raise InputError(problem, file=path)
     fingerprint_once = cache(fingerprint)
     entries: dict[str, Entry] = {}
     for values in itertools.product(*axes.values()):

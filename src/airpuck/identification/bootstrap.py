@@ -59,7 +59,8 @@ def bootstrap(
         If the fit is by another method, there are too few blocks of time, or fewer than two fits
         came to an end.
     """
-    numbers.REPLICATES.check(replicates, "bootstrap")
+    replace(numbers.REPLICATES, low=2).check(replicates, "bootstrap")
+    numbers.SEED.check(seed, "seed")
     known = fit.uncertainty
     if known is None or fit.model.fit.get("method") != LevenbergMarquardt.__name__:
         raise InputError("is for fits by Levenberg-Marquardt only", field="bootstrap")

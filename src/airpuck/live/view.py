@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.live.clock import Every
@@ -160,6 +161,7 @@ def _served(host: str, port: int) -> Iterator[Any]:
 
 def _check_free(host: str, port: int) -> None:
     """Refuse an address that cannot be served at; viser would take another port."""
+    numbers.PORT.check(port, "--port")
     try:
         socket.create_server((host, port)).close()
     except (OSError, UnicodeError) as error:

@@ -177,6 +177,8 @@ def _replace_bag(recording: Recording, folder: Path) -> None:
         if folder.exists():
             folder.rename(old)
         (new / folder.name).rename(folder)
+    except InputError as error:
+        raise InputError(error.problem, file=folder) from error
     finally:
         if old.exists() and not folder.exists():
             old.rename(folder)
