@@ -11,8 +11,10 @@ from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
+from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
     information_of_weights,
+    reweighted,
     student_weights,
     window_weights,
 )
@@ -20,6 +22,7 @@ from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.problem import Loss, Preparation
 from airpuck.identification.uncertainty import grown, information_growth, sandwich, subspace
 from airpuck.model.model_file import published_model
+from airpuck.model.rungs import named_rung
 from airpuck.recording.torch_archive import read_authors_experiment
 
 from ..conftest import TRAINING, VALIDATION
@@ -98,6 +101,22 @@ def test_iterations_are_counted_on(faulty):
 def test_adam_is_not_robust(clean):
     with pytest.raises(InputError, match="robust"):
         identify(clean, "M3", method=Adam(epochs=1), loss=ROBUST)
+
+
+def test_a_window_that_is_drawn_twice_counts_as_two(faulty):
+    """Resampled fits find weights anew: those of the windows that were drawn."""
+    loss = replace(ROBUST.on([faulty], MODEL.vehicle), clusters=None)
+    rung, windows, method = named_rung("M0"), loss.windows, LevenbergMarquardt()
+    start = rung.initial(MODEL.vehicle)
+    times = np.random.default_rng(0).integers(0, 3, len(windows))
+    repeated = replace(windows, starts=np.repeat(windows.starts, times))
+    found = []
+    for drawn in (replace(loss, multiplicity=times.astype(float)), replace(loss, windows=repeated)):
+        first = method.minimize(drawn, start, rung.mask(start))
+        _, outcome = reweighted(method, drawn, first, rung.mask(start))
+        found.append(outcome.parameters.to_vector())
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-4)
+    assert not np.allclose(found[0], first.parameters.to_vector(), rtol=1e-3)
 
 
 class Decay:
