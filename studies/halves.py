@@ -76,9 +76,9 @@ def in_errors(models: list[Model]) -> np.ndarray:
             return float(q.value(m)) / (total_thrust(m) if q.parameter == "thrust" else 1.0)
 
         error = np.hypot(*(float(m.standard_error(value)) for m in models))
-        found.append((value(models[1]) - value(models[0])) / error)
-    differences = np.array(found)
-    return differences[np.isfinite(differences)]
+        if error > 0:
+            found.append((value(models[1]) - value(models[0])) / error)
+    return np.array(found)
 
 
 def held_by_resampling(fits: list[Fit], replicates: int) -> float:
