@@ -53,8 +53,6 @@ class LayoutCheck:
     rotation: float
     #: Signs of x, y and yaw with which the rest was found.
     signs: AxisSigns
-    #: What reading the recording said of its axes.
-    axis_warnings: tuple[str, ...] = ()
 
     @property
     def mirrored(self) -> bool:
@@ -76,7 +74,7 @@ class LayoutCheck:
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the layout as a whole."""
         if not self.conclusive:
-            return self.axis_warnings or (
+            return (
                 "too little to judge: use a recording in which every motor was excited, and check "
                 "the clocks of poses and commands",
             )
@@ -157,8 +155,7 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
         for k, name in enumerate(names)
     ]
     turned = rotation(measured, stated)
-    said = tuple(warning for warning in trajectory.warnings if "axes = " in warning)
-    return LayoutCheck(tuple(checks), explained, delay, turned, signs, said)
+    return LayoutCheck(tuple(checks), explained, delay, turned, signs)
 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
