@@ -134,3 +134,9 @@ def test_columns_without_names_are_in_the_order_of_the_vehicle():
     assert match_columns(renamed, unnamed_columns(6), source="x") == [5, 4, 3, 2, 1, 0]
     with pytest.raises(InputError, match="has 4 motors"):
         match_columns(vehicle, unnamed_columns(4), source="x")
+
+
+def test_copies_have_the_positions_of_their_own_propellers():
+    vehicle = default_vehicle()
+    turned = vehicle.model_copy(update={"propellers": vehicle.propellers[::-1]})
+    np.testing.assert_array_equal(turned.positions, default_vehicle().positions[::-1])

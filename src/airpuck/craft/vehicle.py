@@ -97,7 +97,9 @@ class Vehicle(Section):
         if self.command_min >= self.command_max:
             raise ValueError("command_min must be below command_max")
         _nominal_thrust(self.nominal.thrust_N, len(names))
-        check_sizes(self.mass_kg, self.radius_m, self.positions, self.nominal.inertia_kg_m2)
+        # Not the property, which keeps its array: copies with other propellers would have it, too.
+        positions = np.array([propeller.position_m for propeller in self.propellers])
+        check_sizes(self.mass_kg, self.radius_m, positions, self.nominal.inertia_kg_m2)
         return self
 
     def __eq__(self, other: object) -> bool:

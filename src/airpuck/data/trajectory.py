@@ -334,17 +334,19 @@ def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:
 
     Those of different crafts are refused.
     """
-    known = [trajectory for trajectory in trajectories if trajectory.vehicle is not None]
-    vehicles = [trajectory.vehicle for trajectory in known]
-    for trajectory, vehicle in zip(known, vehicles, strict=True):
-        if vehicle != vehicles[0]:
+    found, source = None, ""
+    for trajectory in trajectories:
+        vehicle = trajectory.vehicle
+        if vehicle is not None and found is not None and vehicle != found:
             raise InputError(
-                f"was preprocessed for the vehicle {vehicle.name!r}, {known[0].source} for "
-                f"{vehicles[0].name!r} with other values; give the vehicle that holds for all",
+                f"was preprocessed for the vehicle {vehicle.name!r}, {source} for {found.name!r} "
+                "with other values; give the vehicle that holds for all",
                 file=trajectory.source,
                 field="vehicle",
             )
-    return vehicles[0] if vehicles else default_vehicle()
+        if found is None:
+            found, source = vehicle, trajectory.source
+    return found or default_vehicle()
 
 
 def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
