@@ -81,9 +81,10 @@ def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     changing = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     metadata = changing[suffix]
     with mpl.rc_context(_STYLE):  # ticks are made when they are first drawn
-        if figure.get_layout_engine() is not None:
+        layout = figure.get_layout_engine()
+        if layout is not None:
             # Once for all formats: a layout costs as much as drawing.
-            figure.draw_without_rendering()
+            layout.execute(figure)
             figure.set_layout_engine(None)
         figure.savefig(buffer, format=suffix, dpi=RESOLUTION, metadata=metadata)
     return buffer.getvalue()
