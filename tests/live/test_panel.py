@@ -49,7 +49,7 @@ def test_times_are_compared_with_their_limits():
 
 def test_each_channel_and_each_motor_has_a_gauge():
     found = Deviations(
-        30, np.array([8e-3, 4e-3, 0.1]), np.array([0.88, 1.0, 0.002]),
+        30, np.array([8e-3, 4e-3, 0.1]), np.array([0.8, 1.0, 0.002]),
         np.array([0.01, 0.01, 0.001]), np.array([0.6, 0.1, -0.02]),
     )  # fmt: skip
     health = Health(("left", "right"), True, found)
@@ -57,8 +57,8 @@ def test_each_channel_and_each_motor_has_a_gauge():
     text = " ".join(read.text)
     assert "x 8.0 mm" in text
     assert "yaw 0.100 rad" in text
-    assert "left 88 ± 1 %" in text
-    assert "propeller left at 88 % ± 1 %" in text
+    assert "left 80 ± 1 %" in text
+    assert "propeller left at 80 % (78 to 82 %)" in text
     bars = [width for width in read.widths if width not in ("32%", "100%")]
     assert bars == ["50%", "25%", "20%", "60%", "10%", "0%"]
     assert "; shares of the error: left 60 %" in str(health)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-#: Length of a block [s]. The rule of Politis and White (2004) asks for 0.5 to 1.4 s on the squared
+#: Length of a block [s]. The rule of Politis and White (2004) asks for 0.6 to 1.6 s on the squared
 #: errors of seven real flights; faults and other disturbances last up to some seconds.
 BLOCK_S = 3.0
 #: Fewer blocks say nothing about their spread.

@@ -34,9 +34,9 @@ _SILENT = 0.1
 _AT_RAIL = 0.01
 #: Largest difference of a pose from its prediction that is no jump [m, m, rad].
 _JUMP = (0.05, 0.05, 0.5)
-#: A deviation is reported if the interval of so many standard deviations leaves out all that are
-#: smaller than these [1, s].
-_CERTAIN, _LOSS, _LATE = 3.0, 0.1, 0.004
+#: A deviation of a motor, or of the delay, is reported if the interval of so many standard
+#: deviations leaves out all that are smaller than this [1], or this [s].
+_SURE_LOSS, _SURE_LATE, _LOSS, _LATE = 4.0, 3.0, 0.1, 0.004
 #: Standard deviations above these mean that it is not known [1, s]: the commands change too little.
 #: Then they follow the noise of the poses that errors are judged by, and estimates are biased.
 _KNOWN_LOSS, _KNOWN_DELAY = 0.05, 0.0025
@@ -112,7 +112,8 @@ class Health:
         """Which motors, and last whether the delay, surely differ by what matters."""
         n = len(self.motors)
         modelled, least = np.append(np.ones(n), 0.0), np.append(np.full(n, _LOSS), _LATE)
-        apart = np.abs(self.found.value - modelled) - _CERTAIN * self.found.deviation
+        sure = np.append(np.full(n, _SURE_LOSS), _SURE_LATE)
+        apart = np.abs(self.found.value - modelled) - sure * self.found.deviation
         return self.known & (apart > least)
 
     @property
