@@ -34,6 +34,9 @@ DEPTH = 32
 #: Whole numbers, as NumPy and other readers of TOML and JSON hold them [bits].
 INTEGER_BITS = 64
 
+#: Propellers of a craft: matrices of models grow with their square.
+PROPELLERS = 256
+
 #: All members of a .npz or .pt archive, unpacked [bytes]: some hours of flight.
 ARCHIVE_BYTES = 2**30
 #: The list of an archive's members, and what is read of it at once [bytes]. Ours have seven.

@@ -19,7 +19,7 @@ from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.campaigns.items import KINDS, Count, Item, Natural, fingerprint
 
 #: More items than this are taken for a mistake: all are laid out before the first is computed.
-_MOST = 1_000_000
+_MOST = 100_000
 
 
 class Spec(Section):

@@ -23,6 +23,7 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
+from airpuck.boundary.limits import PROPELLERS
 from airpuck.craft.plausibility import check_sizes
 
 
@@ -79,7 +80,7 @@ class Vehicle(Section):
     command_min: Fraction = 0.0
     command_max: Fraction = 1.0
     pairs: tuple[tuple[str, str], ...] = ()
-    propellers: tuple[Propeller, ...] = pydantic.Field(min_length=1)
+    propellers: tuple[Propeller, ...] = pydantic.Field(min_length=1, max_length=PROPELLERS)
     nominal: Nominal
 
     @pydantic.model_validator(mode="after")

@@ -42,7 +42,9 @@ _CHUNK = struct.Struct("<QQQII")
 _FOOTER_BYTES = _HEAD.size + 20 + len(_MAGIC)
 
 _FOOTER_CODE, _SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE, _CHUNK_CODE = 2, 3, 4, 5, 6
-_CHUNK_INDEX_CODE, _DATA_END_CODE = 8, 15
+_CHUNK_INDEX_CODE = 8
+#: Messages outside chunks are taken in together [bytes].
+_TOGETHER_BYTES = 2**18
 
 
 class _Damaged(ValueError):
@@ -122,16 +124,16 @@ class _Sink:
         self._budget.spend(len(content), len(content) if any(records) else len(times))
         for topic, time, message in found:
             topic.received_ns.append(time)
-            topic.messages.append(self.bounded(message))
+            topic.messages.append(message)
+            if len(message) > MESSAGE_BYTES:
+                raise self._too_long(topic)
         if times:
             self.log.count(len(times), min(times), max(times))
 
-    def bounded(self, message: bytes) -> bytes:
-        """Return a message of a wanted topic that is not too long."""
-        if len(message) > MESSAGE_BYTES:
-            remedy = "choose another topic"
-            raise refused("holds too long a message", MESSAGE_BYTES, remedy, file=self.path)
-        return message
+    def _too_long(self, topic: TopicLog) -> InputError:
+        name = next(name for name, other in self.log.topics.items() if other is topic)
+        what, remedy = "holds too long a message", "choose another topic"
+        return refused(what, MESSAGE_BYTES, remedy, file=self.path, field=name)
 
 
 def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
@@ -166,19 +168,28 @@ def read_mcap(path: Path, wanted: Collection[str]) -> Log:
     size = path.stat().st_size
     sink, lost, damage = _Sink(path, wanted), _Lost(), list[str]()
     with path.open("rb") as file:
+        # Messages outside chunks.
+        single = bytearray()
         try:
             chunks = _chunk_indices(file, size)
             file.seek(0)
             for position, code, length in _headed(file, size):
+                if code == _MESSAGE_CODE and length >= _MESSAGE.size:
+                    single += _HEAD.pack(code, length) + _take(file, length, path)
+                    if len(single) < _TOGETHER_BYTES:
+                        continue
+                sink.chunk(bytes(single))
+                single.clear()
                 index = chunks.get(position)
                 if code == _CHUNK_CODE and index and not sink.wants(index.message_index_offsets):
                     _pass_over(index, sink.log)
                 elif code == _CHUNK_CODE:
                     _read_chunk(_take(file, length, path), sink, lost)
-                elif code in (_SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE):
-                    sink.chunk(_HEAD.pack(code, length) + _take(file, length, path))
+                elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
+                    sink.describe(code, _take(file, length, path))
         except _Damaged as error:
             damage.append(str(error))
+        sink.chunk(bytes(single))
     if lost.chunks:
         number = f"{lost.chunks} damaged chunk{'s' if lost.chunks > 1 else ''}"
         damage.append(f"{number} within {(lost.stop_ns - lost.start_ns) / 1e9:.3f} s left out")
@@ -260,7 +271,8 @@ def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:
     file.seek(start)
     content = file.read(size - _FOOTER_BYTES - start)
     try:
-        records = [content[start:end] for code, start, end in _framed(content) if code == 8]
+        found = [record for record in _framed(content) if record[0] == _CHUNK_INDEX_CODE]
+        records = [content[start:end] for _, start, end in found]
         indices = [_parsed(ChunkIndex, ReadDataStream(BytesIO(record))) for record in records]
     except _Damaged:
         return {}
