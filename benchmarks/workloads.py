@@ -128,7 +128,7 @@ def adam(options):
         pass
 
     (trajectory,) = training()
-    every = Loss(stride=1)
+    every = Loss(spacing=trajectory.sample_period)
     goal = identify(trajectory, "M3", loss=every).loss
     begun, told = time.perf_counter(), []
 

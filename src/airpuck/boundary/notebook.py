@@ -29,8 +29,9 @@ def _cell(value: Any) -> str:
 
 def frame(rows: Mapping[str, Mapping[str, Any]]) -> Any:
     """Return labelled rows as a pandas DataFrame; where pandas is not installed, as they are."""
+    found = {label: dict(row) for label, row in rows.items()}
     if importlib.util.find_spec("pandas") is None:
-        return {label: dict(row) for label, row in rows.items()}
+        return found
     import pandas
 
-    return pandas.DataFrame.from_dict(rows, orient="index")
+    return pandas.DataFrame.from_dict(found, orient="index")
