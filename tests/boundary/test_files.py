@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml, replacing, write_toml
+from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.outputs import replacing
 
 
 class Example(Section):

@@ -1,27 +1,21 @@
-"""Checked TOML files, and files that are replaced in one step: never half written."""
+"""Checked TOML files."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
-import secrets
-import stat
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import resources
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import pydantic
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.outputs import replacing
 from airpuck.boundary.parsing import load_toml
 
 Schema = TypeVar("Schema", bound=pydantic.BaseModel)
-#: What a user asks to be written. A new folder may exist if it is empty.
-Output = Literal["file", "folder", "new folder"]
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
@@ -102,87 +96,3 @@ def write_toml(
     )
     with replacing(path) as temporary:
         temporary.write_text(text + dumped, encoding="utf-8")
-
-
-@contextlib.contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file beside `path`, which replaces it if the block succeeds.
-
-    If the block fails or is interrupted, an existing file stays as it was.
-
-    Parameters
-    ----------
-    path : path-like
-        The final name.
-
-    Yields
-    ------
-    Path
-        The temporary name to write to; it has the same suffix.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
-    target = Path(path)
-    temporary = target.parent / temporary_name(target)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch(exist_ok=False)
-        yield temporary
-        temporary.replace(target)
-    except OSError as error:
-        raise unwritable(path, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-
-
-def temporary_name(target: Path) -> str:
-    """Return a name for what will become a file or folder, with its suffix.
-
-    It is known before there is such a file, so that no interruption can leave one behind, and
-    shorter than the longest that the system allows, whatever the file is called.
-    """
-    return f".{target.stem[:20]}-{secrets.token_hex(4)}{target.suffix}"
-
-
-def unwritable(path: str | os.PathLike[str], error: OSError) -> InputError:
-    """Say why something cannot be written: the disk is full, a folder is read-only."""
-    return InputError(f"cannot be written ({error.strerror or error})", file=path)
-
-
-def check_output(
-    path: str | os.PathLike[str], kind: Output = "file", *, field: str | None = None
-) -> None:
-    """Refuse a place that cannot be written to, before the work for it is done."""
-    target = Path(path).absolute()
-    try:
-        problem = _problem(target, kind)
-    except OSError as error:
-        problem = f"cannot be written ({error.strerror}); choose another place"
-    if problem is not None:
-        raise InputError(problem, file=path, field=field)
-
-
-def _problem(target: Path, kind: Output) -> str | None:
-    """Say why something of this kind cannot be written here, if so; an OSError says it, too."""
-    there = next(folder for folder in (target, *target.parents) if os.path.lexists(folder))
-    longest = os.pathconf(there if there.is_dir() else there.parent, "PC_NAME_MAX")
-    if max(len(os.fsencode(part)) for part in target.parts) > longest:
-        return f"has a name of more than {longest} bytes, the longest that the system allows"
-    if there == target:
-        mode = target.lstat().st_mode if kind == "new folder" else target.stat().st_mode
-        if kind == "new folder" and not (stat.S_ISDIR(mode) and not any(target.iterdir())):
-            return "exists already; choose a new folder"
-        if kind == "file" and stat.S_ISDIR(mode):
-            return "is a folder; give the name of a file"
-        if kind == "file" and not stat.S_ISREG(mode):
-            return "is no ordinary file; choose another place"
-        if kind == "file" and not os.access(target, os.W_OK):
-            return "is write-protected; choose another place"
-        if kind == "folder" and not stat.S_ISDIR(mode):
-            return "is a file; give the name of a folder"
-    with tempfile.TemporaryFile(dir=there.parent if there == target and kind == "file" else there):
-        return None

@@ -17,8 +17,8 @@ import numpy as np
 from airpuck import __version__
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import replacing
 from airpuck.boundary.limits import read_text
+from airpuck.boundary.outputs import replacing
 from airpuck.campaigns.spec import Entry, read_spec
 from airpuck.campaigns.workers import Result, dispatch
 

@@ -34,7 +34,7 @@ def vehicle(
     quiet: options.Quiet = False,
 ) -> None:
     """Show a vehicle file: its propellers, and which motions they can make."""
-    from airpuck.boundary.files import replacing
+    from airpuck.boundary.outputs import replacing
     from airpuck.control.authority import control_authority
     from airpuck.model.model_file import nominal_model
 

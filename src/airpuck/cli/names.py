@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Output, check_output
+from airpuck.boundary.outputs import Output, check_output
 
 #: In the context of a command: what it writes, and by which option.
 _OUTPUTS = "airpuck.outputs"

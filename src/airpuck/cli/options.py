@@ -9,8 +9,8 @@ from typer import Argument, Option
 from typer.core import TyperOption
 
 from airpuck.boundary import numbers
-from airpuck.boundary.files import Output
 from airpuck.boundary.numbers import Range
+from airpuck.boundary.outputs import Output
 from airpuck.cli.names import check_written
 from airpuck.cli.output import is_stdout
 

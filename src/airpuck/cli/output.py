@@ -115,7 +115,7 @@ def write_json(json_file: Path | None, figures: Any) -> None:
     if is_stdout(json_file):
         sys.stdout.write(text)
         return
-    from airpuck.boundary.files import replacing
+    from airpuck.boundary.outputs import replacing
 
     with replacing(json_file) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import replacing
 from airpuck.boundary.notebook import html_table
+from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.zero_order_hold import hold, mean_hold
 

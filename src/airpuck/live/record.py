@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from airpuck.boundary.files import check_output, unwritable
+from airpuck.boundary.outputs import check_output, unwritable
 from airpuck.live.clock import Every
 from airpuck.live.listener import Listener
 from airpuck.live.process import LiveSettings, Process

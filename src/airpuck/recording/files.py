@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import check_output, temporary_name, unwritable
+from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 
 _LONGEST = 80
 

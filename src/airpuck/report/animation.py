@@ -7,7 +7,7 @@ from pathlib import Path
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import replacing
+from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.recording.stream import Recording
 from airpuck.report.animation_frames import TABLE, read_scene

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import replacing, temporary_name
+from airpuck.boundary.outputs import replacing, temporary_name
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import RUNGS
 from airpuck.recording.stream import Recording

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from airpuck.boundary.files import replacing
+from airpuck.boundary.outputs import replacing
 from airpuck.experiment_design.design import Design
 from airpuck.experiment_design.trials import CheckedFlights
 from airpuck.report import style

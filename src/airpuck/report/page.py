@@ -12,7 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from airpuck.boundary.files import replacing
+from airpuck.boundary.outputs import replacing
 from airpuck.report.style import drawn
 
 #: Letters in a line of a table that still fits on a page.

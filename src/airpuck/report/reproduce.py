@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import replacing
+from airpuck.boundary.outputs import replacing
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
 from airpuck.evaluation.verdict import missed_motion, verdict
