@@ -2,5 +2,5 @@
 
 `numbers` has the limits of numbers, `limits` those of files.
 
-Entry points: `files.Section`, `outputs.replacing`, `outputs.check_output`.
+Entry points: `files.Section`, `outputs.replacing`.
 """
