@@ -35,7 +35,7 @@ def test_pieces_cut_every_interval_where_commands_change():
 
 def test_motors_follow_all_commands_before_the_first_pose():
     events, command, tau = np.array([0.0, 0.1]), np.array([[0.2], [0.8]]), 0.05
-    speed = speed_before(0.15, events, command, tau)
+    speed = speed_before(0.15, events, command, tau, None)
     np.testing.assert_allclose(speed, 0.8 - 0.6 * np.exp(-0.05 / tau))
 
 

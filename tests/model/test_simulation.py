@@ -65,6 +65,16 @@ def test_a_simulation_solves_the_differential_equation(model):
     np.testing.assert_allclose(simulated[-1], reference.y[:, -1], atol=1e-9)
 
 
+def test_motors_near_standstill_are_as_slow_in_the_derivative_as_in_a_simulation():
+    model = replace(M3, parameters=replace(M3.parameters, idle_lag=2.0))
+    state = np.r_[np.zeros(6), np.linspace(0.0, 0.2, 6)]
+    command, h = np.linspace(1.0, 0.3, 6), 1e-5
+    steps = [model.simulate(state, command[None], t)[0] - state for t in (h, 2 * h)]
+    # Forward differences of second order.
+    slope = (4 * steps[0] - steps[1]) / (2 * h)
+    np.testing.assert_allclose(slope, model.derivative(state, command), rtol=1e-5, atol=1e-6)
+
+
 def test_simulations_agree_under_numpy_jax_and_casadi_and_for_a_batch():
     state, _ = state_and_command(2)
     commands = np.random.default_rng(3).uniform(0, 1, (5, 6))

@@ -29,7 +29,7 @@ from airpuck.estimate.axis_filter import (
     to_world,
 )
 from airpuck.physics.angle import pose_difference
-from airpuck.physics.motor import motor_step
+from airpuck.physics.motor import lag_at, motor_step
 from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 
 #: An innovation beyond this many standard deviations in every state is a rail or a hand; a motor
@@ -253,7 +253,8 @@ def sensitivity(
     a = xp.sum(by_motor, axis=1) + rest
     # Had the commands come a little later: a(t - δ).
     little = 1e-4
-    slope = (command - speed) / xp.maximum(dynamics.motor_time_constant, little)
+    lag = lag_at(xp, speed, dynamics.motor_time_constant, dynamics.idle_lag)
+    slope = (command - speed) / xp.maximum(lag, little)
     earlier = motor_accelerations(xp, dynamics, motion, speed - little * slope)
     by_delay = (xp.sum(earlier[0], axis=1) + earlier[1] - a) / little
     return a, xp.concatenate([by_motor, by_delay[:, None]], axis=1)

@@ -138,15 +138,17 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
     return Innovations(time, *found, noise, counts)
 
 
-def motor_speeds_at(trajectory: Trajectory, delay: float, lag: float) -> Float[np.ndarray, "N n"]:
+def motor_speeds_at(
+    trajectory: Trajectory, delay: float, lag: float, idle_lag: float | None
+) -> Float[np.ndarray, "N n"]:
     """Let motors follow commands that act after a delay; return their speeds at each sample."""
     acts = trajectory.command_time + delay
-    speed = speed_before(float(trajectory.time[0]), acts, trajectory.command, lag)
+    speed = speed_before(float(trajectory.time[0]), acts, trajectory.command, lag, idle_lag)
     speeds = np.empty((len(trajectory), len(speed)))
     durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
     for k in range(len(trajectory)):
         for duration, held in zip(durations[k], commands[k], strict=True):
-            speed = motor_step(np, speed, held, duration, lag)
+            speed = motor_step(np, speed, held, duration, lag, idle_lag)
         speeds[k] = speed
     return speeds
 
@@ -180,8 +182,8 @@ def _run_filter(
     squares = [np.square(part) for part in (noise.pose, noise.acceleration, noise.disturbance)]
     if covariance is None:
         covariance = initial_covariance(np, squares[0], squares[2], trajectory.sample_period)
-    tau = float(model.dynamics.motor_time_constant)
-    speed = speed_before(float(time[0]), acts, trajectory.command, tau)
+    lag = float(model.dynamics.motor_time_constant), model.dynamics.idle_lag
+    speed = speed_before(float(time[0]), acts, trajectory.command, *lag)
     pieces = cut_at_commands(time, acts, trajectory.command)
     inputs = (trajectory.state[:, :3], restart, begin, np.diff(time, prepend=time[0]), *pieces)
     found = _compiled_filter()(model.dynamics, *squares, covariance, speed, inputs)
@@ -255,6 +257,7 @@ def speed_before(
     event_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
     time_constant: float,
+    idle_lag: float | None,
 ) -> Float[np.ndarray, " n"]:
     """Let motors follow all commands before a time."""
     # The first command is taken to have been in force before.
@@ -263,5 +266,5 @@ def speed_before(
     ends = np.append(event_time[1:past], time)
     speed = command[0]
     for held, begin, end in zip(command[:past], begins, ends, strict=True):
-        speed = motor_step(np, speed, held, end - begin, time_constant)
+        speed = motor_step(np, speed, held, end - begin, time_constant, idle_lag)
     return speed

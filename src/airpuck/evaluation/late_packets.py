@@ -119,8 +119,9 @@ def _directions(
     """Return what a delay, a lag and the motors add to position and velocity over each step."""
     now = _accelerations(model, trajectory, found.motor_speed)
     delay, lag = delay_for(model, trajectory), float(model.dynamics.motor_time_constant)
-    later = motor_speeds_at(trajectory, delay + _STEP, lag)
-    slower = motor_speeds_at(trajectory, delay, lag + _STEP)
+    idle = model.dynamics.idle_lag
+    later = motor_speeds_at(trajectory, delay + _STEP, lag, idle)
+    slower = motor_speeds_at(trajectory, delay, lag + _STEP, idle)
     by_delay, by_lag = (
         (_accelerations(model, trajectory, speed) - now).sum(axis=2, keepdims=True) / _STEP
         for speed in (later, slower)

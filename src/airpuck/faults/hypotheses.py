@@ -67,7 +67,7 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     # The middles of equal parts of every step.
     index = knots[:-1, None] + np.arange(_SPACING // 2, _SPACING * half, _SPACING)
     lag, time = float(dynamics.motor_time_constant), trajectory.time
-    speed = motor_speeds(time, trajectory.input, lag)
+    speed = motor_speeds(time, trajectory.input, lag, dynamics.idle_lag)
     length = float(np.median(np.diff(time[knots])))
     stopping = _stopping_steps(lag, length)
 

@@ -30,12 +30,16 @@ def motor_step(
 def _lag_within(
     xp: Any, speed: Any, command: Any, duration: Any, time_constant: Any, idle_lag: Any
 ) -> Any:
-    """Return τ(φ) = τ (1 + c exp(-φ/0.1)) in the middle of a step."""
+    """Return the lag in the middle of a step."""
+    decay = lag_decay(xp, duration / 2, lag_at(xp, speed, time_constant, idle_lag))
+    return lag_at(xp, command + (speed - command) * decay, time_constant, idle_lag)
 
-    def at(speed: Any) -> Any:
-        return time_constant * (1 + idle_lag * xp.exp(-speed / IDLE))
 
-    return at(command + (speed - command) * lag_decay(xp, duration / 2, at(speed)))
+def lag_at(xp: Any, speed: Any, time_constant: Any, idle_lag: Any = None) -> Any:
+    """Return τ(φ) = τ (1 + c exp(-φ/0.1)), the lag at a speed; τ where there is no c."""
+    if idle_lag is None:
+        return time_constant
+    return time_constant * (1 + idle_lag * xp.exp(-speed / IDLE))
 
 
 def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:

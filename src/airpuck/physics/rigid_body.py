@@ -15,6 +15,7 @@ import numpy as np
 from airpuck.compute.arrays import linear_map, register_pytree
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect, IdleLag
+from airpuck.physics.motor import lag_at
 from airpuck.physics.thrust import thrust
 
 #: In which frame the offset of the centre of mass is constant. Physically it is the body; the
@@ -154,8 +155,9 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
     """Evaluate the right-hand side z' = f(z, u) of eq. extended_model_dynamics."""
     motor_speed = state[6:]
     rates = acceleration(xp, dynamics, state[2:6], motor_speed)
-    lag = (command - motor_speed) / dynamics.motor_time_constant
-    return xp.concatenate([state[3:6], xp.stack(rates), lag])
+    lag = lag_at(xp, motor_speed, dynamics.motor_time_constant, dynamics.idle_lag)
+    slope = (command - motor_speed) / lag
+    return xp.concatenate([state[3:6], xp.stack(rates), slope])
 
 
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:

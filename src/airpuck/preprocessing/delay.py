@@ -24,7 +24,8 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
     coefficient there, mean over x, y and yaw.
     """
     time = trajectory.time
-    speed = motor_speeds(time, trajectory.input, dynamics.motor_time_constant)
+    lag = dynamics.motor_time_constant, dynamics.idle_lag
+    speed = motor_speeds(time, trajectory.input, *lag)
     limit = round(LONGEST_S / trajectory.sample_period)
     shift, correlation = 0, 0.0
     visited: set[int] = set()
