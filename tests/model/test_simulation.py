@@ -24,6 +24,7 @@ EFFECTS = replace(
         pair_interaction=4.0,
         voltage_sag=0.2,
         tilt=np.array([1e-3, -2e-3]),
+        idle_lag=0.8,
     ),
 )
 MODELS = pytest.mark.parametrize("model", [M3, EFFECTS, published_model("M4")])
@@ -62,7 +63,9 @@ def test_a_simulation_solves_the_differential_equation(model):
     reference = solve_ivp(
         lambda _, z: model.derivative(z, command), (0, steps * 1e-3), state, rtol=1e-10, atol=1e-12
     )
-    np.testing.assert_allclose(simulated[-1], reference.y[:, -1], atol=1e-9)
+    # Where the lag depends on the speed, steps of the motors are of second order.
+    atol = 1e-9 if model.dynamics.idle_lag is None else 1e-6
+    np.testing.assert_allclose(simulated[-1], reference.y[:, -1], rtol=0, atol=atol)
 
 
 def test_motors_near_standstill_are_as_slow_in_the_derivative_as_in_a_simulation():

@@ -166,7 +166,7 @@ class Model:
         return derivative(self, state, command)
 
     def simulate(self, state: Any, commands: Any, period: Any = 0.01) -> Any:
-        """Simulate held commands by the method of Runge and Kutta, the motors exactly.
+        """Simulate held commands: the craft by Runge-Kutta, motors of a constant lag exactly.
 
         The transport delay is left out: commands are those that reach the motors. For NumPy, JAX
         and CasADi, as `derivative`.
