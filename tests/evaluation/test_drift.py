@@ -77,3 +77,43 @@ def test_shared_data_and_other_terms_are_noted(fits):
     assert "same files" in notes
     assert "different terms" in notes
     assert "30.0 ms" in notes
+
+
+def timed(lag: float, delay: float):
+    """The truth with this lag and delay [s], learned and known to 0.1 ms; a lag of zero is held."""
+    free = TRUTH.free | TRUTH.parameters.mask(frozenset({"transport_delay"}))
+    parameters = replace(TRUTH.parameters, motor_time_constant=lag, transport_delay=delay)
+    vector = parameters.to_vector()
+    spread = np.where(free, 0.02 * np.abs(vector), 0.0)
+    for name in ("motor_time_constant", "transport_delay"):
+        spread[parameters.mask(frozenset({name}))] = 1e-4
+    spread[parameters.mask(frozenset({"motor_time_constant"}))] *= lag > 0
+    errors = np.where(spread > 0, spread, np.nan)
+    known = Uncertainty(vector, np.diag(spread**2), errors, np.zeros((0, len(vector))), 40, 2.02)
+    return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
+
+
+def test_a_delay_that_took_up_a_held_lag_is_not_accused():
+    found = drift(timed(0.0, 0.040), timed(0.030, 0.015))
+    change = next(c for c in found.changes if c.label == "d")
+    # By hand: 25 ms, known to √2 · 0.1 ms.
+    assert change.z == pytest.approx(-25 / (0.1 * np.sqrt(2)), rel=1e-3)
+    assert change.held and not change.moved
+    assert found.verdicts[0].startswith("nothing moved: of 16 quantities")
+    (note,) = found.notes
+    assert "not judged: transport delay (z = -176.8)" in note
+    # Where nothing is held, the same difference is a change.
+    assert "transport delay" in drift(timed(0.030, 0.040), timed(0.030, 0.015)).verdicts[0]
+
+
+def test_a_curve_that_its_constraint_holds_is_not_accused():
+    flat = np.array(TRUTH.parameters.thrust)
+    flat[2] = [1e-6, 0.3, 0.3]
+    later = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=flat))
+    vector, spread = later.parameters.to_vector(), np.where(TRUTH.free, 1e-4, 0.0)
+    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 40, 2.02)
+    found = drift(timed(0.03, 0.015), replace(later, uncertainty=known))
+    motor = TRUTH.vehicle.propeller_names[2]
+    held = [change.words for change in found.changes if change.held]
+    assert held == [f"thrust of {motor} at φ = 0.5", f"thrust of {motor} at full speed"]
+    assert not any(words in sentence for words in held for sentence in found.verdicts)

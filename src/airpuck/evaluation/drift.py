@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.evaluation.main_quantities import main_quantities
+from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.statistical_tests import holm
 from airpuck.model.model_file import Model
+from airpuck.physics.thrust import lowest_slope
 
 #: Chance of any false alarm among all quantities.
 LEVEL = 0.05
 #: What is written of a change.
-_FIGURES = ("label", "unit", "before", "after", "standard_error", "z", "p_value", "moved")
+_FIGURES = ("label", "unit", "before", "after", "standard_error", "z", "p_value", "held", "moved")
+#: A thrust curve whose slope is below this is held by its constraint [N]; that has 1e-6.
+_FLAT = 1e-5
+#: Both shift every response: where one is held, the other takes up what it cannot.
+_TRADED = frozenset({"motor_time_constant", "transport_delay"})
 
 
 @dataclass(frozen=True)
@@ -38,11 +44,19 @@ class Change:
     p_value: float
     #: Whether a percentage says something.
     relative: bool
+    #: Whether a bound or a flat thrust curve holds it in one of the models. Then its error there is
+    #: that along the constraint, too small for a comparison.
+    held: bool = False
+
+    @property
+    def differs(self) -> bool:
+        """Whether the difference is more than the standard errors explain."""
+        return self.p_value < LEVEL
 
     @property
     def moved(self) -> bool:
         """Whether it changed by more than chance explains."""
-        return self.p_value < LEVEL
+        return self.differs and not self.held
 
     @property
     def verdict(self) -> str:
@@ -78,9 +92,12 @@ class Drift:
         moved = sorted((c for c in self.changes if c.moved), key=lambda c: -abs(c.z))
         if moved:
             return [change.verdict for change in moved]
-        widest = max(self.changes, key=lambda change: abs(change.z))
+        judged = [change for change in self.changes if not change.held]
+        if not judged:
+            return ["nothing can be judged: constraints hold all quantities that both learned"]
+        widest = max(judged, key=lambda change: abs(change.z))
         return [
-            f"nothing moved: of {len(self.changes)} quantities the largest difference is that of "
+            f"nothing moved: of {len(judged)} quantities the largest difference is that of "
             f"{widest.words}, {abs(widest.z):.1f} standard errors"
         ]
 
@@ -91,7 +108,7 @@ class Drift:
         -------
         dict
             ``verdicts``, ``notes`` and a list ``changes`` of ``label, unit, before, after,
-            standard_error, z, p_value, moved``.
+            standard_error, z, p_value, held, moved``.
         """
         return {
             "verdicts": self.verdicts,
@@ -141,10 +158,37 @@ def drift(earlier: Model, later: Model) -> Drift:
             field="MODEL",
         )
     changes = tuple(
-        Change(q.label, q.words, q.unit, before, after, joint, z, float(p), q.positive)
+        Change(
+            *(q.label, q.words, q.unit, before, after, joint, z, float(p), q.positive),
+            held=any(_holds(model, q) for model in (earlier, later)),
+        )
         for (q, before, after, joint, z), p in zip(found, holm(np.array(p_values)), strict=True)
     )
-    return Drift(changes, tuple(_notes(earlier, later)))
+    return Drift(changes, (*_notes(earlier, later), *_held_notes(changes)))
+
+
+def _holds(model: Model, quantity: MainQuantity) -> bool:
+    """Tell whether a constraint holds a quantity, or what it trades off against."""
+    parameters = model.parameters
+    if quantity.motor is not None:
+        slopes, _ = lowest_slope(parameters.thrust)
+        return bool(slopes[quantity.motor] < _FLAT)
+    if quantity.parameter not in _TRADED:
+        return False
+    vector, (lower, upper) = parameters.to_vector(), parameters.bounds()
+    at_bound = model.free & ((vector <= lower) | (vector >= upper))
+    return bool((at_bound & parameters.mask(_TRADED)).any())
+
+
+def _held_notes(changes: Sequence[Change]) -> list[str]:
+    """Tell of differences that constraints may make."""
+    held = [f"{change.words} (z = {change.z:.1f})" for change in changes if change.held]
+    if not any(change.held and change.differs for change in changes):
+        return []
+    return [
+        f"not judged: {', '.join(held)}. A bound or a flat thrust curve holds them in one of the "
+        "models, so that their errors are too small"
+    ]
 
 
 def _degrees(errors: np.ndarray, *models: Model) -> float:
@@ -165,7 +209,8 @@ def _notes(earlier: Model, later: Model) -> list[str]:
             f"{earlier.name} and {later.name} have different terms: a difference may be theirs"
         )
     delays = 1e3 * earlier.transport_delay, 1e3 * later.transport_delay
-    if abs(delays[0] - delays[1]) > 0.05:
+    learned = earlier.delay_learned and later.delay_learned
+    if abs(delays[0] - delays[1]) > 0.05 and not learned:
         notes.append(
             f"the transport delay went from {delays[0]:.1f} to {delays[1]:.1f} ms: where it is "
             "found by whole samples, lag and inertia take up the rest"

@@ -40,6 +40,8 @@ class MainQuantity:
     value: Callable[[Model], Any]
     #: From SI to `unit`.
     factor: float = 1.0
+    #: The propeller whose thrust it is, counted from 0.
+    motor: int | None = None
 
     @property
     def positive(self) -> bool:
@@ -75,7 +77,7 @@ def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[Ma
             listed.append(
                 MainQuantity(
                     f"F({speed:g}) {name}", f"thrust of {name} at {at}", "N", "thrust", None,
-                    ".4f", force,
+                    ".4f", force, motor=motor,
                 )
             )  # fmt: skip
     return listed
