@@ -13,7 +13,7 @@ from airpuck.data.zero_order_hold import mean_hold
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
-from airpuck.identification.fit import identifiability, identify
+from airpuck.identification.fit import identify
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.problem import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
@@ -137,12 +137,6 @@ def test_rungs_without_a_lag_keep_the_delay(flight):
     fit = identify(flight, "M0")
     assert not fit.model.delay_learned
     assert identify(flight, "M0", preparation=LEARNED).model.transport_delay > 1.5 * flight.delay
-
-
-def test_says_how_lag_and_delay_trade_off(flight):
-    notes = identifiability(flight, "M3").notes
-    assert any("transport delay" in note and "motor lag" in note for note in notes)
-    assert not any("transport delay" in n for n in identifiability(flight, preparation=FIXED).notes)
 
 
 def test_adam_does_not_learn_it(flight):

@@ -38,8 +38,6 @@ BLOCK = 2.0
 _LENGTHS = 5
 #: Correlation from which two parameters are hard to tell apart.
 _ALIKE = 0.95
-#: The same for motor lag and transport delay, of which one is so easily taken for the other.
-_TRADED = 0.8
 #: Part of a direction, relative to its largest, from which a parameter is named.
 _MAIN = 0.5
 #: Most parameters to name at once.
@@ -327,7 +325,6 @@ def identifiability_of(
     pairs = [
         (labels[i], labels[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)
     ]
-    notes += _lag_against_delay(correlation, labels)
     if pairs:
         first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
         notes.append(
@@ -355,20 +352,6 @@ def _correlation(
     correlation = covariance / np.outer(spread, spread).clip(1e-300)
     alone = np.abs(undetermined).max(axis=1, initial=0.0) < 1e-6
     return np.where(np.outer(alone, alone), correlation, 0.0)
-
-
-def _lag_against_delay(correlation: Float[np.ndarray, "F F"], labels: list[str]) -> list[str]:
-    """Tell how motor lag and transport delay trade off: both shift every response."""
-    names = ("motor_time_constant", "transport_delay")
-    if not set(names) <= set(labels):
-        return []
-    size = float(correlation[labels.index(names[0]), labels.index(names[1])])
-    if abs(size) < _TRADED:
-        return []
-    return [
-        f"motor lag and transport delay trade off (correlation {size:.3f}): the data know their "
-        "sum better than either; only how a response is rounded tells them apart"
-    ]
 
 
 def _undetermined_notes(
