@@ -130,6 +130,13 @@ def test_a_fit_that_did_not_end_is_not_trusted():
     assert "not converged" in found.sentences[1]
 
 
+def test_errors_of_other_parameters_are_nobodys():
+    """A model that was changed after its fit has none, rather than errors that are unbounded."""
+    found = verdict(known().with_delay(0.03))
+    assert found.trusted is None
+    assert "Nothing is known of its parameters' errors" in " ".join(found.sentences)
+
+
 def timed(lag_error: float, delay_error: float, correlation: float):
     """M3 that learned lag and delay, with these standard errors [s]."""
     model = MODEL.with_delay(0.015)

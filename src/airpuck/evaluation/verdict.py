@@ -91,7 +91,7 @@ def verdict(model: Model, missed: Float[np.ndarray, " 3"] | None = None) -> Verd
     Verdict
         The outcome, in words, worst first.
     """
-    judged = model.uncertainty is not None
+    judged = model.known is not None
     errors = _relative_errors(model) if judged else {}
     wrong = [*_structural(model), *(_uncertain(model) if judged else ()), *_mispredicted(missed)]
     unknown = _unknown(model, errors)
@@ -185,11 +185,11 @@ def _timing(model: Model) -> list[str]:
         model.parameters.mask(frozenset({name}))
         for name in ("motor_time_constant", "transport_delay")
     ]
-    if model.uncertainty is None or not all((model.free & mask).any() for mask in masks):
+    if model.known is None or not all((model.free & mask).any() for mask in masks):
         return []
     lag, delay = (int(np.flatnonzero(mask)[0]) for mask in masks)
     error = float(model.standard_error(_response_time))
-    correlation = float(model.uncertainty.correlation[lag, delay])
+    correlation = float(model.known.correlation[lag, delay])
     if not np.isfinite(error) or correlation > _NO_SPLIT:
         return []
     why = "the lag is at its bound"
@@ -198,7 +198,7 @@ def _timing(model: Model) -> list[str]:
             f"{1e3 * value:.1f} ± {1e3 * spread:.1f} ms"
             for value, spread in zip(
                 model.parameters.to_vector()[[lag, delay]],
-                model.uncertainty.standard_errors[[lag, delay]],
+                model.known.standard_errors[[lag, delay]],
                 strict=True,
             )
         )
@@ -212,7 +212,7 @@ def _timing(model: Model) -> list[str]:
 def _known(model: Model, missed: Float[np.ndarray, " 3"] | None) -> list[str]:
     """Tell what the trust rests on."""
     found = []
-    if model.uncertainty is not None:
+    if model.known is not None:
         size, error = largest_acceleration(model), model.standard_error(largest_acceleration)
         response, spread = _response_time(model), float(model.standard_error(_response_time))
         found.append(
