@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airpuck.boundary.errors import InputError, printable
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import (
     CELLS,
     COLUMNS,
@@ -33,6 +33,7 @@ from airpuck.boundary.limits import (
     csv_rows,
 )
 from airpuck.boundary.parsing import load_json, load_toml, load_yaml
+from airpuck.boundary.terminal import escaped
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.message import definitions
@@ -552,7 +553,7 @@ def test_names_reach_no_terminal(name: str):
 
 
 def test_what_can_be_printed_stays_as_it_is():
-    assert printable("γ [m/s²], 日本 ✓") == "γ [m/s²], 日本 ✓"
-    assert printable("\x1b[1m\tx\n") == r"\x1b[1m\tx\n"
+    assert escaped("γ [m/s²], 日本 ✓") == "γ [m/s²], 日本 ✓"
+    assert escaped("\x1b[1m\tx\n") == r"\x1b[1m\tx\n"
     assert str(InputError("has a\n  line", file="a b")) == "a b: has a line"
     assert len(str(InputError("x" * 10**6, field="y" * 10**6))) < 5000

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 
+from airpuck.boundary.terminal import escaped
+
 #: Libraries may repeat a whole file in their messages.
 _LONGEST = 2000
 
@@ -32,18 +34,11 @@ class InputError(ValueError):
     def __init__(
         self, problem: str, *, file: str | os.PathLike[str] | None = None, field: str | None = None
     ) -> None:
-        self.problem = _shortened(printable(" ".join(problem.split())))
-        self.file = None if file is None else printable(os.fspath(file))
-        self.field = None if field is None else _shortened(printable(field))
+        self.problem = _shortened(escaped(" ".join(problem.split())))
+        self.file = None if file is None else escaped(os.fspath(file))
+        self.field = None if field is None else _shortened(escaped(field))
         where = ": ".join(part for part in (self.file, self.field) if part)
         super().__init__(f"{where}: {self.problem}" if where else self.problem)
-
-
-def printable(text: str) -> str:
-    """Escape what a terminal would act on rather than show, such as codes and line breaks."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _shortened(text: str) -> str:
