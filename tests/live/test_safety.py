@@ -183,6 +183,18 @@ def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, comma
     assert guarded.logged == [("error", f"motors idle: {reason}"), ("info", "flying")]
 
 
+def test_a_command_that_is_no_array_idles_the_motors(guarded):
+    step = Step(np.full(2, 0.5), "exact", np.zeros(3), None)
+    # Where types are not enforced, a user's step can hold anything.
+    object.__setattr__(step, "command", [0.5, "full"])
+    guarded.pilot.step = lambda time: step
+    given = guarded.step(0.5)
+    assert given.status == "unsafe"
+    np.testing.assert_array_equal(given.command, [0.03, 0.03])
+    [(level, words)] = guarded.logged
+    assert level == "error" and "a command that is no array of numbers" in words
+
+
 def test_a_change_is_logged_once(guarded):
     guarded.step(0.5)
     for k in range(5):

@@ -127,6 +127,13 @@ def checked_step(pilot: Any, step: Any) -> Step:
             f"step() must return airpuck.Step(command), not {type(step).__name__}",
             field=f"pilot {type(pilot).__name__}",
         )
+    try:
+        np.asarray(step.command, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"step() gave a command that is no array of numbers: {error}",
+            field=f"pilot {type(pilot).__name__}",
+        ) from error
     return step
 
 
