@@ -79,6 +79,8 @@ def check_whole(path: Path) -> None:
                 for frame in range(getattr(image, "n_frames", 1)):
                     image.seek(frame)
                     image.load()
+        case ".pdf":
+            assert path.read_bytes().rstrip().endswith(b"%%EOF")
         case ".mcap":
             assert len(read_recording(path.parent)["pose"])
         case ".yaml" | "":
