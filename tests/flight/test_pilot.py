@@ -120,7 +120,11 @@ def test_a_wrong_command_is_refused(step, problem):
         (SPRING, "{}", "give FILE.py:NAME"),
         ("import nowhere_to_be_found", "{}:Spring", "cannot be imported: ModuleNotFoundError"),
         ("def (", "{}:Spring", "cannot be imported: SyntaxError"),
-        ("class Spring:\n    pass", "{}:Spring", "must be made from (model, reference)"),
+        (
+            "class Spring:\n    pass",
+            "{}:Spring",
+            "cannot be made from (model, reference): TypeError",
+        ),
     ],
 )
 def test_a_wrong_file_is_refused(tmp_path, text, name, problem):

@@ -183,6 +183,22 @@ def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, comma
     assert guarded.logged == [("error", f"motors idle: {reason}"), ("info", "flying")]
 
 
+@pytest.mark.parametrize("method", ["pose", "imu", "mouse", "sent"])
+def test_a_controller_that_fails_to_take_note_idles_the_motors(method):
+    def fail(*measured):
+        raise ZeroDivisionError("in the filter")
+
+    pilot, logged = Pilot(), []
+    setattr(pilot, method, fail)
+    made = GuardedPilot(pilot, Guard(LIMITS), np.full(2, 0.03), lambda _, text: logged.append(text))
+    last = poses(made, 0.0, 0.5)
+    if method != "pose":
+        assert made.step(last).flies
+        getattr(made, method)(*range({"imu": 3}.get(method, 2)))
+    np.testing.assert_array_equal(made.step(last).command, [0.03, 0.03])
+    assert logged[-1] == "motors idle: the controller failed: ZeroDivisionError: in the filter"
+
+
 def test_a_command_that_is_no_array_idles_the_motors(guarded):
     step = Step(np.full(2, 0.5), "exact", np.zeros(3), None)
     # Where types are not enforced, a user's step can hold anything.

@@ -148,9 +148,12 @@ def pilot_maker(name: str) -> PilotMaker:
     def make(model: Model, reference: Reference) -> Pilot:
         try:
             pilot = kind(model, reference)
-        except TypeError as error:
+        # Whatever goes wrong in a user's class is for the user to mend.
+        except Exception as error:
             raise InputError(
-                f"must be made from (model, reference): {error}", file=name, field="--pilot"
+                f"cannot be made from (model, reference): {type(error).__name__}: {error}",
+                file=name,
+                field="--pilot",
             ) from error
         check_pilot(pilot)
         return pilot

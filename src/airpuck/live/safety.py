@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -121,7 +121,8 @@ class GuardedPilot:
         self, pilot: Pilot, guard: Guard, idle: Float[np.ndarray, " n"], log: _Log
     ) -> None:
         self.pilot, self.guard = pilot, guard
-        self.imu, self.mouse, self.sent = pilot.imu, pilot.mouse, pilot.sent
+        self.imu, self.mouse = self._guarded(pilot.imu), self._guarded(pilot.mouse)
+        self.sent, self._pilots_pose = self._guarded(pilot.sent), self._guarded(pilot.pose)
         self._idle, self._log = idle, log
         #: Why the motors idle, as last logged; None while they run.
         self._logged: str | None = ""
@@ -134,7 +135,19 @@ class GuardedPilot:
     def pose(self, time: float, pose: Numbers) -> None:
         """Judge a pose and pass it on; see `Pilot.pose`."""
         self.guard.pose(time, np.asarray(pose, dtype=float))
-        self.pilot.pose(time, np.asarray(pose, dtype=float))
+        self._pilots_pose(time, np.asarray(pose, dtype=float))
+
+    def _guarded(self, method: Callable[..., None]) -> Callable[..., None]:
+        """Return a method of the pilot whose failure idles the motors."""
+
+        def guarded(*measured: Any) -> None:
+            try:
+                method(*measured)
+            # As in `step`.
+            except Exception as error:
+                self.guard.fault(_failure(error))
+
+        return guarded
 
     def step(self, time: float) -> Step:
         """Compute a command that is safe to send."""
@@ -144,7 +157,7 @@ class GuardedPilot:
                 step = checked_step(self.pilot, self.pilot.step(time))
             # Whatever goes wrong in a controller, the motors must idle and the loop go on.
             except Exception as error:
-                reason = f"the controller failed: {type(error).__name__}: {error}"
+                reason = _failure(error)
             else:
                 command = np.asarray(step.command, dtype=float)
                 if command.shape == self._idle.shape and np.isfinite(command).all():
@@ -162,3 +175,8 @@ class GuardedPilot:
         elif reason is not None and reason != self._logged:
             self._log("error", f"motors idle: {reason}")
         self._logged = reason
+
+
+def _failure(error: Exception) -> str:
+    """Say that the controller failed, and how."""
+    return f"the controller failed: {type(error).__name__}: {error}"
