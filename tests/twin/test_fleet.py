@@ -197,7 +197,7 @@ STALLS = Motors(stalls=(Stall(motor="motor_a_1", start_s=0.1, stop_s=0.2),))
         ({"period": 0.0}, "period"),
         ({"delays": np.array([-0.01])}, "delays"),
         ({"every": 0}, "every"),
-        ({"seeds": (1, -1)}, "seeds: must be a whole"),
+        ({"seeds": (1, -1)}, "seeds: must be from 0 to"),
         ({"models": [MODEL, replace(MODEL, frame="world")]}, "models"),
         ({"settings": QUIET.model_copy(update={"motors": STALLS})}, "Twin"),
     ],
