@@ -140,3 +140,10 @@ def test_copies_have_the_positions_of_their_own_propellers():
     vehicle = default_vehicle()
     turned = vehicle.model_copy(update={"propellers": vehicle.propellers[::-1]})
     np.testing.assert_array_equal(turned.positions, default_vehicle().positions[::-1])
+
+
+def test_a_craft_drawn_in_millimetres_is_told_so(quad):
+    text = QUAD.replace("mass_kg = 0.2", "mass_kg = 0.2\nradius_m = 80.0")
+    quad.write_text(text.replace("0.05]", "50.0]"))
+    with pytest.raises(InputError, match=r"radius_m = 80 .*: millimetres\?"):
+        read_vehicle(quad)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 #: Radii of crafts for tables [m].
-_RADII = (0.005, 2.0)
+_RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
 #: Farthest propeller by the radius; mass by the square of the size [kg/m²]; inertia by mass and
 #: square of the size, that of a disc being ½.
 _FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 500.0), (0.01, 20.0)
@@ -27,7 +27,9 @@ def check_sizes(
     k = int(np.argmax(distance))
     farthest = float(distance[k])
     if not _RADII[0] <= radius <= _RADII[1]:
-        guess = _guess(radius, _LENGTHS, max(min(farthest, 0.3), 0.05))
+        # Positions may be in that other unit, too.
+        usual = farthest if 0.02 <= farthest <= 0.5 else _USUAL_RADIUS
+        guess = _guess(radius, _LENGTHS, usual)
         raise ValueError(f"radius_m = {radius:g} is no radius of a craft in metres{guess}")
     if farthest > _FARTHEST * radius:
         x, y = positions[k]

@@ -140,7 +140,7 @@ def _uncertain(model: Model) -> list[str]:
         ways = [f"{way} {_percent(r)}" for (way, *_), r in zip(WAYS, relative, strict=True)
                 if r > ACCELERATION_LIMIT]  # fmt: skip
         found.append(
-            f"What it can give at most is not known to {_percent(ACCELERATION_LIMIT)}: "
+            f"Its largest accelerations are not known to {_percent(ACCELERATION_LIMIT)}: "
             f"{', '.join(ways)}. Use the whole range of all motors."
         )
     error = float(model.standard_error(_response_time))
@@ -216,7 +216,7 @@ def _known(model: Model, missed: Float[np.ndarray, " 3"] | None) -> list[str]:
         size, error = largest_acceleration(model), model.standard_error(largest_acceleration)
         response, spread = _response_time(model), float(model.standard_error(_response_time))
         found.append(
-            f"What it can give at most is known to {_percent(float((error / size).max()))} in "
+            f"Its largest acceleration is known to {_percent(float((error / size).max()))} in "
             f"every direction; the response time τ + d is {1e3 * response:.0f} ± "
             f"{1e3 * spread:.2g} ms."
         )
@@ -236,7 +236,8 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
     if thrusts:
         low, high = _percent(min(thrusts)), _percent(max(thrusts))
         words.append(f"thrusts at full speed {low if low == high else f'{low} to {high}'}")
-    return [f"Standard errors: {', '.join(words)}."] if words else []
+    shares = "of the value; of α 1 rad, of r the radius of gyration"
+    return [f"Standard errors ({shares}): {', '.join(words)}."] if words else []
 
 
 def _learned(model: Model) -> list[MainQuantity]:
