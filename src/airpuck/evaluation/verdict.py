@@ -236,7 +236,7 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
     if thrusts:
         low, high = _percent(min(thrusts)), _percent(max(thrusts))
         words.append(f"thrusts at full speed {low if low == high else f'{low} to {high}'}")
-    shares = "of the value; of α 1 rad, of r the radius of gyration"
+    shares = "of the value; of α 1 rad, of r the propellers' lever arm"
     return [f"Standard errors ({shares}): {', '.join(words)}."] if words else []
 
 
