@@ -23,7 +23,8 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
         SetPoints as SetPoints,
         TimedPath as TimedPath,
     )
-    from airpuck.control.tracking import Step as Step, TrackingController as TrackingController
+    from airpuck.control.law import Step as Step
+    from airpuck.control.tracking import TrackingController as TrackingController
     from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
     from airpuck.craft.vehicle import (
         Vehicle as Vehicle,

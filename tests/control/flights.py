@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from airpuck.control.law import Step
 from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import Step, TrackingController
+from airpuck.control.tracking import TrackingController
+from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import derivative
 
@@ -65,6 +67,12 @@ def fly(
             z = z + d / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + d * k3, acting))
             begin = end
     return np.array(times), np.array(poses), steps
+
+
+def steer_to(ours: TrackingController, craft: Estimate, reference: Reference) -> Step:
+    """Steer a craft to a reference, now."""
+    ours.reference = reference
+    return ours.steer(craft, 0.0)
 
 
 def hold_still(ours: TrackingController, frames: int = 12, x: float = 0.0) -> float:

@@ -13,6 +13,8 @@ from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import read_model
 
+from .flights import steer_to
+
 time = st.floats(-100, 100)
 
 
@@ -184,15 +186,15 @@ def test_whole_turns_of_the_target_ask_for_nothing(turns, yaw):
     controller = turner()
     craft = Estimate(0.0, np.array([0, 0, yaw, 0, 0, 0.0]), IDLE, np.zeros(3))
     here, there = SetPoint(0.1, 0, 0.5), SetPoint(0.1, 0, 0.5 + 2 * np.pi * turns)
-    one, other = (controller.steer(craft, point.at(0, 0)).request for point in (here, there))
+    one, other = (steer_to(controller, craft, point).request for point in (here, there))
     np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_the_shorter_way_round_is_taken():
     controller = turner()
     craft = Estimate(0.0, np.array([0, 0, 3.0, 0, 0, 0]), IDLE, np.zeros(3))
-    forward = controller.steer(craft, SetPoint(0, 0, -3.0).at(0, 0)).request
-    back = controller.steer(craft, SetPoint(0, 0, 2.5).at(0, 0)).request
+    forward = steer_to(controller, craft, SetPoint(0, 0, -3.0)).request
+    back = steer_to(controller, craft, SetPoint(0, 0, 2.5)).request
     k = controller.law.gain[2, 2]
     # 2π - 6 ahead, 0.5 back; the idle motors turn it a little in the period that is settled.
     assert forward[2] - back[2] == pytest.approx(k * (2 * np.pi - 6 + 0.5), rel=1e-9)

@@ -28,6 +28,7 @@ from .flights import (
     controller,
     fly,
     hold_still,
+    steer_to,
 )
 
 
@@ -46,7 +47,7 @@ def test_the_loop_on_the_nominal_craft_is_python_controls_linear_one():
     first = np.array(acceleration(np, dynamics, x[2:], speed))
     states = [x]
     for _ in range(400):
-        step = ours.steer(Estimate(0.0, x, speed, NOTHING), ours.reference.at(0.0, 0.0))
+        step = ours.steer(Estimate(0.0, x, speed, NOTHING), 0.0)
         assert step.status == "exact"
         given = np.array(acceleration(np, dynamics, x[2:], speed))
         x = plant.A @ x + plant.B @ given
@@ -97,7 +98,7 @@ def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch, com
         pose = 0.003 * k * np.array([1.0, -0.5, 2.0]) + 1e-4 * random.normal(size=3)
         for one in pair:
             one.pose(now, pose)
-            whole, parts = one.step(now), one.steer(one.predict(now), point.at(now, 0.0))
+            whole, parts = one.step(now), one.steer(one.predict(now), now)
             assert whole.status == parts.status
             np.testing.assert_allclose(whole.request, parts.request, rtol=1e-11, atol=1e-11)
             np.testing.assert_allclose(whole.command, parts.command, atol=1e-11)
@@ -234,7 +235,7 @@ def test_with_the_delay_compensated_the_craft_flies_as_without_one_only_later():
 )
 def test_commands_are_within_limits_wherever_the_craft_is(state, speed, disturbance, target):
     craft = Estimate(0.0, np.array(state), np.array(speed), np.array(disturbance))
-    step = LIMITED.steer(craft, SetPoint(*target).at(0, 0))
+    step = steer_to(LIMITED, craft, SetPoint(*target))
     assert np.isfinite(step.command).all()
     assert (step.command >= 0.1).all()
     assert (step.command <= 0.8).all()

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.law import Step
 from airpuck.control.qp_solvers import Daqp
 from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import Step, TrackingController
+from airpuck.control.tracking import TrackingController
 
 from .flights import (
     FRAME,

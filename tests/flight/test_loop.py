@@ -5,8 +5,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from airpuck.control.law import FLYING, Step
 from airpuck.control.reference import SetPoint, SetPoints
-from airpuck.control.tracking import FLYING, Step, TrackingController
+from airpuck.control.tracking import TrackingController
 from airpuck.flight.link import Measurement
 from airpuck.flight.loop import control, fly
 from airpuck.model.model_file import read_model

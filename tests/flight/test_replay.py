@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import pearsonr
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.law import Status
 from airpuck.control.reference import SetPoints
-from airpuck.control.tracking import Status
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.replay import Gains, Replay, replay

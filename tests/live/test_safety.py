@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from airpuck.control.law import Step
 from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import Step
 from airpuck.live.safety import Guard, GuardedPilot, Limits
 
 FRAME = 1 / 240

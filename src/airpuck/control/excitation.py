@@ -12,8 +12,9 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml, write_toml
+from airpuck.control.law import Step
 from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import Step, TrackingController
+from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate

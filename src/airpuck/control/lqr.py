@@ -1,37 +1,24 @@
-"""The controller's law (seq:control): a quadratic regulator gives the craft's acceleration."""
+"""The law of the paper's controller (seq:control): regulator, thrust allocation, inverse thrust."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.compute.compiled import program
+from airpuck.control.allocation import ThrustAllocator, all_finite
 from airpuck.control.discretization import point_mass
-from airpuck.control.tuning import Weights
-from airpuck.physics.angle import pose_difference
-
-
-@dataclass(frozen=True, eq=False)
-class LQR:
-    """A law of the controller: v = a_ref - K (x - x_ref), with the yaw error the shorter way.
-
-    Any law has the same two members. Where only its numbers differ, laws share compiled programs.
-    """
-
-    gain: Float[np.ndarray, "3 6"]
-
-    @property
-    def numbers(self) -> tuple[np.ndarray, ...]:
-        """Arrays that `acceleration` takes."""
-        return (self.gain,)
-
-    @staticmethod
-    def acceleration(xp: Any, state: Any, target: Any, feedforward: Any, gain: Any) -> Any:
-        """Compute the acceleration to ask for, disturbances left aside; a pure function."""
-        return feedforward - gain @ pose_difference(xp, state, target)
+from airpuck.control.law import Step
+from airpuck.control.reference import Reference
+from airpuck.control.stages import Plan, command_stage, plan_stage
+from airpuck.control.tuning import Tuning, Weights
+from airpuck.estimate.estimator import Estimate
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import InverseThrust
 
 
 def lqr(
@@ -82,3 +69,69 @@ def regulator(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:
     q = np.diag([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
     r = np.diag([w.acceleration, w.acceleration, w.angular_acceleration])
     return lqr(*point_mass(period), q, r)
+
+
+class LQR:
+    """A quadratic regulator of the accelerations, and the allocation of thrusts to give them.
+
+    Moves the state one period on with the accelerations that the motors already determine; asks for
+    v_{k+1} = a_ref - K (x_{k+1} - x_ref), the yaw error the shorter way; takes off the disturbance,
+    and finds the commands that make the motors give it (eq. force_qp).
+
+    Parameters
+    ----------
+    model : Model
+        The craft; its thrust curves must rise.
+    tuning : Tuning
+        Weights, period and allocation.
+    gain : array, shape (3, 6), optional
+        K for the state x, y, γ, vx, vy, ω; by default the regulator of the tuning's weights.
+    reject_disturbance : bool, default True
+        See `airpuck.control.tracking.TrackingController`.
+    compiled : bool, default True
+        Whether to compile the mathematics or to run it in NumPy.
+
+    Raises
+    ------
+    InputError
+        If a thrust curve falls somewhere.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        tuning: Tuning,
+        *,
+        gain: Float[np.ndarray, "3 6"] | None = None,
+        reject_disturbance: bool = True,
+        compiled: bool = True,
+    ) -> None:
+        InverseThrust(model.dynamics.thrust)  # refuses curves that fall
+        n, period, allocation = model.vehicle.n_propellers, tuning.period_s, tuning.allocation
+        slack_weight = allocation.slack_weight
+        #: May be exchanged at any time.
+        self.gain = regulator(tuning.weights, period) if gain is None else gain
+        #: See `airpuck.control.law.Law`.
+        self.stage = plan_stage(model, period, slack_weight, reject_disturbance)
+        self._period, self._idle = period, np.full(n, model.vehicle.command_min)
+        self._allocator = ThrustAllocator(
+            n, model.radius_of_gyration, slack_weight, allocation.solver
+        )
+        command, motors, bounds = command_stage(model, period), np.zeros(n), np.zeros(n + 5)
+        given = np.zeros(n + 2), bounds, bounds, motors
+        self._command = program(command, *given, compiled=compiled)
+
+    def asked(self, reference: Reference, now: float, delay: float) -> tuple[np.ndarray, ...]:
+        """Return the target one period after the command begins to act, and the gain."""
+        target = reference.at(now, delay + self._period)
+        return target.state, target.acceleration, self.gain
+
+    def finished(self, estimate: Estimate, staged: Sequence[Any]) -> Step:
+        """Allocate thrusts for a plan and invert them to commands."""
+        plan = Plan(*staged)
+        solution, outcome = self._allocator.solve(plan.a, plan.lower, plan.upper, plan.finite)
+        if solution is not None:
+            (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)
+            if all_finite(command):
+                return Step(command, outcome, plan.request, estimate)
+        return Step(self._idle.copy(), "failed", plan.request, estimate)

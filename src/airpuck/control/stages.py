@@ -12,8 +12,8 @@ from jaxtyping import Num
 
 from airpuck.control.allocation import problem
 from airpuck.control.discretization import motor_lag, point_mass
-from airpuck.control.lqr import LQR
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import Dynamics, acceleration_map
 from airpuck.physics.thrust import inverse_thrust, thrust
 
@@ -37,17 +37,16 @@ class Plan(NamedTuple):
 
 
 def plan_stage(
-    model: Model, period: float, law: LQR, slack_weight: float, reject_disturbance: bool
+    model: Model, period: float, slack_weight: float, reject_disturbance: bool
 ) -> Callable[..., Plan]:
     """Return look-ahead, law and the program of the allocation as one function.
 
-    (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration,
-    numbers of the law) → plan.
+    (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration, gain)
+    → plan.
     """
     dynamics, vehicle = model.dynamics, model.vehicle
     arm, least, most = model.radius_of_gyration, vehicle.command_min, vehicle.command_max
     lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
-    acceleration = law.acceleration
 
     def plan(
         xp: Any,
@@ -57,13 +56,13 @@ def plan_stage(
         effectiveness: Num[Any, " n"],
         target: Num[Any, " 6"],
         feedforward: Num[Any, " 3"],
-        *numbers: Any,
+        gain: Num[Any, "3 6"],
     ) -> Plan:
         # A motor that is believed weak counts for less; nothing is divided by its effectiveness.
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
         believed = state, speed, disturbance, effectiveness
         following, matrix, offset = look_ahead(xp, dynamics, period, *believed)
-        request = acceleration(xp, following, target, feedforward, *numbers)
+        request = feedforward - gain @ pose_difference(xp, following, target)
         request = request - reject_disturbance * disturbance
         coasting = lag * speed
         low = thrust(dynamics.thrust, coasting + drive * least)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -12,64 +11,25 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import program
 from airpuck.compute.process import large_programs_are_fast
-from airpuck.control.allocation import Outcome, ThrustAllocator, all_finite
-from airpuck.control.lqr import LQR, regulator
+from airpuck.control.allocation import all_finite
+from airpuck.control.law import Law, Status, Step
+from airpuck.control.lqr import LQR
 from airpuck.control.pose_gate import STALE, PoseGate
-from airpuck.control.reference import Numbers, Reference, Target
-from airpuck.control.stages import Plan, command_stage, plan_stage
+from airpuck.control.reference import Numbers, Reference, SetPoint
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
-from airpuck.physics.thrust import InverseThrust
-
-#: How a control step ended. The outcomes of the allocation fly; all others idle the motors; a guard
-#: around the controller sets ``unsafe``.
-Status = (
-    Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
-)
-FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", "open loop")
 
 #: Commands that began to act longer ago than this matter to the motor speeds only [s].
 _REMEMBERED = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Result of a control step.
-
-    Attributes
-    ----------
-    command : array, shape (n,)
-        Motor commands to send, finite and within the vehicle's limits; an array of the caller's
-        own, to change at will.
-    status : str, default "open loop"
-        ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: without an allocation;
-        anything else: the motors idle, and this is why.
-    request : array, shape (3,), default 0
-        Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
-    estimate : Estimate or None
-        State at the time at which the command will begin to act; None when idle.
-    """
-
-    command: Float[np.ndarray, " n"]
-    status: Status = "open loop"
-    request: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
-    estimate: Estimate | None = None
-
-    @property
-    def flies(self) -> bool:
-        """Whether the command steers the craft, rather than idling its motors."""
-        return self.status in FLYING
-
-
 class TrackingController:
     """Steers the craft to a reference.
 
-    Each step predicts the state x_k to when the command will act, over the transport delay; moves
-    one period on with the accelerations that the motors already determine; asks the regulator for
-    v_{k+1} = -K (x_{k+1} - reference), takes off the disturbance, and finds the commands that make
-    the motors give it (eq. force_qp).
+    Each step predicts the state to when the command will act, over the transport delay; a law
+    (`LQR`) then finds the command.
 
     Parameters
     ----------
@@ -80,7 +40,7 @@ class TrackingController:
     tuning : Tuning, optional
         By default the packaged one.
     gain : array, shape (3, 6), optional
-        K for the state x, y, γ, vx, vy, ω; by default the regulator of the tuning's weights.
+        Of the law `LQR`.
     reject_disturbance : bool, default True
         Whether the estimated disturbance is compensated. Without it a poor model leaves a
         steady-state offset, as the paper's M0 does.
@@ -108,36 +68,28 @@ class TrackingController:
         compiled: bool = True,
     ) -> None:
         tuning = tuning or default_tuning()
-        vehicle, dynamics = model.vehicle, model.dynamics
+        vehicle = model.vehicle
         if not _commands_all_directions(model):
             raise InputError(
                 f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
                 "check their positions and directions"
             )
         self.model, self.reference, self.tuning = model, reference, tuning
-        self.reject_disturbance = reject_disturbance
         self.compensate_delay = compensate_delay
-        InverseThrust(dynamics.thrust)  # refuses curves that fall
-        #: Which acceleration to ask for; may be exchanged for one with another gain.
-        self.law = LQR(regulator(tuning.weights, tuning.period_s) if gain is None else gain)
-        #: Not to be exchanged: the programs below are made for it.
-        self.filter = _estimator(model, tuning.estimation, compiled)
-        n, period, allocation = vehicle.n_propellers, tuning.period_s, tuning.allocation
-        slack_weight = allocation.slack_weight
-        self._allocator = ThrustAllocator(
-            n, model.radius_of_gyration, slack_weight, allocation.solver
+        self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
+        #: Neither is to be exchanged: the programs below are made for them.
+        self.law: Law = LQR(
+            model, tuning, gain=gain, reject_disturbance=reject_disturbance, compiled=compiled
         )
-        self._idle = np.full(n, vehicle.command_min)
-        state, axes, motors, bounds = np.zeros(6), np.zeros(3), np.zeros(n), np.zeros(n + 5)
-        asked = state, axes, *self.law.numbers
-        plan = plan_stage(model, period, self.law, slack_weight, reject_disturbance)
-        self._plan = program(plan, state, motors, axes, motors, *asked, compiled=compiled)
-        command, solution = command_stage(model, period), np.zeros(n + 2)
-        self._command = program(command, solution, bounds, bounds, motors, compiled=compiled)
-        #: Prediction and plan as one program, where that is faster.
-        self._predict_and_plan = None
+        self.filter = _estimator(model, tuning.estimation, compiled)
+        axes, motors = np.zeros(3), np.zeros(vehicle.n_propellers)
+        asked = self.law.asked(SetPoint(0.0, 0.0, 0.0), 0.0, 0.0)
+        given = np.zeros(6), motors, axes, motors, *asked
+        self._stage = program(self.law.stage, *given, compiled=compiled)
+        #: Prediction and stage as one program, where that is faster.
+        self._predict_and_stage = None
         if compensate_delay and (not compiled or large_programs_are_fast()):
-            self._predict_and_plan = self.filter.composed(plan, *asked)
+            self._predict_and_stage = self.filter.composed(self.law.stage, *asked)
         self._gate = PoseGate()
         #: The latest time that has certainly come; -inf: none yet.
         self._clock = -math.inf
@@ -248,13 +200,12 @@ class TrackingController:
         refusal = self.refusal(time)
         if refusal is not None:
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
+        if self._predict_and_stage is None:
+            return self.steer(self.predict(time), time)
         delay = self.model.transport_delay
-        target = self.reference.at(time, delay + self.tuning.period_s)
-        if self._predict_and_plan is None:
-            return self.steer(self.predict(time), target)
-        asked = self._asked(target)
-        estimate, plan = self.filter.predict_with(self._predict_and_plan, time + delay, *asked)
-        return self._carried_out(estimate, Plan(*plan))
+        asked = self.law.asked(self.reference, time, delay)
+        found = self.filter.predict_with(self._predict_and_stage, time + delay, *asked)
+        return self.law.finished(*found)
 
     def predict(self, time: float) -> Estimate:
         """Predict the craft to when a command sent now begins to act.
@@ -275,37 +226,24 @@ class TrackingController:
         # As if the commands on their way acted already, on a craft that is still here.
         return replace(self.filter.predict(time), motor_speed=acting.motor_speed)
 
-    def steer(self, estimate: Estimate, target: Target) -> Step:
-        """Compute the command for an estimate and a target, whatever the clock says.
+    def steer(self, estimate: Estimate, now: float) -> Step:
+        """Compute the command for an estimate, whatever the clock says.
 
         Parameters
         ----------
         estimate : Estimate
             The craft when the command begins to act.
-        target : Target
-            Where it should be one period later.
+        now : float
+            When the command is sent [s].
 
         Returns
         -------
         Step
             The command.
         """
-        e = estimate
-        believed = e.state, e.motor_speed, e.disturbance, e.effectiveness
-        return self._carried_out(e, Plan(*self._plan(*believed, *self._asked(target))))
-
-    def _asked(self, target: Target) -> tuple[np.ndarray, ...]:
-        """Return what a plan needs beside the estimate."""
-        return target.state, target.acceleration, *self.law.numbers
-
-    def _carried_out(self, estimate: Estimate, plan: Plan) -> Step:
-        """Allocate thrusts for a plan and invert them to commands."""
-        solution, outcome = self._allocator.solve(plan.a, plan.lower, plan.upper, plan.finite)
-        if solution is not None:
-            (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)
-            if all_finite(command):
-                return Step(command, outcome, plan.request, estimate)
-        return Step(self._idle.copy(), "failed", plan.request, estimate)
+        e, asked = estimate, self.law.asked(self.reference, now, self.model.transport_delay)
+        staged = self._stage(e.state, e.motor_speed, e.disturbance, e.effectiveness, *asked)
+        return self.law.finished(e, staged)
 
     def refusal(self, time: float) -> Status | None:
         """Return why the craft cannot be steered now.

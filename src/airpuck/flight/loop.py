@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.tracking import Status, Step
+from airpuck.control.law import Status, Step
 from airpuck.flight.link import Link, Measurement
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 

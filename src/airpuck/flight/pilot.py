@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_class import load_class
+from airpuck.control.law import Step
 from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import Step
 from airpuck.model.model_file import Model
 
 #: Methods of a pilot, and how many arguments each is called with.

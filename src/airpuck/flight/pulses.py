@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import Reference, SetPoint
-from airpuck.control.tracking import Numbers, Step
+from airpuck.control.law import Step
+from airpuck.control.reference import Numbers, Reference, SetPoint
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 

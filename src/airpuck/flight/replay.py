@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import motor_lag
-from airpuck.control.lqr import LQR, regulator
+from airpuck.control.law import Status
+from airpuck.control.lqr import LQR
 from airpuck.control.reference import Target
 from airpuck.control.stages import look_ahead
-from airpuck.control.tracking import Status, TrackingController
+from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
@@ -65,8 +66,8 @@ class Replay:
         Outcome of each of our steps.
     reference, pose : array, shape (K, 3)
         What was asked for, and where the craft was believed to be [m, m, rad].
-    gains : Gains
-        Of the regulator.
+    gains : Gains or None
+        Of the LQR; None: another law.
     fitted : bool
         Whether the gains were fitted to the flight.
     motors : tuple of str
@@ -83,7 +84,7 @@ class Replay:
     status: tuple[Status, ...]
     reference: Float[np.ndarray, "K 3"]
     pose: Float[np.ndarray, "K 3"]
-    gains: Gains
+    gains: Gains | None
     fitted: bool
     motors: tuple[str, ...]
     compared: Bool[np.ndarray, " K"]
@@ -125,7 +126,7 @@ class Replay:
                 for name, r, m in motors
             ],
             "median_abs": float(np.median(apart)),
-            "gains": vars(self.gains),
+            "gains": None if self.gains is None else vars(self.gains),
             "fitted": self.fitted,
             "steps": int(self.compared.sum()),
             "outcomes": self.outcomes,
@@ -191,8 +192,6 @@ def replay(
     estimates = _fly_through(
         controller, aligned.pose_time, aligned.pose_time + latency, pose.values, time, sent
     )
-    ahead = model.transport_delay + tuning.period_s
-    targets = [controller.reference.at(t, ahead) for t in time]
     share = np.arange(len(time)) / len(time)
     inside = (share >= span[0]) & (share < span[1])
     known = np.array([isinstance(estimate, Estimate) for estimate in estimates])
@@ -203,22 +202,20 @@ def replay(
             "recording whose poses and commands overlap",
             file=recording.source,
         )
-    gains = Gains.of(regulator(tuning.weights, tuning.period_s))
     if fit_gains:
         # A motor at its limit says nothing about gains.
         used = np.flatnonzero(compared & (sent.max(axis=1) < 0.98))
-        some: Estimates = [estimates[k] for k in used]
-        gains = _fit_gains(controller, some, [targets[k] for k in used], sent[used])
-    computed, status = _steer(controller, gains, estimates, targets)
+        _fit_gains(controller, [estimates[k] for k in used], time[used], sent[used])
+    computed, status = _steer(controller, estimates, time)
     poses = [e.state[:3] if isinstance(e, Estimate) else np.full(3, np.nan) for e in estimates]
     return Replay(
         time=time - time[0],
         sent=sent,
         computed=computed,
         status=status,
-        reference=np.array([target.state[:3] for target in targets]),
+        reference=np.array([target.state[:3] for target in _targets(controller, time)]),
         pose=np.array(poses),
-        gains=gains,
+        gains=Gains.of(controller.law.gain) if isinstance(controller.law, LQR) else None,
         fitted=fit_gains,
         motors=model.vehicle.propeller_names,
         compared=compared,
@@ -250,19 +247,24 @@ def _fly_through(
     return estimates
 
 
+def _targets(controller: TrackingController, times: Float[np.ndarray, " K"]) -> list[Target]:
+    """Return what the reference asks for one period after commands of these times act."""
+    ahead = controller.model.transport_delay + controller.tuning.period_s
+    return [controller.reference.at(float(time), ahead) for time in times]
+
+
 def _steer(
-    controller: TrackingController, gains: Gains, estimates: Estimates, targets: list[Target]
+    controller: TrackingController, estimates: Estimates, times: Float[np.ndarray, " K"]
 ) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
-    """Compute all commands with the given gains."""
-    controller.law = LQR(gains.matrix())
+    """Compute all commands."""
     idle = np.full(controller.model.vehicle.n_propellers, controller.model.vehicle.command_min)
     commands, status = [], []
-    for estimate, target in zip(estimates, targets, strict=True):
+    for estimate, time in zip(estimates, times.tolist(), strict=True):
         if not isinstance(estimate, Estimate):
             commands.append(idle)
             status.append(estimate)
             continue
-        step = controller.steer(estimate, target)
+        step = controller.steer(estimate, time)
         commands.append(step.command)
         status.append(step.status)
     return np.array(commands), tuple(status)
@@ -271,26 +273,29 @@ def _steer(
 def _fit_gains(
     controller: TrackingController,
     estimates: Estimates,
-    targets: list[Target],
+    times: Float[np.ndarray, " K"],
     sent: Float[np.ndarray, "K n"],
-) -> Gains:
-    """Fit the gains: robust linear regression for a start, then on the commands themselves."""
+) -> None:
+    """Fit the law's gains: robust linear regression for a start, then on the commands."""
     from scipy.optimize import least_squares
 
+    law = controller.law
+    if not isinstance(law, LQR):
+        raise InputError("only the LQR has gains", field="fit-gains")
     if len(sent) < 50:
         raise InputError("too few commands below saturation to fit gains to", field="fit-gains")
-    linear, angular = _regression(controller, estimates, targets, sent)
+    linear, angular = _regression(controller, estimates, _targets(controller, times), sent)
     start = np.array([*_robust(*linear), *_robust(*angular)])
 
     def residuals(factors: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " M"]:
-        gains = Gains(*(start * factors).tolist())
-        return (_steer(controller, gains, estimates, targets)[0] - sent).ravel()
+        law.gain = Gains(*(start * factors).tolist()).matrix()
+        return (_steer(controller, estimates, times)[0] - sent).ravel()
 
     # Commands have kinks where bounds begin to bind: steps of one percent look past them.
     found = least_squares(
         residuals, np.ones(4), loss="soft_l1", f_scale=0.02, diff_step=0.01, max_nfev=12
     )
-    return Gains(*(start * found.x).tolist())
+    law.gain = Gains(*(start * found.x).tolist()).matrix()
 
 
 def _regression(

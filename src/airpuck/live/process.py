@@ -25,7 +25,7 @@ from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 
 if TYPE_CHECKING:
-    from airpuck.control.tracking import Numbers
+    from airpuck.control.reference import Numbers
 
 #: Estimates and references are sent again when lost; of other streams only the newest counts.
 _QUALITY = {"estimate": STATE, "reference": STATE}

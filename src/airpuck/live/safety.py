@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.reference import Reference
-from airpuck.control.tracking import Numbers, Step
+from airpuck.control.law import Step
+from airpuck.control.reference import Numbers, Reference
 from airpuck.flight.pilot import Pilot, checked_step
 
 #: Takes the level and the text of an event.

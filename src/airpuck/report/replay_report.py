@@ -84,21 +84,25 @@ def _agreement_table(replay: Replay) -> Table:
     )
 
 
-def _controller_tables(replay: Replay) -> tuple[Table, Table]:
-    """Tabulate the gains, and what became of the control steps."""
-    g = replay.gains
-    gains = Table(
-        "Gains of the regulator" + (", fitted to the recorded commands." if replay.fitted else "."),
-        ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
-        [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
-    )
+def _controller_tables(replay: Replay) -> list[Table]:
+    """Tabulate the gains, if the law has any, and what became of the control steps."""
+    tables = []
+    if replay.gains is not None:
+        g, fitted = replay.gains, ", fitted to the recorded commands" if replay.fitted else ""
+        tables.append(
+            Table(
+                f"Gains of the regulator{fitted}.",
+                ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
+                [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
+            )
+        )
     counts = replay.to_json()["outcomes"]
     outcomes = Table(
         "Outcomes of the control steps in this span.",
         ["outcome", "steps", "meaning"],
         [[name, str(count), OUTCOMES[name]] for name, count in counts.items()],
     )
-    return gains, outcomes
+    return [*tables, outcomes]
 
 
 def _fastest_spin(replay: Replay) -> float:

@@ -154,7 +154,7 @@ def tracking_study(
         gains = Gains.of(regulator(tuning.weights, tuning.period_s))
         if flight is not None:
             course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
-            gains = replay(flight, model, tuning=tuning, fit_gains=True).gains
+            gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
         recording, log = track(
             model,
             course.set_points,
