@@ -14,6 +14,7 @@ from airpuck.boundary.outputs import replacing
 class Example(Section):
     mass_kg: float
     rows: tuple[tuple[float, ...], ...] = ()
+    either: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
 
 
 def test_missing_file(tmp_path):
@@ -25,11 +26,13 @@ def test_missing_file(tmp_path):
     ("text", "message"),
     [
         ("mass_kg = ", "not valid TOML"),
-        ("mass_kg = 'heavy'", "mass_kg: Input should be a valid number"),
-        ("mass_kg = nan", "mass_kg: Input should be a finite number"),
+        ("mass_kg = 'heavy'", "mass_kg: must be a valid number"),
+        ("mass_kg = nan", "mass_kg: must be a finite number"),
         ("", "mass_kg: is required"),
         ("mass_kg = 1.0\nmas = 2", "mas: is not a known key"),
         ("mas_kg = 1.0", "mas_kg: is not a known key"),
+        ("mass_kg = 1.0\nrows = 2.0", r"rows: must be a list in brackets, \[ \]"),
+        ("mass_kg = 1.0\neither = 2.0", "toml: either: must be a list in brackets"),
         ("mass_kg = 1.0\nrows = [[1.0], ['x']]", r"rows\.1\.0"),
     ],
 )

@@ -138,6 +138,12 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     assert process.returncode == 2
     assert "swapped" in process.stdout
     assert "motor_b_2, motor_a_1" in process.stderr.splitlines()[-1]
+    # A mapping that turns y alone: what mends it is said in terms of that mapping.
+    (tmp_path / "lab.toml").write_text('[pose]\naxes = ["x", "-y", "z"]\n')
+    process = airpuck("check", bag, "--mapping", tmp_path / "lab.toml")
+    assert process.returncode == 2
+    assert 'axes = ["x", "y", "z"]' in process.stdout
+    assert process.stderr.splitlines()[-1].endswith(": the y axis")
 
 
 def test_adam(bag, tmp_path):

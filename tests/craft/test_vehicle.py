@@ -86,6 +86,10 @@ def test_reads_back_what_it_writes(quad, tmp_path):
         ("= 4e-4", "= 4e3", r"inertia_kg_m2 = 4000 .*: g cm²\?"),
         ("= 4e-4", "= 400.0", r"inertia_kg_m2 = 400 .*: kg mm²\?"),
         ("= 4e-4", "= 4.0", r"inertia_kg_m2 = 4 .*: kg cm²\?"),
+        ("[0.1, 0.5], [0.2, 0.6]", "[0.0, 60.0], [0.0, 60.0]", r"60 at full .*: gram-force\?"),
+        ("[[0.1, 0.5], [0.2, 0.6]]", "0.6", r"nominal.thrust_N: must be a list in brackets"),
+        ("[nominal]", "[nominal]\ntransport_delay_s = 20", r"_delay_s = 20 .*: milliseconds\?"),
+        ("[nominal]", "[nominal]\nmotor_time_constant_s = 30", r"_s = 30 .*: milliseconds\?"),
     ],
 )
 def test_bad_fields_are_named(quad, old, new, message):

@@ -83,6 +83,10 @@ def test_a_turned_layout_is_remarked(flight):
     check = check_layout(flight, edited(lambda _, p: moved(p, np.pi / 2)))
     assert not check.agrees
     assert "turned by -92 degrees" in check.remarks[0]
+    # None of them is swapped: turned back, all do what the file says.
+    assert {p.verdict for p in check.propellers} == {"turned with the whole layout"}
+    assert [p.behaves_like for p in check.propellers] == [p.name for p in check.propellers]
+    assert check.wrong == ("the yaw's zero",)
 
 
 def test_a_mirrored_layout_is_remarked(flight):
@@ -90,6 +94,35 @@ def test_a_mirrored_layout_is_remarked(flight):
     assert check.mirrored
     assert not check.agrees
     assert check.remarks[0].startswith("the y axis and the yaw are flipped")
+
+
+def test_what_mends_axes_is_said_in_terms_of_the_mapping(recorded):
+    """The lab's file has Y up, and the mapping forgot that z points towards us."""
+    recording, vehicle = recorded
+    flipped = preprocess(edited_poses(recording, (1, -1, 1)), vehicle)
+    check = check_layout(flipped, vehicle, axes=("x", "z", "y"))
+    assert 'axes = ["x", "-z", "y"]' in check.remarks[0]
+    assert check.wrong == ("the y axis",)
+
+
+@pytest.mark.parametrize("ratio", [0.01, 0.1, 10.0, 100.0])
+def test_a_wrong_unit_of_length_is_named_and_no_propeller_blamed(flight, ratio):
+    scale = np.array([ratio, ratio, 1.0])
+    logged = replace(
+        flight, state=flight.state * np.tile(scale, 2), acceleration=flight.acceleration * scale
+    )
+    check = check_layout(logged, default_vehicle())
+    assert check.length_ratio == pytest.approx(ratio)
+    assert check.wrong == ("the unit of length",)
+    assert f"moves {ratio:g} times as far" in check.remarks[0]
+    assert {p.verdict for p in check.propellers} == {"agrees"}
+
+
+def test_less_than_two_seconds_are_not_judged(flight):
+    check = check_layout(flight.slice(0.0, 0.15), default_vehicle())
+    assert not check.conclusive
+    assert {p.verdict for p in check.propellers} == {"not judged"}
+    assert "1.5 s" in check.remarks[0]
 
 
 def quad() -> Vehicle:

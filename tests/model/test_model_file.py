@@ -154,6 +154,16 @@ def test_published_models_are_read_by_name():
         read_model("paper:M9")
 
 
+def test_a_bare_name_is_told_how_published_parameters_are_called(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"M3: there is no such file; .* are paper:M3"):
+        read_model("M3")
+    with pytest.raises(InputError, match=r"M9: there is no such file$"):
+        read_model("M9")
+    with pytest.raises(InputError, match="is a folder, and a file is wanted"):
+        read_model(tmp_path)
+
+
 def test_a_model_of_a_matrix_needs_three_rows(tmp_path):
     model = published_model("M4")
     wrong = replace(model.parameters, configuration_matrix=np.ones((2, 6)))

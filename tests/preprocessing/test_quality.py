@@ -5,7 +5,13 @@ import pytest
 from scipy.ndimage import median_filter
 
 from airpuck.boundary.errors import InputError
-from airpuck.preprocessing.quality import check_poses, find_frozen, find_gaps, find_jumps
+from airpuck.preprocessing.quality import (
+    check_commands,
+    check_poses,
+    find_frozen,
+    find_gaps,
+    find_jumps,
+)
 from airpuck.recording.stream import COLUMNS, Stream
 
 RATE = 240.0
@@ -161,3 +167,16 @@ def test_what_moves_on_over_a_gap_has_not_jumped():
     time, poses = moving()
     seen = np.delete(np.arange(len(time)), np.arange(1000, 1100))
     assert find_jumps(time[seen], poses[seen]) == ()
+
+
+@pytest.mark.parametrize(("unit", "step"), [(1e3, "10"), (1e-3, "1e-05")])
+def test_commands_in_another_unit_of_time_are_told_so(unit, step):
+    time = unit * np.arange(100) / 100.0
+    stamp = np.rint(1e9 * time).astype(np.int64)
+    stream = Stream(stamp, stamp, np.full((100, 2), 0.3), ("left", "right"))
+    with pytest.raises(InputError, match=f"commands come every {step} s") as caught:
+        check_commands(stream, time, "flight")
+    assert caught.value.field == "time"
+    # A few that were logged as they changed are no such sign.
+    few = Stream(stamp[:9], stamp[:9], stream.values[:9], stream.columns)
+    check_commands(few, np.arange(9) * 30.0, "flight")

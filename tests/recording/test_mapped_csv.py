@@ -136,6 +136,11 @@ def edited(text: str, line: int, column: int, value: str) -> str:
         (edited(mocap(), 3, 1, "1e30"), "which no clock shows"),
         (edited(mocap(), 0, 2, "y"), "mocap.csv: y: there are two columns of this name"),
         ("", "mocap.csv: is empty"),
+        (mocap().split("\n", 1)[1], r"mocap.csv: has no header: its first line must name"),
+        (
+            mocap(between=";").replace(".", ","),
+            r"mocap.csv: t: line 2: '0,0' is not a number; decimals have a point",
+        ),
         ("\x00\x01\x02", "there is no such column"),
         (mocap()[: len(mocap()) // 2].replace(",", ";", 3), "has"),
         ("frame\n1\n", "t, x, y, theta: there is no such column"),
@@ -160,6 +165,16 @@ def test_all_that_is_missing_is_named_at_once(tmp_path: Path):
     ):
         assert part in message
     assert "\n" not in message
+
+
+def test_a_time_that_is_not_named(tmp_path: Path):
+    text = MAPPING.replace('time = "t"\n', "")
+    with pytest.raises(InputError) as caught:
+        read_recording(folder(tmp_path), mapping=mapping(tmp_path, text))
+    message = str(caught.value)
+    assert "mocap.csv: time: no column is named for the time; name columns" in message
+    assert "out of frame, t, x, y, theta" in message
+    assert "header" not in message
 
 
 def test_files_of_which_nothing_is_known(tmp_path: Path):

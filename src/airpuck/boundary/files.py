@@ -68,11 +68,15 @@ def checked(
         # A misspelt key also leaves the right one missing: report the spelling.
         found = error.errors()
         first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
-        # Names of validator functions are of no use to a user.
+        # Names of validator functions and of Python's types are of no use to a user.
         field = ".".join(
-            str(part) for part in first["loc"] if not str(part).startswith("function-")
+            part
+            for part in map(str, first["loc"])
+            if not part.startswith("function-") and "[" not in part
         )
         problem = first["msg"].removeprefix("Value error, ").rstrip(".")
+        problem = problem.replace("Input should be", "must be")
+        problem = problem.replace("a valid array", "a list in brackets, [ ]")
         if first["type"] == "extra_forbidden":
             problem = "is not a known key; check its spelling"
         elif first["type"] == "missing":

@@ -112,6 +112,8 @@ def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
             content = file.read(most + 1)
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
+    except IsADirectoryError:
+        raise InputError("is a folder, and a file is wanted", file=path) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason})", file=path) from error

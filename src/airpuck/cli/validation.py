@@ -15,7 +15,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts, verdict_of
-from airpuck.cli.inputs import about, load, load_for, read_craft
+from airpuck.cli.inputs import about, load, load_for, mapping_in, read_craft
 from airpuck.cli.output import error_table, every_start_table, origin, report, table, warn
 
 if TYPE_CHECKING:
@@ -77,11 +77,13 @@ def check(
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
     from airpuck.data.trajectory import vehicle_of
+    from airpuck.recording.mapping import RecordingMapping
 
-    craft = read_craft(vehicle)
-    trajectory = load(recording, craft, mapping, quiet=False)
+    craft, names = read_craft(vehicle), mapping_in(mapping) or RecordingMapping()
+    trajectory = airpuck.load_trajectory(recording, craft, mapping=names)
+    warn(trajectory.warnings, quiet=False)
     craft = craft or vehicle_of([trajectory])
-    result = airpuck.check_layout(trajectory, craft)
+    result = airpuck.check_layout(trajectory, craft, axes=names.pose.axes)
     report(
         result.to_json(),
         json_file,
@@ -90,8 +92,7 @@ def check(
         *result.remarks,
     )
     if not result.agrees:
-        wrong = [p.name for p in result.propellers if p.verdict != "agrees"]
-        reason = ", ".join(wrong) if result.conclusive else "nothing can be said"
+        reason = ", ".join(result.wrong) if result.conclusive else "nothing can be said"
         problem = f"does not agree with the vehicle {craft.name!r}: {reason}"
         raise InputError(problem, file=recording)
 

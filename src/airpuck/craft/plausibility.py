@@ -13,10 +13,15 @@ _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
 #: Farthest propeller by the radius; mass by the square of the size [kg/m²]; inertia by mass and
 #: square of the size, that of a disc being ½.
 _FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 500.0), (0.01, 20.0)
+#: Largest thrust of a propeller by the craft's weight; longest lag and delay [s].
+_THRUST, _TIME = 10.0, 1.0
+_GRAVITY = 9.81
 
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _MASSES = {"grams": 1e-3}
 _INERTIAS = {"g m²": 1e-3, "kg cm²": 1e-4, "kg mm²": 1e-6, "g cm²": 1e-7, "g mm²": 1e-9}
+_FORCES = {"gram-force": 1e-3 * _GRAVITY}
+_TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
 
 
 def check_sizes(
@@ -50,6 +55,23 @@ def check_sizes(
             f"nominal.inertia_kg_m2 = {inertia:g} is far from that of a disc of this mass and "
             f"radius, {disc:.2g}{_guess(inertia, _INERTIAS, disc)}"
         )
+
+
+def check_nominal(mass: float, thrust: float, lag: float, delay: float) -> None:
+    """Refuse a full thrust that is no propeller's, and times that are none: a ValueError."""
+    if thrust > _THRUST * mass * _GRAVITY:
+        raise ValueError(
+            f"nominal.thrust_N sums up to {thrust:g} at full speed, "
+            f"{thrust / (mass * _GRAVITY):.0f} times the craft's weight"
+            f"{_guess(thrust, _FORCES, 0.3 * mass * _GRAVITY)}"
+        )
+    for name, time, usual in (
+        ("motor_time_constant_s", lag, 0.03),
+        ("transport_delay_s", delay, 0.02),
+    ):
+        if time > _TIME:
+            guess = _guess(time, _TIMES, usual)
+            raise ValueError(f"nominal.{name} = {time:g} is too long to fly with{guess}")
 
 
 def _guess(value: float, units: Mapping[str, float], usual: float) -> str:

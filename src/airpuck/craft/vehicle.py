@@ -24,7 +24,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.limits import PROPELLERS
-from airpuck.craft.plausibility import check_sizes
+from airpuck.craft.plausibility import check_nominal, check_sizes
 
 
 class Propeller(Section):
@@ -97,10 +97,13 @@ class Vehicle(Section):
             raise ValueError("pairs: a propeller can be in one pair only")
         if self.command_min >= self.command_max:
             raise ValueError("command_min must be below command_max")
-        _nominal_thrust(self.nominal.thrust_N, len(names))
+        nominal = self.nominal
+        full = float(_nominal_thrust(nominal.thrust_N, len(names)).sum(axis=1).max())
         # Not the property, which keeps its array: copies with other propellers would have it, too.
         positions = np.array([propeller.position_m for propeller in self.propellers])
-        check_sizes(self.mass_kg, self.radius_m, positions, self.nominal.inertia_kg_m2)
+        check_sizes(self.mass_kg, self.radius_m, positions, nominal.inertia_kg_m2)
+        lag, delay = nominal.motor_time_constant_s, nominal.transport_delay_s
+        check_nominal(self.mass_kg, full, lag, delay)
         return self
 
     def __eq__(self, other: object) -> bool:

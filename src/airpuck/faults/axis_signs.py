@@ -14,6 +14,7 @@ commands explain: y as logged or not, yaw as logged or not. Flipping x is flippi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -22,6 +23,8 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 
+#: Axes as a mapping has them that renames none.
+AXES = ("x", "y", "z")
 #: A turn of the forces nearer to 180 degrees than to none is two more flips, if it is within this.
 _HALF_TURN = 0.5
 #: By how much another choice of signs must explain more, of at most 2.
@@ -42,24 +45,25 @@ class AxisSigns:
         return tuple(name for name in ("x", "y", "yaw") if getattr(self, name) < 0)
 
     @property
-    def axes(self) -> str:
-        """The line of a mapping file that mends it."""
-        signs = zip("xyz", (self.x, self.y, self.yaw), strict=True)
-        return f"axes = {[axis if sign > 0 else f'-{axis}' for axis, sign in signs]}".replace(
-            "'", '"'
-        )
+    def names(self) -> tuple[str, ...]:
+        """The same in words."""
+        return tuple("the yaw" if name == "yaw" else f"the {name} axis" for name in self.flipped)
 
-    @property
-    def remark(self) -> str:
-        """What is wrong, and how to mend it; empty where nothing is."""
-        names = ["the yaw" if name == "yaw" else f"the {name} axis" for name in self.flipped]
-        if not names:
+    def line(self, axes: Sequence[str]) -> str:
+        """Return the line of a mapping file that mends it; `axes`: as the mapping has them now."""
+        signs = (self.x, self.y, self.yaw)
+        mended = [_turned(a) if sign < 0 else a for a, sign in zip(axes, signs, strict=True)]
+        return f"axes = {mended}".replace("'", '"')
+
+    def remark(self, axes: Sequence[str]) -> str:
+        """Say what is wrong, and how to mend it; nothing where nothing is."""
+        what = " and ".join(self.names)
+        if not what:
             return ""
-        what = " and ".join(names)
-        counts = "counts" if len(names) == 1 else "count"
+        one = len(self.names) == 1
         return (
-            f"{what} {'is' if len(names) == 1 else 'are'} flipped: {counts} the wrong way; mend it "
-            f"in the mapping file, under [pose]: {self.axes}"
+            f"{what} {'is' if one else 'are'} flipped: {'counts' if one else 'count'} the wrong "
+            f"way; mend it in the mapping file, under [pose]: {self.line(axes)}"
         )
 
     def undone(self, trajectory: Trajectory) -> Trajectory:
@@ -70,6 +74,11 @@ class AxisSigns:
             state=trajectory.state * np.tile(signs, 2),
             acceleration=trajectory.acceleration * signs,
         )
+
+
+def _turned(axis: str) -> str:
+    """Return an axis of a mapping the other way round."""
+    return axis.removeprefix("-") if axis.startswith("-") else f"-{axis}"
 
 
 def find_axis_signs(

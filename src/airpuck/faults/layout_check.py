@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from jaxtyping import Float
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.zero_order_hold import hold
-from airpuck.faults.axis_signs import AxisSigns, body_acceleration, find_axis_signs
-from airpuck.faults.effect_match import Match, cosines, match_effects, rotation
+from airpuck.faults.axis_signs import AXES, AxisSigns, body_acceleration, find_axis_signs
+from airpuck.faults.effect_match import Match, cosines, match_effects, rotation, turned
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
@@ -23,6 +24,16 @@ _LONGEST_DELAY = 0.1
 _TURNED = 0.3
 #: Share of the variance that the commands must explain before anything is concluded.
 _EXPLAINED = 0.3
+#: Usable length of a recording from which anything is concluded [s].
+_SHORTEST = 2.0
+#: Forces and moments tell a ratio of lengths; what is as far from 1 as this is a wrong unit, and no
+#: guess of the inertia.
+_WRONG_UNIT = 5.0
+#: By how much turning the layout back must raise the mean cosine, before swapped motors are not the
+#: better explanation.
+_BETTER = 0.02
+#: Verdict on a propeller that agrees once the layout is turned back.
+_TURNS = "turned with the whole layout"
 
 
 @dataclass(frozen=True)
@@ -53,6 +64,12 @@ class LayoutCheck:
     rotation: float
     #: Signs of x, y and yaw with which the rest was found.
     signs: AxisSigns
+    #: By how many times positions are too large for the measured turns: 1, or a power of ten.
+    length_ratio: float = 1.0
+    #: For how long poses and commands could be used [s].
+    usable: float = np.inf
+    #: Our x, y, z in terms of the file's axes, as the mapping had them.
+    axes: tuple[str, ...] = AXES
 
     @property
     def mirrored(self) -> bool:
@@ -62,23 +79,42 @@ class LayoutCheck:
     @property
     def conclusive(self) -> bool:
         """Whether the commands explain enough of the motion to judge."""
-        return self.explained >= _EXPLAINED
+        return self.explained >= _EXPLAINED and self.usable >= _SHORTEST
 
     @property
     def agrees(self) -> bool:
         """Whether order and signs of all propellers agree with the recording."""
-        right = not self.mirrored and all(p.verdict == "agrees" for p in self.propellers)
-        return self.conclusive and right
+        return self.conclusive and not self.wrong
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """What disagrees: axes, the unit of length, names of propellers."""
+        return (
+            *self.signs.names,
+            *(("the unit of length",) if self.length_ratio != 1 else ()),
+            *(("the yaw's zero",) if any(p.verdict == _TURNS for p in self.propellers) else ()),
+            *(p.name for p in self.propellers if p.verdict not in ("agrees", _TURNS)),
+        )
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the layout as a whole."""
+        if self.usable < _SHORTEST:
+            return (
+                f"too short to judge: poses and commands can be used together for {self.usable:.1f}"
+                f" s, and {_SHORTEST:g} s are needed; check the clocks and gaps of both",
+            )
         if not self.conclusive:
             return (
                 "too little to judge: use a recording in which every motor was excited, and check "
-                "the clocks of poses and commands",
+                "the clocks of poses and commands, and the unit of the yaw",
             )
-        remarks = [self.signs.remark] if self.mirrored else []
+        remarks = [self.signs.remark(self.axes)] if self.mirrored else []
+        if self.length_ratio != 1:
+            remarks.append(
+                f"the craft moves {self.length_ratio:g} times as far as its turns say: mend the "
+                'unit of length in the mapping file, under [pose], such as units = ["mm"]'
+            )
         if abs(self.rotation) > _TURNED:
             remarks.append(
                 f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
@@ -86,7 +122,7 @@ class LayoutCheck:
             )
             if np.pi - abs(self.rotation) < _TURNED:
                 both = AxisSigns(-self.signs.x, -self.signs.y, self.signs.yaw)
-                remarks.append(f"or {both.remark}")
+                remarks.append(f"or {both.remark(self.axes)}")
         return tuple(remarks)
 
     def to_json(self) -> dict[str, Any]:
@@ -97,13 +133,16 @@ class LayoutCheck:
             "explained": self.explained,
             "delay_s": self.delay,
             "rotation_rad": self.rotation,
+            "length_ratio": self.length_ratio,
             "mirrored": self.mirrored,
             "flipped": list(self.signs.flipped),
             "propellers": [vars(propeller) for propeller in self.propellers],
         }
 
 
-def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
+def check_layout(
+    trajectory: Trajectory, vehicle: Vehicle, *, axes: Sequence[str] = AXES
+) -> LayoutCheck:
     """Measure what each motor does, and compare it with what the vehicle file says.
 
     The measured accelerations, turned into the body frame, are regressed on the nominal thrusts of
@@ -118,6 +157,9 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
         A recording in which every motor was used.
     vehicle : Vehicle
         The vehicle file in question.
+    axes : sequence of str, default ("x", "y", "z")
+        ``axes`` of the mapping with which the recording was read; what mends wrong ones is said in
+        terms of them.
 
     Returns
     -------
@@ -133,6 +175,7 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
     accelerations = body_acceleration(signs.undone(trajectory))
     accelerations[2] *= nominal.radius_of_gyration
     period = trajectory.sample_period
+    used = float(np.sum(trajectory.usable)) * period
     fits = []
     for shift in range(round(_LONGEST_DELAY / period) + 1):
         # The motion at sample k is explained by the thrusts `shift` samples before.
@@ -142,20 +185,62 @@ def check_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
         fits.append((explained, shift * period, effect))
     explained, delay, measured = max(fits, key=lambda fit: fit[0])
 
-    names = vehicle.propeller_names
-    likeness = cosines(measured, stated)
-    matches = match_effects(measured, stated, np.arange(len(names)))
-    checks = [
+    ratio = _length_ratio(measured, stated)
+    measured[:2] /= ratio
+    found = LayoutCheck(
+        (), explained, delay, rotation(measured, stated), signs, ratio, used, tuple(axes)
+    )
+    checks = _propeller_checks(measured, stated, vehicle.propeller_names, found)
+    return replace(found, propellers=checks)
+
+
+def _length_ratio(measured: Float[np.ndarray, "3 n"], stated: Float[np.ndarray, "3 n"]) -> float:
+    """Return by how many times too large forces are for the moments, as a power of ten."""
+    sizes = [[np.linalg.norm(part[:2]), np.linalg.norm(part[2])] for part in (measured, stated)]
+    if np.min(sizes) == 0:
+        return 1.0
+    (force, moment), (stated_force, stated_moment) = sizes
+    ratio = float(force / stated_force * stated_moment / moment)
+    wrong = max(ratio, 1 / ratio) > _WRONG_UNIT
+    return 10.0 ** round(np.log10(ratio)) if wrong else 1.0
+
+
+def _propeller_checks(
+    measured: Float[np.ndarray, "3 n"],
+    stated: Float[np.ndarray, "3 n"],
+    names: tuple[str, ...],
+    found: LayoutCheck,
+) -> tuple[PropellerCheck, ...]:
+    """Judge each propeller, in a layout that is turned as a whole where that explains more."""
+    every = np.arange(len(names))
+    likeness = seen = cosines(measured, stated)
+    matches = match_effects(measured, stated, every)
+    agrees = "agrees"
+    if abs(found.rotation) > _TURNED:
+        back = turned(measured, -found.rotation)
+        others = match_effects(back, stated, every)
+        if _worth(others, cosines(back, stated)) > _worth(matches, likeness) + _BETTER:
+            matches, seen, agrees = others, cosines(back, stated), _TURNS
+    verdicts = [_verdict(matches[k], k, names, agrees) for k in range(len(names))]
+    return tuple(
         PropellerCheck(
             name=name,
             agreement=float(likeness[k, k]),
-            behaves_like=names[int(np.argmax(likeness[k]))],
-            verdict=_verdict(matches[k], k, names),
+            behaves_like=names[int(np.argmax(seen[k]))],
+            verdict=verdicts[k] if found.conclusive else "not judged",
         )
         for k, name in enumerate(names)
+    )
+
+
+def _worth(matches: dict[int, Match], likeness: Float[np.ndarray, "n n"]) -> float:
+    """Return the mean cosine of what was matched; what was not counts as 0."""
+    found = [
+        match.sign * likeness[k, match.acts_as]
+        for k, match in matches.items()
+        if match.acts_as is not None
     ]
-    turned = rotation(measured, stated)
-    return LayoutCheck(tuple(checks), explained, delay, turned, signs)
+    return float(np.sum(found) / len(matches))
 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
@@ -177,7 +262,7 @@ def _regress(
     return effect, float(np.mean(shares))
 
 
-def _verdict(match: Match, k: int, names: tuple[str, ...]) -> str:
+def _verdict(match: Match, k: int, names: tuple[str, ...], agrees: str) -> str:
     """Describe how a propeller's measured effect compares."""
     if match.acts_as is None:
         return "has no such effect: check its position, direction and wiring"
@@ -186,4 +271,4 @@ def _verdict(match: Match, k: int, names: tuple[str, ...]) -> str:
         return f"behaves like {names[match.acts_as]}{reversed_}: motors are swapped"
     if match.sign < 0:
         return "pushes the other way: its direction is wrong by 180 degrees"
-    return "agrees"
+    return agrees

@@ -389,6 +389,9 @@ def read_model(name: str | os.PathLike[str]) -> Model:
             content["parameters"] = delay | content["parameters"]
         return _from_file(checked(content, _ModelFile, file=name))
     except InputError as error:
+        if str(name) in _published() and not Path(name).exists():
+            problem = f"there is no such file; the published parameters are paper:{name}"
+            raise InputError(problem, file=name) from None
         if error.file is None:
             raise InputError(error.problem, file=name, field=error.field) from None
         raise
@@ -429,6 +432,12 @@ def _free(
     return parameters.laid_out(free, False)
 
 
+def _published() -> dict[str, Any]:
+    """Return the parameters published with the paper, by model."""
+    with resources.as_file(resources.files("airpuck") / "packaged" / "paper.toml") as packaged:
+        return load_toml(packaged)
+
+
 def published_model(name: str) -> Model:
     """Return a model with the parameters published with the paper.
 
@@ -450,10 +459,7 @@ def published_model(name: str) -> Model:
     InputError
         If there is none of that name.
     """
-    import tomllib
-
-    packaged = resources.files("airpuck") / "packaged" / "paper.toml"
-    published = tomllib.loads(packaged.read_text(encoding="utf-8"))
+    published = _published()
     if name not in published:
         raise InputError(
             f"there is no published model {name!r}; choose one of "

@@ -31,6 +31,9 @@ _SORTED_AT_ONCE = 1 << 14
 COMMAND_GAP_PERIODS = 10
 #: Steps between poses that a motion capture can take [s].
 _PERIODS = (1e-4, 0.5)
+#: The same of commands, which may be logged only when they change [s]; so few say nothing.
+_COMMAND_PERIODS = (5e-5, 5.0)
+_FEW = 20
 
 
 class Samples(NamedTuple):
@@ -54,9 +57,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
             file=source,
             field="pose.position",
         )
-    steps = np.abs(np.diff(time))
-    # Stamps may be repeated.
-    period = float(np.median(steps[steps > 0])) if steps.any() else 0.0
+    period = _period(time)
     if period and not _PERIODS[0] <= period <= _PERIODS[1]:
         raise InputError(
             f"poses come every {period:.3g} s, which no motion capture does; name the unit of time "
@@ -78,8 +79,16 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
 
 
 def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
-    """Refuse commands outside [0, 1]."""
+    """Refuse commands outside [0, 1], and such as nobody sends so seldom or so often."""
     _check_finite(command, time, "command", source)
+    period = _period(time) if len(time) > _FEW else 0.0
+    if period and not _COMMAND_PERIODS[0] <= period <= _COMMAND_PERIODS[1]:
+        raise InputError(
+            f"commands come every {period:.3g} s, which no controller sends; name the unit of time "
+            'in a mapping: command = {units = ["ms"]}',
+            file=source,
+            field="time",
+        )
     outside = (command.values < 0) | (command.values > 1)
     if outside.any():
         row, column = np.argwhere(outside)[0]
@@ -89,6 +98,12 @@ def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) 
             file=source,
             field=command.columns[column],
         )
+
+
+def _period(time: Float[np.ndarray, " N"]) -> float:
+    """Return the usual step between stamps, which may be repeated; 0 where there is none [s]."""
+    steps = np.abs(np.diff(time))
+    return float(np.median(steps[steps > 0])) if steps.any() else 0.0
 
 
 def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, source: str) -> None:

@@ -237,11 +237,14 @@ def _require(
         times = (_SECONDS, _NANOSECONDS)
     missing = [name for name in (*times, *names) if name not in table.columns]
     if missing:
+        # Who names other columns never asked for the authors' stamps.
+        unnamed = not mapping.time and set(missing).issubset({_SECONDS, _NANOSECONDS})
+        problem = "no column is named for the time" if unnamed else "there is no such column"
         raise InputError(
-            f"there is no such column; name columns in a file for --mapping: {stream} = "
+            f"{problem}; name columns in a file for --mapping: {stream} = "
             f"{{{_TO_WRITE[stream]}}} out of {listing(table.columns)}",
             file=table.path,
-            field=", ".join(missing),
+            field="time" if unnamed else ", ".join(missing),
         )
 
 

@@ -60,7 +60,8 @@ class Table:
         except ValueError:
             line, text = self.lines[len(numbers)], one_line(repr(texts[len(numbers)]))
             noun = "number" if kind is float else "whole number"
-            problem = f"line {line}: {text} is not a {noun}"
+            comma = "; decimals have a point" if "," in text else ""
+            problem = f"line {line}: {text} is not a {noun}{comma}"
         except OverflowError:
             problem = "holds a number beyond 64 bits; times are in nanoseconds"
         raise InputError(problem, file=self.path, field=one_line(name))
@@ -100,12 +101,23 @@ def _separator(path: Path) -> str:
 def plain_table(rows: Rows) -> Table:
     """Return the columns of a file that has their names in its first row."""
     header = [name.strip() for name in rows.cells[0]]
+    if all(map(_is_number, header)):
+        raise InputError("has no header: its first line must name the columns", file=rows.path)
     twice = [name for name, count in Counter(header).items() if count > 1]
     if twice:
         raise InputError(
             "there are two columns of this name", file=rows.path, field=one_line(twice[0]) or None
         )
     return table_below(rows, 0, {name: index for index, name in enumerate(header)}, exact=True)
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a cell holds a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def table_below(rows: Rows, header: int, places: dict[str, int], *, exact: bool = False) -> Table:
