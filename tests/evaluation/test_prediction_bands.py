@@ -27,7 +27,12 @@ def in_deviations(bands):
 def test_bands_hold_what_they_say_on_the_twin():
     # Default radio: what its jitter does is not in the model, and found by maximum likelihood.
     flight = preprocess(excite(TRUTH, 20.0, seed=3))
-    bands = prediction_bands(TRUTH, flight)
+    # An uncertainty of other parameters says nothing about the model.
+    vector = TRUTH.parameters.to_vector()
+    other = Uncertainty(
+        1.01 * vector, np.diag(vector**2), np.abs(vector), np.zeros((0, len(vector))), 30, 2.0
+    )
+    bands = prediction_bands(replace(TRUTH, uncertainty=other), flight)
     assert bands.by_parameters is None
     assert bands.horizon == pytest.approx(0.2, abs=0.003)
     assert len(bands.start) > 90

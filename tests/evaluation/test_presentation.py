@@ -49,6 +49,14 @@ def test_the_largest_acceleration_is_that_of_the_best_commands():
     np.testing.assert_allclose(largest_acceleration(MODEL), np.abs(best))
 
 
+def test_a_model_that_was_changed_after_its_fit_has_no_errors(known):
+    shown = present(known.with_delay(0.03))
+    assert shown.notes == ("no standard errors: the parameters were changed after the fit",)
+    assert "blocks of time behind the errors" in dict(present(known).conditions)
+    assert "blocks of time behind the errors" not in dict(shown.conditions)
+    assert all(np.isnan(value.quantile) for value in (*shown.parameters, *shown.derived))
+
+
 def test_structure_says_what_is_free_and_fixed():
     shown = present(published_model("M0"))
     lines = "\n".join(shown.structure)

@@ -123,6 +123,11 @@ def test_what_is_known_counts_like_another_flight():
     after = Forecast(replace(MODEL, uncertainty=before), [flight])
     now = errors(after, flight, 60.0)
     np.testing.assert_allclose(before.standard_errors[ENTRIES] / now, np.sqrt(2), rtol=1e-6)
+    # What is known of other parameters does not count.
+    changed = replace(MODEL, uncertainty=before).with_delay(0.03)
+    np.testing.assert_allclose(
+        errors(Forecast(changed, [flight]), flight, 60.0), before.standard_errors[ENTRIES]
+    )
     alone = errors(after, flight, 60.0, alone=True)
     np.testing.assert_allclose(alone, before.standard_errors[ENTRIES], rtol=1e-6)
 

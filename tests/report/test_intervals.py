@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.report.fit_figures import thrust_figure
+from airpuck.report.fit_figures import parameter_figure, thrust_figure
 from airpuck.report.parameter_table import main_rows
 
 PLAIN = published_model("M3")
@@ -29,6 +29,8 @@ def bands(figure):
 
 def test_thrust_curves_have_bands_where_they_are_known(known):
     assert not bands(thrust_figure([PLAIN]))
+    changed = known.with_delay(0.03)
+    assert not bands(thrust_figure([changed]))
     found = bands(thrust_figure([known]))
     assert len(found) == 6
     ends = found[0].get_paths()[0].vertices
@@ -37,6 +39,20 @@ def test_thrust_curves_have_bands_where_they_are_known(known):
     middle = PLAIN.parameters.thrust[0].sum()
     assert full.min() == pytest.approx(middle - reach, rel=1e-6)
     assert full.max() == pytest.approx(middle + reach, rel=1e-6)
+
+
+def test_ratios_have_intervals_where_they_are_known(known):
+    def widths(model):
+        axes = parameter_figure([model], {"M3": PLAIN}).axes[0]
+        segments = [c.get_segments() for c in axes.collections if isinstance(c, LineCollection)]
+        return np.ptp(np.array(segments[0])[:, :, 0], axis=1)
+
+    # 2.0 errors of 1 % of each coefficient to both sides, in percent of the sum.
+    curves = np.asarray(PLAIN.parameters.thrust)
+    expected = 2 * 2.0 * np.linalg.norm(curves, axis=1) / curves.sum(axis=1)
+    np.testing.assert_allclose(widths(known), expected, rtol=1e-4)
+    # Changed after its fit: nobody knows.
+    np.testing.assert_array_equal(widths(known.with_delay(0.03)), 0.0)
 
 
 def test_the_table_has_the_standard_error(known):

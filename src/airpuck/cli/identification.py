@@ -327,7 +327,7 @@ def _resampled(model: Model, quantity: MainQuantity) -> str:
     """Return the text of a bootstrap's interval."""
     import numpy as np
 
-    found = model.uncertainty and model.uncertainty.bootstrap
+    found = model.known and model.known.bootstrap
     if not found or quantity.entry is None:
         return ""
     entries = np.flatnonzero(model.parameters.mask(frozenset({quantity.parameter})))

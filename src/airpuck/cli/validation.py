@@ -192,7 +192,7 @@ def compare(
     read = [airpuck.read_model(name) for name in names]
     figures: dict[str, Any] = {}
     shown: list[Any] = []
-    if len(read) == 2 and (alone or all(m.uncertainty is not None for m in read)):
+    if len(read) == 2 and (alone or all(m.known is not None for m in read)):
         try:
             drift = airpuck.drift(*read)
         except InputError as error:

@@ -159,7 +159,7 @@ def prediction_bands(
             f"has no usable stretch that is long enough to predict {horizon:g} s",
             file=trajectory.source,
         )
-    uncertainty = model.uncertainty
+    uncertainty = model.known
     entries = np.zeros(len(model.free), dtype=bool) if uncertainty is None else uncertainty.moved
     predicted, variance, sensitivity = predict_with_errors(
         model, trajectory, known, starts, steps, entries

@@ -148,7 +148,7 @@ def _value(
 ) -> Value:
     """Evaluate anything made from the parameters."""
     error = float(model.standard_error(quantity)) if learned else np.nan
-    quantile = model.uncertainty.quantile if model.uncertainty else np.nan
+    quantile = model.known.quantile if model.known else np.nan
     return Value(label, unit, float(quantity(model)), error, quantile, learned)
 
 
@@ -225,8 +225,8 @@ def _conditions(model: Model) -> list[tuple[str, str]]:
     rows.append(("transport delay", delay_words(model)))
     rows += [(key.replace("_", " "), _text(value)) for key, value in model.fit.items()]
     rows += [(f"data {name}", digest) for name, digest in model.data.items()]
-    if model.uncertainty is not None:
-        rows.append(("blocks of time behind the errors", str(model.uncertainty.clusters)))
+    if model.known is not None:
+        rows.append(("blocks of time behind the errors", str(model.known.clusters)))
     return rows
 
 
@@ -244,5 +244,7 @@ def _notes(model: Model) -> list[str]:
     """List what to know before using a model."""
     if model.uncertainty is None:
         return ["no standard errors: the model was not identified here, or by an older version"]
+    if model.known is None:
+        return ["no standard errors: the parameters were changed after the fit"]
     unfinished = model.fit.get("converged") is False
-    return [*model.uncertainty.notes, *(["the fit had not converged"] if unfinished else [])]
+    return [*model.known.notes, *(["the fit had not converged"] if unfinished else [])]

@@ -208,7 +208,7 @@ def design(
     return Design(
         model=model,
         quantities=search.quantities,
-        relative_before=search.quantities.relative_errors(model.uncertainty),
+        relative_before=search.quantities.relative_errors(model.known),
         usual=next(one for one in ranked if one.plan == usual),
         proposal=proposal,
         candidates=tuple(ranked),
@@ -353,7 +353,7 @@ def _as_learned_next(model: Model) -> Model:
     if not named_rung(model.name).lag:
         return model
     delay = model.parameters.mask(frozenset({"transport_delay"}))
-    uncertainty = model.uncertainty
+    uncertainty = model.known
     if uncertainty is not None and not model.delay_learned:
         # It has no variance because it was not learned, not because it is known.
         unknown = np.concatenate([uncertainty.undetermined, delay[None].astype(float)])

@@ -180,7 +180,7 @@ class Forecast:
 
     def _prior(self) -> Float[np.ndarray, "R R"]:
         """Return the precision of what is known before."""
-        before = self.model.uncertainty
+        before = self.model.known
         if before is None or not np.isfinite(before.covariance).all():
             return np.zeros((self._basis.shape[1],) * 2)
         return _pseudo_inverse(self._basis.T @ before.covariance @ self._basis)

@@ -137,7 +137,7 @@ class Fit:
 
 def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
     """Return every parameter with its errors, by label; None where there is none."""
-    known, figures = model.uncertainty, {}
+    known, figures = model.known, {}
     labels = model.parameters.labels(model.vehicle.propeller_names)
     for entry, (label, value) in enumerate(zip(labels, model.parameters.to_vector(), strict=True)):
         figures[label] = {"value": float(value), "standard_error": None, "interval_95": None}

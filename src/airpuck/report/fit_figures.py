@@ -97,7 +97,7 @@ def thrust_figure(
     broad, dashed = {"lw": 3.0, "alpha": 0.45, "zorder": 2}, {"lw": 1.1, "ls": style.DASHED}
     curves = [(model, _curves(model, speed), broad) for model in models]
     curves += [(model, _curves(model, speed), {**dashed, "zorder": 3}) for model in reference]
-    bands = [(m, _band(m, speed)) for m in models if m.uncertainty is not None]
+    bands = [(m, _band(m, speed)) for m in models if m.known is not None]
     for axes, motor in zip(grid, order, strict=True):
         for model, curve, line in curves:
             axes.plot(speed, curve[motor], color=colors[model.name], **line)
@@ -157,8 +157,8 @@ def _curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "
 
 def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"]:
     """Return the ends of the 95 % intervals of all thrust curves of a model that knows them."""
-    assert model.uncertainty is not None
-    reach = model.uncertainty.quantile * model.standard_error(lambda m: _curves(m, speed))
+    assert model.known is not None
+    reach = model.known.quantile * model.standard_error(lambda m: _curves(m, speed))
     middle = _curves(model, speed)
     return np.stack([middle - reach, middle + reach])
 
@@ -246,7 +246,7 @@ def _ratios(
 ) -> Float[np.ndarray, "2 *shape"]:
     """Divide quantities, and half their 95 % intervals, by the reference's; NaN: not known."""
     ours, theirs = np.asarray(quantity(model)), np.asarray(quantity(reference))
-    known = model.uncertainty
+    known = model.known
     reach = known.quantile * model.standard_error(quantity) if known else np.zeros_like(ours)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack([ours / theirs, np.abs(reach / theirs)])

@@ -104,7 +104,7 @@ def _thrust_section(study: FitStudy) -> Section:
     caption = "Thrust of each motor over its normalised speed. "
     if reference:
         caption += f"Broad: fitted; dashed: {study.reference_label}. "
-    if any(m.uncertainty is not None for m in models):
+    if any(m.known is not None for m in models):
         caption += "Bands: 95 % intervals at each speed. "
     caption += (
         "Bars: share of the training samples at each command, in twentieths of the range (a bar "
@@ -181,7 +181,7 @@ def _parameter_section(study: FitStudy) -> Section:
     main = (
         "Parameters; bold: learned. F(1) is the thrust at full speed, of M4 at the physical scale."
     )
-    if any(m.uncertainty is not None for m in models):
+    if any(m.known is not None for m in models):
         main += _INTERVALS
     blocks: list[Block] = [parameter_table(main, headings, main_rows(models), groups)]
     if study.reference:
