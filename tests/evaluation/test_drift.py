@@ -8,6 +8,7 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.evaluation.drift import drift
 from airpuck.model.model_file import published_model
+from airpuck.model.quantities import EFFECTS
 from airpuck.model.uncertainty import Uncertainty
 
 from ..noisy import TRUTH
@@ -89,7 +90,14 @@ def timed(lag: float, delay: float):
         spread[parameters.mask(frozenset({name}))] = 1e-4
     spread[parameters.mask(frozenset({"motor_time_constant"}))] *= lag > 0
     errors = np.where(spread > 0, spread, np.nan)
-    known = Uncertainty(vector, np.diag(spread**2), errors, np.zeros((0, len(vector))), 40, 2.02)
+    covariance = np.diag(spread**2)
+    # As a fit knows them: what one has too much the other has too little.
+    (one,), (other,) = (
+        np.flatnonzero(parameters.mask(frozenset({name})))
+        for name in ("motor_time_constant", "transport_delay")
+    )
+    covariance[one, other] = covariance[other, one] = -0.96 * spread[one] * spread[other]
+    known = Uncertainty(vector, covariance, errors, np.zeros((0, len(vector))), 40, 2.02)
     return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
 
 
@@ -117,3 +125,36 @@ def test_a_curve_that_its_constraint_holds_is_not_accused():
     held = [change.words for change in found.changes if change.held]
     assert held == [f"thrust of {motor} at φ = 0.5", f"thrust of {motor} at full speed"]
     assert not any(words in sentence for words in held for sentence in found.verdicts)
+
+
+def of_effect(name: str, at_bound: bool, inertia: float, correlation: float):
+    """The truth that learned inertia, to 1 %, and the first entry of an effect, or its bound."""
+    value = np.ravel(EFFECTS[name].start) + 0.5
+    value[0] = EFFECTS[name].bounds[0] if at_bound else 0.5
+    effect = value if len(value) > 1 else float(value[0])
+    parameters = replace(TRUTH.parameters, inertia=inertia, **{name: effect})
+    vector = parameters.to_vector()
+    learned = [np.flatnonzero(parameters.mask(frozenset({n})))[0] for n in ("inertia", name)]
+    spread = np.array([0.01 * inertia, 0.0 if at_bound else 0.01])
+    covariance = np.zeros((len(vector), len(vector)))
+    shape = np.array([[1.0, correlation], [correlation, 1.0]])
+    covariance[np.ix_(learned, learned)] = shape * np.outer(spread, spread)
+    known = Uncertainty(
+        *(vector, covariance, np.sqrt(np.diag(covariance)), np.zeros((0, len(vector))), 40, 2.02)
+    )
+    free = np.isin(np.arange(len(vector)), learned)
+    return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
+
+
+@pytest.mark.parametrize("name", ["drag", "inflow", "pair_interaction", "voltage_sag", "idle_lag"])
+@pytest.mark.parametrize("correlation", [-0.9, 0.9, 0.1])
+def test_what_takes_up_an_effect_that_is_at_its_bound_is_not_accused(name, correlation):
+    """√(1 − 0.9²): beside a held effect the error of inertia is too small by more than half."""
+    held, found = of_effect(name, True, 3e-4, 0.0), of_effect(name, False, 4e-4, correlation)
+    for models in ((held, found), (found, held)):
+        (change,) = (c for c in drift(*models).changes if c.label == "I")
+        assert change.differs
+        assert change.held == (abs(correlation) > 0.5)
+    # Held in both: they are compared under the same condition.
+    (change,) = drift(held, of_effect(name, True, 4e-4, 0.0)).changes
+    assert change.moved

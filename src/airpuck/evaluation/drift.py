@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,15 @@ from airpuck.boundary.errors import InputError
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.statistical_tests import holm
 from airpuck.model.model_file import Model
-from airpuck.physics.thrust import lowest_slope
+from airpuck.physics.thrust import FLAT, lowest_slope
 
 #: Chance of any false alarm among all quantities.
 LEVEL = 0.05
 #: What is written of a change.
 _FIGURES = ("label", "unit", "before", "after", "standard_error", "z", "p_value", "held", "moved")
-#: A thrust curve whose slope is below this is held by its constraint [N]; that has 1e-6.
-_FLAT = 1e-5
-#: Both shift every response: where one is held, the other takes up what it cannot.
-_TRADED = frozenset({"motor_time_constant", "transport_delay"})
+#: Correlation from which a quantity takes up what one at its bound cannot: there its error is too
+#: small by the factor √(1 − ρ²), at this one by 13 %.
+_TAKES_UP = 0.5
 
 
 @dataclass(frozen=True)
@@ -160,24 +160,47 @@ def drift(earlier: Model, later: Model) -> Drift:
     changes = tuple(
         Change(
             *(q.label, q.words, q.unit, before, after, joint, z, float(p), q.positive),
-            held=any(_holds(model, q) for model in (earlier, later)),
+            held=_holds(earlier, later, q) or _holds(later, earlier, q),
         )
         for (q, before, after, joint, z), p in zip(found, holm(np.array(p_values)), strict=True)
     )
     return Drift(changes, (*_notes(earlier, later), *_held_notes(changes)))
 
 
-def _holds(model: Model, quantity: MainQuantity) -> bool:
-    """Tell whether a constraint holds a quantity, or what it trades off against."""
-    parameters = model.parameters
+def _holds(model: Model, other: Model, quantity: MainQuantity) -> bool:
+    """Tell whether a constraint of `model` holds a quantity, or what it trades off against.
+
+    How much it trades off, the other model tells, in which the same parameter is not at its bound.
+    """
     if quantity.motor is not None:
-        slopes, _ = lowest_slope(parameters.thrust)
-        return bool(slopes[quantity.motor] < _FLAT)
-    if quantity.parameter not in _TRADED:
-        return False
-    vector, (lower, upper) = parameters.to_vector(), parameters.bounds()
-    at_bound = model.free & ((vector <= lower) | (vector >= upper))
-    return bool((at_bound & parameters.mask(_TRADED)).any())
+        slopes, _ = lowest_slope(model.parameters.thrust)
+        if slopes[quantity.motor] < FLAT:
+            return True
+    held = _at_bounds(model) - _at_bounds(other)
+    return any(abs(_correlation(other, quantity, label)) > _TAKES_UP for label in held)
+
+
+def _at_bounds(model: Model) -> set[str]:
+    """Return the labels of what was learned and is at a bound."""
+    vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
+    held = model.free & ((vector <= lower) | (vector >= upper))
+    return set(compress(model.parameters.labels(model.vehicle.propeller_names), held))
+
+
+def _correlation(model: Model, quantity: MainQuantity, label: str) -> float:
+    """Return that of the estimates of a quantity and a parameter; 0 where there is none."""
+    labels = model.parameters.labels(model.vehicle.propeller_names)
+    if label not in labels:
+        return 0.0
+
+    def both(m: Model) -> np.ndarray:
+        return np.array([quantity.value(m), m.parameters.to_vector()[labels.index(label)]])
+
+    errors = model.standard_error(both)
+    if not (np.isfinite(errors).all() and (errors > 0).all()):
+        return 0.0
+    # Of the sum of two with unit variance it is 2 + 2ρ.
+    return float(model.standard_error(lambda m: (both(m) / errors).sum())) ** 2 / 2 - 1
 
 
 def _held_notes(changes: Sequence[Change]) -> list[str]:

@@ -22,13 +22,11 @@ from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
 from airpuck.model.gauge import gauge_constraints, gauge_directions
 from airpuck.model.parameters import Parameters
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.physics.thrust import slope_rows, thrust_slope
+from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
 #: below which its direction is not determined: rounding leaves about 1e-15.
 UNDETERMINED = 1e-11
-#: A thrust curve whose slope is below this is held by its constraint [N]; that has 1e-6.
-_FLAT = 1e-5
 #: Largest leverage of a block: one that alone determines something would have 1.
 _LEVERAGE = 0.999
 #: Length of a block [s]. Neighbouring blocks share what reaches across their border
@@ -170,7 +168,7 @@ def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
     stationary = slope.deriv().roots() if degree > 2 else np.zeros(0)
     inside = np.real(stationary[np.abs(np.imag(stationary)) < 1e-9])
     candidates = [0.0, 1.0, *(float(x) for x in inside if 0.02 < x < 0.98)]
-    return [x for x in candidates if thrust_slope(curve, np.array([x]))[0] < _FLAT]
+    return [x for x in candidates if thrust_slope(curve, np.array([x]))[0] < FLAT]
 
 
 def sandwich(

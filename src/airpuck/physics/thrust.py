@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.compute.arrays import repeat_while
 
+#: A thrust curve whose slope is below this is held by its constraint [N]; that has 1e-6.
+FLAT = 1e-5
 #: A motor speed is found when the last pass moved it by less than this. Rounding of a thrust moves
 #: a speed by more only where the slope is below 1e-4 N.
 _RESOLVED = 1e-12
