@@ -25,6 +25,23 @@ def check(yaw: np.ndarray, rate: float = RATE) -> None:
     check_poses(Stream(stamp, stamp, values, COLUMNS["pose"]), time, "flight")
 
 
+@pytest.mark.parametrize("rate", [20.0, 100.0, RATE, 1000.0])
+@pytest.mark.parametrize(("unit", "size"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_a_unit_of_time_that_is_not_the_second_is_named(rate, unit, size):
+    with pytest.raises(InputError, match="no motion capture") as caught:
+        check(np.zeros(100), rate / size)
+    assert f'units = ["{unit}"]' in caught.value.problem
+    assert f"every {1 / rate:.3g} s: name" in caught.value.problem
+    assert caught.value.field == "time"
+
+
+def test_a_unit_of_time_that_a_mapping_has_too_small_is_told_by_its_factor():
+    with pytest.raises(InputError, match="too small by a factor of about 1e3"):
+        check(np.zeros(100), RATE * 1e3)
+    with pytest.raises(InputError, match="look at the column or field of the time"):
+        check(np.zeros(3), RATE / 1e12)
+
+
 def spinning(rate: float, poses: float = RATE) -> np.ndarray:
     """A yaw that grows evenly."""
     return rate * np.arange(round(10 * poses)) / poses

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -60,8 +61,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     period = _period(time)
     if period and not _PERIODS[0] <= period <= _PERIODS[1]:
         raise InputError(
-            f"poses come every {period:.3g} s, which no motion capture does; name the unit of time "
-            'in a mapping: pose = {units = ["ms"]}',
+            f"poses come every {period:.3g} s, which no motion capture does{_other_unit(period)}",
             file=source,
             field="time",
         )
@@ -76,6 +76,23 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
             file=source,
             field="pose.orientation.yaw",
         )
+
+
+def _other_unit(period: float) -> str:
+    """Say which unit of time would make sense of poses that come so rarely or so often."""
+    # The middle of what is possible, on a logarithmic scale.
+    usual = math.sqrt(math.prod(_PERIODS))
+    power = 3 * round(math.log10(usual / period) / 3)
+    if power in (-3, -6, -9):
+        unit = {-3: "ms", -6: "us", -9: "ns"}[power]
+        return (
+            f"; in units of 1e{power} s they would come every {period * 10.0**power:.3g} s: name "
+            f'them in a mapping, pose = {{units = ["{unit}"]}}, or one that is 1e{power} times the '
+            "mapping's"
+        )
+    if power > 0:
+        return f"; the mapping's unit of time is too small by a factor of about 1e{power}"
+    return "; look at the column or field of the time"
 
 
 def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
