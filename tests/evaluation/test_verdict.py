@@ -176,4 +176,7 @@ def test_the_sum_of_lag_and_delay_is_known_where_the_split_is_not():
     assert of_timing(timed(3e-3, 2.5e-3, -0.85)) == []
     [words] = of_timing(timed(0.0, 0.4e-3, 0.0))
     assert "±0.40 ms" in words and words.endswith("the lag is at its bound.")
+    [words] = of_timing(timed(0.4e-3, 0.0, 0.0))
+    assert "±0.40 ms" in words and words.endswith("the delay is at its bound.")
+    assert of_timing(timed(0.0, 0.0, 0.0)) == []
     assert of_timing(MODEL) == []

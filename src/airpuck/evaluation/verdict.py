@@ -190,19 +190,16 @@ def _timing(model: Model) -> list[str]:
     lag, delay = (int(np.flatnonzero(mask)[0]) for mask in masks)
     error = float(model.standard_error(_response_time))
     correlation = float(model.known.correlation[lag, delay])
-    if not np.isfinite(error) or correlation > _NO_SPLIT:
+    if not (np.isfinite(error) and error > 0) or correlation > _NO_SPLIT:
         return []
-    why = "the lag is at its bound"
+    errors = model.known.standard_errors[[lag, delay]]
     if np.isfinite(correlation):
-        shown = (
-            f"{1e3 * value:.1f} ± {1e3 * spread:.1f} ms"
-            for value, spread in zip(
-                model.parameters.to_vector()[[lag, delay]],
-                model.known.standard_errors[[lag, delay]],
-                strict=True,
-            )
-        )
+        values = model.parameters.to_vector()[[lag, delay]]
+        shown = (f"{1e3 * v:.1f} ± {1e3 * e:.1f} ms" for v, e in zip(values, errors, strict=True))
         why = "lag {}, delay {}, correlation {:.2f}".format(*shown, correlation)
+    else:
+        held = [name for name, e in zip(("lag", "delay"), errors, strict=True) if not e > 0]
+        why = f"the {held[0]} is at its bound" if len(held) == 1 else "nothing tells them apart"
     return [
         f"The sum of lag and delay is known to ±{1e3 * error:.2f} ms "
         f"({1e3 * _response_time(model):.2f} ms); the split is not: {why}."
