@@ -1,13 +1,14 @@
 """Names on the command line: outputs are checked before the work, names are printed escaped."""
 
 import os
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from typer.main import get_command
 
 from airpuck.boundary.terminal import escaped
 from airpuck.cli.app import app
-from airpuck.cli.output import report, table
+from airpuck.cli.output import origin, report, table
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
 
@@ -133,3 +134,30 @@ def test_names_of_propellers_topics_and_files(tmp_path):
     assert refused(process, "\\x1b[31m[red]")
     process = airpuck_process("check", "no\x1b[2Jthing", cwd=tmp_path)
     assert refused(process, "no\\x1b[2Jthing")
+
+
+@pytest.mark.parametrize(
+    ("home", "shown"),
+    [
+        ("/home/al", "airpuck present '~/m.toml' '--json=~/x' /home/alice/y /mnt/home/al"),
+        ("/home/al/", "airpuck present '~/m.toml' '--json=~/x' /home/alice/y /mnt/home/al"),
+        ("/", "airpuck present /home/al/m.toml --json=/home/al/x /home/alice/y /mnt/home/al"),
+        ("", "airpuck present /home/al/m.toml --json=/home/al/x /home/alice/y /mnt/home/al"),
+    ],
+)
+def test_the_foot_of_a_page_does_not_name_the_home_folder(monkeypatch, home, shown):
+    words = ["present", "/home/al/m.toml", "--json=/home/al/x", "/home/alice/y", "/mnt/home/al"]
+    monkeypatch.setattr("sys.argv", ["/home/al/bin/airpuck", *words])
+    monkeypatch.setenv("HOME", home)
+    assert origin().command == shown
+
+
+def test_the_date_of_a_page_is_that_of_the_environment(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    assert origin().date == "2023-11-14 22:13 UTC"  # date -u -d @1700000000
+    for nonsense in ("9" * 30, "9" * 400, "253402300800", "yesterday", "-1", ""):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", nonsense)
+        now = datetime.now(UTC)
+        assert origin().date in {
+            (now + timedelta(minutes=k)).strftime("%Y-%m-%d %H:%M UTC") for k in (0, 1)
+        }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shlex
 import sys
 import time
@@ -25,19 +26,26 @@ if TYPE_CHECKING:
     from airpuck.identification.method import Iteration
     from airpuck.report.page import Origin
 
+#: Of the dates that `datetime` knows, the end of 9999 [s].
+_LATEST = 253402300799
+
 
 def origin() -> Origin:
     """Return the command line that runs, and the date, for the foot of a page.
 
-    The date is $SOURCE_DATE_EPOCH where that is set, so that pages can be reproduced
+    The date is $SOURCE_DATE_EPOCH where that is a date, so that pages can be reproduced
     (reproducible-builds.org). Home folders are nobody else's business.
     """
     from airpuck.report.page import Origin
 
     seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
-    moment = float(seconds) if seconds.isdecimal() else time.time()
+    moment = float(seconds) if seconds.isdecimal() else math.inf
+    moment = moment if moment <= _LATEST else time.time()
     date = datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M UTC")
-    words = [word.replace(str(Path.home()), "~", 1) for word in sys.argv[1:]]
+    # Path.home() raises where there is none. That of nobody in particular is the root.
+    home = os.path.expanduser("~").rstrip("/")  # noqa: PTH111
+    inside = re.compile(f"(?<![^=]){re.escape(home)}(?=/|$)") if home[:1] == "/" else None
+    words = [inside.sub("~", word) if inside else word for word in sys.argv[1:]]
     return Origin(date, shlex.join(["airpuck", *words]))
 
 
