@@ -64,7 +64,11 @@ def test_evaluate_and_compare_write_pages(flown, tmp_path, monkeypatch):
     process = airpuck("compare", early, late, bag, "-o", tmp_path / "two")
     assert process.returncode == 0, process.stderr
     page = (tmp_path / "two" / "index.html").read_text()
-    assert "late against early" in page
+    # Models are called the same on the terminal and on the page.
+    for written in (process.stdout, page):
+        assert "late against early" in written
+        assert str(flown) not in written.replace(f"{early} {late} {bag}", "")
+        assert "AIC" in written
     assert (tmp_path / "two" / "figures" / "path.pdf").read_bytes()[:4] == b"%PDF"
     assert refused(airpuck("compare", early, late, "-o", tmp_path / "three"), "RECORDING", "-o")
 

@@ -92,17 +92,25 @@ def read_belief(name: str) -> Model:
     return model
 
 
+def read_given(
+    model: str | None, vehicle: Path | None, read: Callable[[str], Model] = read_belief
+) -> Model | None:
+    """Read a model, if one is given; refuse a vehicle beside it."""
+    if model is None:
+        return None
+    if vehicle is not None:
+        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+    return read(model)
+
+
 def model_or_nominal(
     model: str | None, vehicle: Path | None, read: Callable[[str], Model] = read_belief
 ) -> Model:
     """Read a model, or make the nominal one of a vehicle, by default the paper's."""
     from airpuck.model.model_file import nominal_model
 
-    if model is None:
-        return nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
-    if vehicle is not None:
-        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
-    return read(model)
+    given = read_given(model, vehicle, read)
+    return given or nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
 
 
 def read_controls(path: Path | None) -> Tuning | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +14,14 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts, verdict_of
-from airpuck.cli.inputs import about, load, load_for, mapping_in, read_craft
+from airpuck.cli.inputs import (
+    about,
+    load,
+    load_for,
+    mapping_in,
+    read_craft,
+    read_given,
+)
 from airpuck.cli.output import error_table, every_start_table, origin, report, table, warn
 
 if TYPE_CHECKING:
@@ -116,9 +122,7 @@ def faults(
     """Find when motors, radio or cameras failed, or something hit the craft."""
     from airpuck.data.left_out import left_out_words
 
-    if model is not None and vehicle is not None:
-        raise InputError("is the model's; leave out one of both", field="--vehicle")
-    healthy = None if model is None else airpuck.read_model(model)
+    healthy = read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else read_craft(vehicle)
     trajectory = load(recording, craft, mapping, span=span, quiet=quiet)
     if healthy is None:
@@ -189,7 +193,7 @@ def compare(
         raise InputError("give at least one MODEL and a RECORDING, or two MODELs")
     if alone and output is not None:
         raise InputError("needs a RECORDING that models are judged on", field="-o")
-    read = [airpuck.read_model(name) for name in names]
+    read, called = [airpuck.read_model(name) for name in names], _short_names(names)
     figures: dict[str, Any] = {}
     shown: list[Any] = []
     if len(read) == 2 and (alone or all(m.known is not None for m in read)):
@@ -200,7 +204,7 @@ def compare(
                 raise
             drift = airpuck.Drift((), (f"drift is unknown: {error.problem}",))
         figures["drift"] = drift.to_json()
-        shown += _drift_lines(names, drift)
+        shown += _drift_lines(called, drift)
     if not alone:
         trajectory = load(Path(models[-1]), read[0].vehicle, mapping, span=span, quiet=quiet)
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
@@ -214,32 +218,28 @@ def compare(
             }
             for name, model, evaluation, fit in zip(names, read, evaluations, fits, strict=True)
         ]
-        differences = model_differences(names, evaluations)
-        figures["differences"] = [difference.to_json() for difference in differences]
-        verdicts = [difference.verdict for difference in differences]
-        tables = error_table(names, evaluations), every_start_table(names, evaluations)
-        shown = [*tables, *verdicts, _fit_table(names, fits), *shown]
+        differences = model_differences(called, evaluations)
+        typed = dict(zip(called, names, strict=True))
+        figures["differences"] = [
+            {**one.to_json(), "first": typed[one.first], "second": typed[one.second]}
+            for one in differences
+        ]
+        verdicts = [one.verdict for one in differences]
+        tables = error_table(called, evaluations), every_start_table(called, evaluations)
+        shown = [*tables, *verdicts, _fit_table(called, fits), *shown]
         if output is not None:
             from airpuck.report.evaluation_report import evaluation_report
 
-            called = [Path(name).stem if Path(name).suffix else name for name in names]
-            called = called if len(set(called)) == len(called) else names
-            label = dict(zip(names, called, strict=True))
-            said = [
-                replace(one, first=label[one.first], second=label[one.second]).verdict
-                for one in differences
-            ]
-            page = evaluation_report(
-                read,
-                evaluations,
-                trajectory,
-                output,
-                names=called,
-                differences=said,
-                origin=origin(),
-            )
+            said: dict[str, Any] = {"names": called, "differences": verdicts, "fits": fits}
+            page = evaluation_report(read, evaluations, trajectory, output, **said, origin=origin())
             shown.append(page)
     report(figures, json_file, *shown)
+
+
+def _short_names(names: Sequence[str]) -> list[str]:
+    """Return what models are called in tables and figures: files without folder and suffix."""
+    called = [Path(name).stem if name.endswith(_MODEL_FILES) else name for name in names]
+    return called if len(set(called)) == len(called) else list(names)
 
 
 @app.command(rich_help_panel=PANEL)

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation
+from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.model.model_file import Model
 from airpuck.report.fit_figures import thrust_figure
 from airpuck.report.fit_sections import craft_section, sources_section
-from airpuck.report.judged_sections import Judged, judged_sections, verdict_section
+from airpuck.report.judged_sections import Judged, fit_table, judged_sections, verdict_section
 from airpuck.report.page import Origin, Picture, Section, Text, write_page
 
 
@@ -25,6 +26,7 @@ def evaluation_report(
     *,
     names: Sequence[str] = (),
     differences: Sequence[str] = (),
+    fits: Sequence[FitMeasures] = (),
     origin: Origin | None = None,
 ) -> Path:
     """Write a page on models of one craft that were judged on one recording.
@@ -43,6 +45,8 @@ def evaluation_report(
         What to call the models; by default their rungs.
     differences : sequence of str, optional
         Sentences on how the models differ.
+    fits : sequence of FitMeasures, optional
+        How well they fit, in the same order.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -69,6 +73,8 @@ def evaluation_report(
     if differences:
         text = Text(differences, bullets=True)
         sections.append(Section("differences", "Do the models differ?", (text,)))
+    if fits:
+        sections.append(Section("fit", "Fit", (fit_table(names, fits),)))
     curves = Picture(
         "thrust",
         thrust_figure(models, trajectory, commands="commands of this flight"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +11,7 @@ import numpy as np
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation
+from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.evaluation.verdict import Verdict
 from airpuck.report.error_figures import (
     WORST,
@@ -183,6 +184,34 @@ def _error_table(judged: Judged) -> Table:
     )
     groups = [("", 1), *((kind, 3) for kind in kinds)]
     return Table(caption, ["model", *3 * _CHANNELS], rows, groups)
+
+
+def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
+    """Tabulate fit percentages and information criteria of models on one recording."""
+    caption = (
+        "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent, predicted by the estimates of a filter and "
+        "simulated; below zero a simulation is further off than the mean. Likelihood of the "
+        "one-step innovations, with the parameters fitted in model and noise: lower AIC and BIC "
+        "are better; only differences between models on the same recording mean something."
+    )
+    first = fits[0]
+    kinds = (
+        f"{first.steps} steps ahead",
+        f"simulated {first.restart:g} s at a time",
+        "simulated throughout",
+    )
+    groups = [("", 1), *((kind, 3) for kind in kinds), ("one-step innovations", 4)]
+    headings = ["model", *3 * ("x %", "y %", "γ %"), "parameters", "log L", "AIC", "BIC"]
+    rows = [
+        [
+            name,
+            *(f"{value:.1f}" for value in (*fit.k_step, *fit.free_run, *fit.whole)),
+            str(fit.parameters),
+            *(f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)),
+        ]
+        for name, fit in zip(names, fits, strict=True)
+    ]
+    return Table(caption, headings, rows, groups)
 
 
 def _intervals_as_text(evaluation: Evaluation) -> list[str]:

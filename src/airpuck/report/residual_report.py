@@ -22,6 +22,7 @@ from airpuck.evaluation.structure import Structure
 from airpuck.model.model_file import Model
 from airpuck.report import style
 from airpuck.report.fit_sections import sources_section
+from airpuck.report.judged_sections import fit_table
 from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
 
 _STRUCTURE = (
@@ -33,6 +34,8 @@ _STRUCTURE = (
 )
 #: Opacity of the total band, and of that of the parameters on it.
 _TOTAL, _PARAMETERS = 0.35, 0.55
+#: Times the largest error in a panel that its axis shows of a band.
+_MOST_SHOWN = 5.0
 
 
 def residual_report(
@@ -59,7 +62,7 @@ def residual_report(
         Section("tests", "Residual tests", (Text(tests.verdicts, bullets=True), residuals)),
         Section("structure", "What residuals depend on", (structure,)),
         *([_bands_section(bands)] if bands else []),
-        Section("fit", "Fit", (_fit_table(fit), _noise_table(tests))),
+        Section("fit", "Fit", (fit_table([model.name], [fit]), _noise_table(tests))),
         sources_section(trajectory),
     ]
     verdict = "nothing was rejected" if tests.passed else "the model does not explain all there is"
@@ -86,6 +89,13 @@ def _bands_section(bands: Sequence[PredictionBands]) -> Section:
         "Errors are propagated linearly: with yaw unsure by more than a radian, bands of x and y "
         "are an order of magnitude."
     )
+    both = bands[0], bands[-1]
+    panels = list(zip(both, _drawn_windows(*both), strict=True))
+    if any(_cut_at(*panel, channel) for panel in panels for channel in range(3)):
+        caption += (
+            f" A band that is wider than {_MOST_SHOWN:g} times the largest error drawn is cut off; "
+            "the table has widths."
+        )
     rows = [
         [
             f"{one.horizon:.1f} s",
@@ -103,23 +113,6 @@ def _bands_section(bands: Sequence[PredictionBands]) -> Section:
     )
     picture = Picture("prediction_bands", prediction_bands_figure(bands[0], bands[-1]), caption)
     return Section("bands", "Predictions", (picture, table))
-
-
-def _fit_table(fit: FitMeasures) -> Table:
-    """Tabulate fit percentages and criteria."""
-    kinds = {
-        f"{fit.steps} steps ahead": fit.k_step,
-        f"simulated for {fit.restart:g} s at a time": fit.free_run,
-        "simulated from start to end": fit.whole,
-    }
-    caption = (
-        "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent; below zero a simulation is further off "
-        f"than the mean. Log-likelihood {fit.log_likelihood:.1f} with {fit.parameters} fitted "
-        f"parameters: AIC {fit.aic:.1f}, BIC {fit.bic:.1f}; only differences between models on the "
-        "same recording mean something."
-    )
-    rows = [[label, *(f"{value:.2f}" for value in values)] for label, values in kinds.items()]
-    return Table(caption, ["", "x %", "y %", "γ %"], rows)
 
 
 def _noise_table(tests: ResidualTests) -> Table:
@@ -241,18 +234,34 @@ def typical_window(bands: PredictionBands) -> int:
     return int(np.argsort(size, kind="stable")[(len(size) - 1) // 2])
 
 
+def _drawn_windows(
+    ahead: PredictionBands, simulated: PredictionBands
+) -> tuple[list[int], list[int]]:
+    """Choose a typical simulation, and the shorter predictions within its time."""
+    whole = typical_window(simulated)
+    begin, end = simulated.start[whole], simulated.time[-1, whole]
+    within = (ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)
+    return np.flatnonzero(within).tolist(), [whole]
+
+
+def _cut_at(bands: PredictionBands, windows: list[int], channel: int) -> float | None:
+    """Return where a panel cuts off bands that would hide its errors; None where it shows all."""
+    error = (bands.measured - bands.predicted)[:, channel, windows]
+    reach = _MOST_SHOWN * float(np.abs(error).max(initial=0.0))
+    widest = np.nanmax(bands.total[:, channel, windows], initial=0.0)
+    return reach if widest > reach > 0 else None
+
+
 @style.styled
 def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) -> Figure:
     """Draw predictions with their bands over some seconds of a recording.
 
     Left: the measured pose and predictions that start anew again and again. Middle: measured minus
     predicted, which the bands should hold. Right: the same of the simulation with the median error,
-    over all of these seconds.
+    over all of these seconds. Bands much wider than the errors are cut off.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 6.4)
-    whole = typical_window(simulated)
-    begin, end = simulated.start[whole], simulated.time[-1, whole]
-    shown = np.flatnonzero((ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)).tolist()
+    shown, (whole,) = _drawn_windows(ahead, simulated)
     grid = figure.subplots(3, 3, sharex=True)
     for channel, (pose, left, right) in enumerate(grid):
         time = simulated.time[:, whole]
@@ -265,9 +274,15 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
             pose.plot(ahead.time[:, k], short, color=style.BLUE, lw=1.1, zorder=3)
             _draw_errors(left, ahead, k, channel)
         _draw_errors(right, simulated, whole, channel)
+        if (reach := _cut_at(simulated, [whole], channel)) is not None:
+            drawn = np.concatenate([line.get_ydata() for line in pose.lines])
+            pose.set_ylim(drawn.min() - reach / 2, drawn.max() + reach / 2)
         name = "xyγ"[channel]
         pose.set_ylabel(f"{name} [{'rad' if channel == 2 else 'm'}]")
-        for axes, bands in ((left, ahead), (right, simulated)):
+        for axes, bands, windows in ((left, ahead, shown), (right, simulated, [whole])):
+            if (reach := _cut_at(bands, windows, channel)) is not None:
+                reach *= style.ERRORS[channel][2]
+                axes.set_ylim(-reach, reach)
             axes.set_ylabel(f"error of {name} [{style.ERRORS[channel][1]}]")
             held = f"{bands.coverage[channel]:.0f} % of {len(bands.start)} held"
             axes.set_title(f"{bands.horizon:.1f} s: {held}", loc="left")

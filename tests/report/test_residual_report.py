@@ -1,0 +1,39 @@
+"""What the page of `airpuck resid` draws of predictions."""
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.prediction_bands import PredictionBands
+from airpuck.report.residual_report import prediction_bands_figure
+
+
+def bands(starts: list[float], horizon: float, error: float, half: float) -> PredictionBands:
+    """A craft that stands at (0, 0, 0), with errors and bands that grow evenly to these."""
+    growth = np.linspace(0.05, 1, 20)[:, None, None] * np.ones((1, 3, len(start)))
+    start, time = np.array(starts), np.array(starts) + horizon * growth[:, 0]
+    measured = np.zeros_like(growth)
+    return PredictionBands(
+        "M3", np.array(start), time, -error * growth, measured, None, half * growth
+    )
+
+
+def limits(figure, column: int) -> np.ndarray:
+    return np.array([axes.get_ylim() for axes in figure.axes[column::3]])
+
+
+def test_a_band_that_would_hide_its_errors_is_cut_off():
+    ahead = bands([0.0, 0.2, 0.4], 0.2, 1e-3, 2e-3)
+    cut = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, 10.0))
+    # Five times the largest error, in mm, mm and rad; half of that around the poses in m, m, rad.
+    expected = 5 * 0.1 * np.array([1e3, 1e3, 1.0])[:, None] * [-1, 1]
+    np.testing.assert_allclose(limits(cut, 2), expected)
+    np.testing.assert_allclose(limits(cut, 0), np.tile([-0.1 - 0.25, 0.25], (3, 1)))
+    # What fits is shown whole: the bands of 0.2 s, and those of a simulation that are narrower.
+    assert limits(cut, 1)[0] == pytest.approx([-2.0, 2.0], rel=0.15)
+    whole = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, 0.4))
+    assert (np.abs(limits(whole, 2)) >= 0.4 * np.array([1e3, 1e3, 1.0])[:, None]).all()
+    assert (np.abs(limits(whole, 0)) >= 0.3).all()
+    # Nothing is known of the size of errors that are none, nor of bands that are not known.
+    prediction_bands_figure(ahead, bands([0.0], 0.6, 0.0, 10.0))
+    unknown = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, np.nan))
+    assert np.isfinite(limits(unknown, 2)).all()
