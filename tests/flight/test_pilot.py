@@ -23,8 +23,6 @@ from airpuck.physics.thrust import InverseThrust
 
 
 class Spring(airpuck.Pilot):
-    reference = airpuck.SetPoint(0.0, 0.0, 0.0)
-
     def __init__(self, model, reference):
         self.reference, self.matrix = reference, model.dynamics.configuration
         self.speed_for = InverseThrust(model.parameters.thrust)
@@ -81,6 +79,7 @@ def pilot(**changes):
 
 def test_what_inherits_from_pilot_needs_only_a_step():
     check_pilot(pilot())
+    assert pilot().reference.at(0.0, 0.0).state[:3].tolist() == [0, 0, 0]
     check_pilot(airpuck.TrackingController(M3, airpuck.SetPoint(0, 0, 0)))
 
 

@@ -9,12 +9,10 @@ from airpuck.report.residual_report import prediction_bands_figure
 
 def bands(starts: list[float], horizon: float, error: float, half: float) -> PredictionBands:
     """A craft that stands at (0, 0, 0), with errors and bands that grow evenly to these."""
-    growth = np.linspace(0.05, 1, 20)[:, None, None] * np.ones((1, 3, len(start)))
+    growth = np.linspace(0.05, 1, 20)[:, None, None] * np.ones((1, 3, len(starts)))
     start, time = np.array(starts), np.array(starts) + horizon * growth[:, 0]
     measured = np.zeros_like(growth)
-    return PredictionBands(
-        "M3", np.array(start), time, -error * growth, measured, None, half * growth
-    )
+    return PredictionBands("M3", start, time, -error * growth, measured, None, half * growth)
 
 
 def limits(figure, column: int) -> np.ndarray:

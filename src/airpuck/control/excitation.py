@@ -114,6 +114,8 @@ class Excitation:
             reject_disturbance=False,
             compensate_delay=False,
         )
+        #: What the controller steers to.
+        self.reference = controller.reference
         #: What is measured and sent is the controller's concern only.
         self.pose, self.imu, self.mouse = controller.pose, controller.imu, controller.mouse
         self.sent = controller.sent
@@ -150,11 +152,6 @@ class Excitation:
         self._signal = np.zeros(self._mixer.shape[1])
         #: Periods in which the signals paused.
         self.pauses = 0
-
-    @property
-    def reference(self) -> Reference:
-        """What the controller steers to."""
-        return self.controller.reference
 
     def step(self, time: float) -> Step:
         """Compute the command to send now.

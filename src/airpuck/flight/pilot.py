@@ -27,10 +27,8 @@ class Pilot(Protocol):
     reference is the middle of the table.
     """
 
-    @property
-    def reference(self) -> Reference:
-        """The reference that the craft tracks."""
-        return SetPoint(0.0, 0.0, 0.0)
+    #: The reference that the craft tracks.
+    reference: Reference = SetPoint(0.0, 0.0, 0.0)
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Take note of a pose.

@@ -64,11 +64,8 @@ class PulseTest:
         self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
         self.sent_commands: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self.stopped = ""
-
-    @property
-    def reference(self) -> Reference:
-        """Where the craft stands best at first; it is not steered there."""
-        return SetPoint(0.0, 0.0, 0.0)
+        #: Where the craft stands best at first; it is not steered there.
+        self.reference: Reference = SetPoint(0.0, 0.0, 0.0)
 
     @property
     def duration(self) -> float:

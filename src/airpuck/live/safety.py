@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.law import Step
-from airpuck.control.reference import Numbers, Reference
+from airpuck.control.reference import Numbers
 from airpuck.flight.pilot import Pilot, checked_step
 
 #: Takes the level and the text of an event.
@@ -121,16 +121,13 @@ class GuardedPilot:
         self, pilot: Pilot, guard: Guard, idle: Float[np.ndarray, " n"], log: _Log
     ) -> None:
         self.pilot, self.guard = pilot, guard
+        #: What the pilot tracked at its latest step.
+        self.reference = pilot.reference
         self.imu, self.mouse = self._guarded(pilot.imu), self._guarded(pilot.mouse)
         self.sent, self._pilots_pose = self._guarded(pilot.sent), self._guarded(pilot.pose)
         self._idle, self._log = idle, log
         #: Why the motors idle, as last logged; None while they run.
         self._logged: str | None = ""
-
-    @property
-    def reference(self) -> Reference:
-        """What the pilot tracks."""
-        return self.pilot.reference
 
     def pose(self, time: float, pose: Numbers) -> None:
         """Judge a pose and pass it on; see `Pilot.pose`."""
@@ -155,6 +152,7 @@ class GuardedPilot:
         if reason is None:
             try:
                 step = checked_step(self.pilot, self.pilot.step(time))
+                self.reference = self.pilot.reference
             # Whatever goes wrong in a controller, the motors must idle and the loop go on.
             except Exception as error:
                 reason = _failure(error)
