@@ -11,7 +11,8 @@ from .test_block_bootstrap import residuals
 def evaluation(errors, start):
     nothing = np.zeros((50, 3, 1))
     everywhere = EveryStart(errors, start)
-    return Evaluation("M3", PROTOCOLS["paper"], "paper", nothing, start[:1], 1 / 240, 0, everywhere)
+    paper = PROTOCOLS["paper"]
+    return Evaluation("M3", paper, "paper", nothing, start[:1], 1 / 240, 0, everywhere, 1)
 
 
 def test_only_what_differs_is_called_a_difference():

@@ -1,7 +1,8 @@
-"""Ranges of the numbers that a user may give, as an option or as an argument of a function."""
+"""Ranges of the numbers that a user may give, and how shares are shown to one."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from airpuck.boundary.errors import InputError
@@ -31,6 +32,13 @@ class Range:
         if not inside:
             words = str(self) if self.above else f"from {self}"
             raise InputError(f"must be {words}: {self.why}", field=field)
+
+
+def percent(share: float, otherwise: str = "not determined") -> str:
+    """Write a share, or a relative error, in percent: to two digits where it is small."""
+    if not math.isfinite(share):
+        return otherwise
+    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"
 
 
 def _text(number: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -101,9 +102,9 @@ class Item(Section):
     #: Of everything random in it.
     seed: Natural = 0
 
+    @abstractmethod
     def run(self) -> list[Row]:
         """Compute the item's figures."""
-        raise NotImplementedError
 
     def key(self, fingerprint: Callable[[str], str]) -> str:
         """Hash the fields, the content of the files that they name, and our version."""

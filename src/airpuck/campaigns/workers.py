@@ -104,15 +104,16 @@ def compute(item: Item) -> Result:
     try:
         rows = tuple(item.run())
     except Exception as error:
-        failure = _one_line(error)
+        failure = _described(error)
     return Result(rows=rows, failure=failure, wall_s=time.perf_counter() - started)
 
 
-def _one_line(error: BaseException) -> str:
+def _described(error: BaseException) -> str:
     """Describe an error, with its type where the message is not written for users."""
-    text = " ".join(str(error).split())
-    written = isinstance(error, (InputError, ArithmeticError))
-    return text if written else f"{type(error).__name__}: {text}"
+    if isinstance(error, (InputError, ArithmeticError)):
+        return str(error)
+    # Compilers write many lines.
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _result(future: Any) -> Result:
@@ -124,7 +125,7 @@ def _result(future: Any) -> Result:
     if future.status != "error":
         raise InputError("the scheduler went away; run again for the rest", field="--scheduler")
     error = future.exception()
-    why = _one_line(error)
+    why = _described(error)
     if isinstance(error, KilledWorker):
         why = f"its worker died {DEADLY} times (out of memory, a crash, a kill)"
     return Result(rows=(), failure=why)

@@ -10,6 +10,7 @@ from typer import Option
 
 import airpuck
 from airpuck.boundary import numbers
+from airpuck.boundary.numbers import percent
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_controls, read_twin
@@ -125,9 +126,9 @@ def summary(found: Design) -> list[str]:
     worst_before, worst = (int(np.argmax(np.where(counts, e, -1))) for e in (before, proposal))
     text = [
         f"{labels[worst_before]}, the worst determined {since}: "
-        f"from {_percent(before[worst_before])} to {_percent(proposal[worst_before])}",
-        f"worst after the proposed flight: {labels[worst]}, {_percent(proposal[worst])}"
-        f" ({_percent(usual[worst])} after the usual one)",
+        f"from {percent(before[worst_before])} to {percent(proposal[worst_before])}",
+        f"worst after the proposed flight: {labels[worst]}, {percent(proposal[worst])}"
+        f" ({percent(usual[worst])} after the usual one)",
     ]
     missing = [labels[k] for k in np.flatnonzero(np.isinf(proposal))]
     if missing:
@@ -164,7 +165,7 @@ def _row(one: Candidate) -> tuple[str, ...]:
         f"{plan.hold_s:g}",
         f"{plan.margin_m:g}",
         f"{1e3 * one.clearance:.0f}",
-        _percent(one.score),
+        percent(one.score, "–"),
         one.refused and f"refused: {one.refused}",
     )
 
@@ -180,15 +181,10 @@ def error_table(found: Design, checked: CheckedFlights | None) -> Table:
     for k, (label, unit) in enumerate(zip(compared.labels, compared.units, strict=True)):
         scale = compared.scales[k]
         size = f"{scale:.3g} {unit}" if scale < 1e12 else "no scale"
-        row = [label, size, *(_percent(each[k]) for each in errors)]
+        row = [label, size, *(percent(each[k], "–") for each in errors)]
         if checked is not None:
             ratio = float(checked.ratio[k])
             row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
         rows.append(row)
     title = "Standard errors, in shares of what each matters against"
     return table(headings, rows, title=title, left=("", "100 % are"))
-
-
-def _percent(share: float) -> str:
-    """Return a share as text."""
-    return f"{100 * share:.2g} %" if share < 1e3 else "–"

@@ -23,9 +23,6 @@ FORMAT = "airpuck trajectory 1"
 #: Steps below this many medians are no pauses; they alternate where their mean is this share off.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
 
-#: Columns of `Trajectory.state`.
-STATE_COLUMNS = ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s")
-
 
 @dataclass(frozen=True)
 class Span:

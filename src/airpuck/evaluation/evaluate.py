@@ -147,6 +147,8 @@ class Evaluation:
         Windows fewer than the length of the trajectory would hold, because of excluded spans.
     every_start : EveryStart
         The errors at the horizon, from windows that overlap.
+    horizon_step : int
+        Number of the step at which errors are reported, counted from 1.
     """
 
     model: str
@@ -157,6 +159,7 @@ class Evaluation:
     sample_period: float
     left_out: int
     every_start: EveryStart
+    horizon_step: int
 
     def __repr__(self) -> str:
         x, y, yaw = self.rmse
@@ -168,12 +171,6 @@ class Evaluation:
     def _repr_html_(self) -> str:
         rows = zip(CHANNELS, self.rmse.tolist(), self.median_abs.tolist(), strict=True)
         return html_table(repr(self), ("", "RMS error", "median absolute error"), rows)
-
-    @property
-    def horizon_step(self) -> int:
-        """Number of the step at which errors are reported, counted from 1."""
-        steps = round(self.protocol.horizon / self.sample_period)
-        return min(max(steps, 1), len(self.errors))
 
     @property
     def at_horizon(self) -> Float[np.ndarray, "3 W"]:
@@ -278,6 +275,7 @@ def evaluate(
         sample_period=trajectory.sample_period,
         left_out=len(trajectory) // (before + ahead) - len(windows),
         every_start=EveryStart(all_errors[-1], everywhere.time[everywhere.present]),
+        horizon_step=step,
     )
 
 

@@ -48,10 +48,10 @@ class ModelDifference:
         ):
             if not differs:
                 low, high = sorted(bounds, key=lambda end: abs(end - 1))
-                said.append(f"{name}: no difference shown ({_percent(low)} to {_percent(high)})")
+                said.append(f"{name}: no difference shown ({_change(low)} to {_change(high)})")
                 continue
             low, high = sorted(100 * np.abs(bounds - 1))
-            said.append(f"{name} {_percent(ratio)} ({low:.1f} to {high:.1f} %)")
+            said.append(f"{name} {_change(ratio)} ({low:.1f} to {high:.1f} %)")
         if not any(self.differs):
             return f"{self.second} against {self.first}: no difference shown"
         return f"{self.second} against {self.first}: {', '.join(said)}"
@@ -71,7 +71,7 @@ class ModelDifference:
         }
 
 
-def _percent(ratio: float) -> str:
+def _change(ratio: float) -> str:
     """Say how much smaller or larger an error is."""
     return f"{100 * abs(ratio - 1):.1f} % {'better' if ratio < 1 else 'worse'}"
 

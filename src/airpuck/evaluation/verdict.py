@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.numbers import percent
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
@@ -137,10 +138,10 @@ def _uncertain(model: Model) -> list[str]:
     size, error = largest_acceleration(model), model.standard_error(largest_acceleration)
     relative = np.where(np.isfinite(error), error, np.inf) / np.maximum(size, 1e-12)
     if relative.max() > ACCELERATION_LIMIT:
-        ways = [f"{way} {_percent(r)}" for (way, *_), r in zip(WAYS, relative, strict=True)
+        ways = [f"{way} {percent(r)}" for (way, *_), r in zip(WAYS, relative, strict=True)
                 if r > ACCELERATION_LIMIT]  # fmt: skip
         found.append(
-            f"Its largest accelerations are not known to {_percent(ACCELERATION_LIMIT)}: "
+            f"Its largest accelerations are not known to {percent(ACCELERATION_LIMIT)}: "
             f"{', '.join(ways)}. Use the whole range of all motors."
         )
     error = float(model.standard_error(_response_time))
@@ -159,7 +160,7 @@ def _mispredicted(missed: Float[np.ndarray, " 3"] | None) -> list[str]:
         return []
     return [
         f"In the flight that it was judged on it misses {_channels(missed)} of what the commands "
-        f"do to x, y and yaw, more than {_percent(MISSED_LIMIT)}: a richer model may help, or a "
+        f"do to x, y and yaw, more than {percent(MISSED_LIMIT)}: a richer model may help, or a "
         "check of clocks, motor order and faults."
     ]
 
@@ -213,7 +214,7 @@ def _known(model: Model, missed: Float[np.ndarray, " 3"] | None) -> list[str]:
         size, error = largest_acceleration(model), model.standard_error(largest_acceleration)
         response, spread = _response_time(model), float(model.standard_error(_response_time))
         found.append(
-            f"Its largest acceleration is known to {_percent(float((error / size).max()))} in "
+            f"Its largest acceleration is known to {percent(float((error / size).max()))} in "
             f"every direction; the response time τ + d is {1e3 * response:.0f} ± "
             f"{1e3 * spread:.2g} ms."
         )
@@ -229,9 +230,9 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
     """Write the relative errors, those of thrusts together."""
     thrusts = [error for label, error in errors.items() if label.startswith("F(")]
     listed = {label: e for label, e in errors.items() if not label.startswith("F(")}
-    words = [f"{label} {_percent(error)}" for label, error in listed.items()]
+    words = [f"{label} {percent(error)}" for label, error in listed.items()]
     if thrusts:
-        low, high = _percent(min(thrusts)), _percent(max(thrusts))
+        low, high = percent(min(thrusts)), percent(max(thrusts))
         words.append(f"thrusts at full speed {low if low == high else f'{low} to {high}'}")
     shares = "of the value; of α 1 rad, of r the propellers' lever arm"
     return [f"Standard errors ({shares}): {', '.join(words)}."] if words else []
@@ -279,11 +280,4 @@ def _response_time(model: Model) -> Any:
 
 def _channels(shares: Float[np.ndarray, " 3"]) -> str:
     """Write the shares of x, y and yaw."""
-    return ", ".join(_percent(float(share)) for share in shares)
-
-
-def _percent(share: float) -> str:
-    """Write a share in percent, to two digits where it is small."""
-    if not np.isfinite(share):
-        return "not determined"
-    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"
+    return ", ".join(percent(float(share)) for share in shares)

@@ -12,7 +12,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import DEFINITION_BYTES
 from airpuck.boundary.parsing import load_yaml
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.files import listing, one_line, sha256
+from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.log import Log, TopicLog
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
@@ -153,7 +153,7 @@ def _streams(
             try:
                 streams[stream], stamped = topic_stream(stream, topic, mapping)
             except (ValueError, OverflowError) as error:
-                problem = error.problem if isinstance(error, InputError) else one_line(str(error))
+                problem = error.problem if isinstance(error, InputError) else shortened(str(error))
                 field = error.field if isinstance(error, InputError) else None
                 raise InputError(problem, file=source, field=field or name) from error
             if not stamped and stream in ("pose", "command"):

@@ -12,7 +12,7 @@ from jaxtyping import Float, Shaped
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.cdr import Field
-from airpuck.recording.files import listing, one_line
+from airpuck.recording.files import listing, shortened
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 #: Where it names its values.
@@ -61,7 +61,7 @@ def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] =
     chosen = tuple(given) or command_fields(msgtype, fields)
     if not chosen:
         raise InputError(
-            f"holds {one_line(msgtype)}, but a command is {_ACCEPTED}; choose its fields, as in "
+            f"holds {shortened(msgtype)}, but a command is {_ACCEPTED}; choose its fields, as in "
             f'command = {{values = ["..."]}}, out of {listing(field.path for field in fields)}'
         )
     entries = [_ENTRY.fullmatch(name) for name in chosen]

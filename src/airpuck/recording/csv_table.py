@@ -14,7 +14,7 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import ROW_LENGTH, csv_rows
-from airpuck.recording.files import listing, one_line
+from airpuck.recording.files import listing, shortened
 
 #: Separators of columns.
 _SEPARATORS = ",\t;"
@@ -58,13 +58,13 @@ class Table:
                 numbers.append(kind(text))
             return np.array(numbers, dtype=np.float64 if kind is float else np.int64)
         except ValueError:
-            line, text = self.lines[len(numbers)], one_line(repr(texts[len(numbers)]))
+            line, text = self.lines[len(numbers)], shortened(repr(texts[len(numbers)]))
             noun = "number" if kind is float else "whole number"
             comma = "; decimals have a point" if "," in text else ""
             problem = f"line {line}: {text} is not a {noun}{comma}"
         except OverflowError:
             problem = "holds a number beyond 64 bits; times are in nanoseconds"
-        raise InputError(problem, file=self.path, field=one_line(name))
+        raise InputError(problem, file=self.path, field=shortened(name))
 
     def without_blank(self, names: Sequence[str]) -> tuple[Table, int]:
         """Leave out rows in which all these columns are blank; return how many, too."""
@@ -106,7 +106,7 @@ def plain_table(rows: Rows) -> Table:
     twice = [name for name, count in Counter(header).items() if count > 1]
     if twice:
         raise InputError(
-            "there are two columns of this name", file=rows.path, field=one_line(twice[0]) or None
+            "there are two columns of this name", file=rows.path, field=shortened(twice[0]) or None
         )
     return table_below(rows, 0, {name: index for index, name in enumerate(header)}, exact=True)
 

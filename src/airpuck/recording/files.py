@@ -1,4 +1,4 @@
-"""Files of recordings: hashes, folders that appear whole or not at all, names on one line."""
+"""Files of recordings: hashes, folders that appear whole or not at all, names in messages."""
 
 from __future__ import annotations
 
@@ -53,15 +53,14 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         shutil.rmtree(shelter, ignore_errors=True)
 
 
-def one_line(text: str) -> str:
-    """Shorten text from a file and escape it, so that an error message stays on one line."""
-    short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
-    return short if short.isprintable() else repr(short)
+def shortened(text: str) -> str:
+    """Shorten text from a file for a message; `InputError` escapes it."""
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 def listing(names: Iterable[str], most: int = 12) -> str:
     """List names from a file; beyond `most` they are only counted."""
-    shown = [one_line(name) for name in names]
+    shown = [shortened(name) for name in names]
     if len(shown) > most:
         shown[most:] = [f"{len(shown) - most} more"]
     return ", ".join(shown) or "none"

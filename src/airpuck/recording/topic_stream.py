@@ -22,7 +22,7 @@ from airpuck.recording.conversion import (
     propellers_of,
     stamps_of,
 )
-from airpuck.recording.files import listing, one_line
+from airpuck.recording.files import listing, shortened
 from airpuck.recording.log import TopicLog
 from airpuck.recording.mapping import (
     CommandMapping,
@@ -58,10 +58,10 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     usual = PATHS.get(stream, {}).get(msgtype, ())
     if stream != "command" and not usual and not (stream == "pose" and mapping.pose.position):
         accepted = " or ".join(PATHS[stream])
-        raise InputError(f"holds {one_line(msgtype)}, but a {stream} is {accepted}")
+        raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
     types = definitions(msgtype, topic.definition, idl=topic.idl)
     if msgtype not in types:
-        raise InputError(f"the recording does not say what {one_line(msgtype)} holds")
+        raise InputError(f"the recording does not say what {shortened(msgtype)} holds")
     fields = flatten(types, msgtype)
     if stream == "command":
         paths, convert = _command_plan(msgtype, fields, mapping.command)

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import Archive, within_means
 from airpuck.data.trajectory import Trajectory
-from airpuck.recording.files import listing, one_line, sha256
+from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.message import HOLOHOVER_MOTORS
 
 #: Width of each tensor; None for one dimension.
@@ -145,7 +145,7 @@ class _Unpickler(pickle._Unpickler):
             return _CALLS[full]
         if _MENTIONED.fullmatch(full):
             return full
-        raise Refused(f"it names {one_line(full)}")
+        raise Refused(f"it names {shortened(full)}")
 
     def persistent_load(self, pid: Any) -> _Storage:
         """Note which member a storage is in."""

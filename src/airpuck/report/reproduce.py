@@ -233,8 +233,8 @@ def _summary_section(study: FitStudy, judged: Judged, wall_s: float) -> Section:
         f"The published parameters give {agree} of the {3 * len(PRINTED)} numbers of the paper's "
         "Table 2 as printed.",
         "Our own fits, from the paper's initial values and its training recording alone, differ "
-        f"from the published errors by {_percent(ratio.min())} to {_percent(ratio.max())}, "
-        f"{_percent(ratio.mean())} on average (negative: ours are lower).",
+        f"from the published errors by {_change(ratio.min())} to {_change(ratio.max())}, "
+        f"{_change(ratio.mean())} on average (negative: ours are lower).",
         f"Levenberg-Marquardt needed {min(steps)} to {max(steps)} iterations; all fits and "
         f"evaluations took {wall_s:.1f} s.",
         f"The typical window is predicted much better than the RMSE says: {best.model} (fitted) "
@@ -267,7 +267,7 @@ def _table_2(judged: Judged) -> Table:
             *PRINTED[ours.model],
             *errors_as_text(theirs.rmse),
             *errors_as_text(ours.rmse),
-            *map(_percent, ours.rmse / theirs.rmse),
+            *map(_change, ours.rmse / theirs.rmse),
         ]
         for ours, theirs in zip(judged.evaluations, judged.reference, strict=True)
     ]
@@ -282,7 +282,7 @@ def _table_2(judged: Judged) -> Table:
     )
 
 
-def _percent(ratio: float) -> str:
+def _change(ratio: float) -> str:
     """Format a ratio as a difference in percent."""
     percent = round(100 * (float(ratio) - 1), 1)
     # No break before the sign of percent, a true minus, and no sign before zero.
