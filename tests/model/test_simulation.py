@@ -58,24 +58,15 @@ def test_a_craft_at_rest_with_idle_motors_stays():
 @MODELS
 def test_a_simulation_solves_the_differential_equation(model):
     state, command = state_and_command(1)
-    steps = 200
-    simulated = model.simulate(state, np.tile(command, (steps, 1)), 1e-3)
+    # Near standstill motors may be slower.
+    state[6:] = np.linspace(0.0, 0.2, 6)
+    simulated = model.simulate(state, np.tile(command, (800, 1)), 0.25e-3)
     reference = solve_ivp(
-        lambda _, z: model.derivative(z, command), (0, steps * 1e-3), state, rtol=1e-10, atol=1e-12
+        lambda _, z: model.derivative(z, command), (0, 0.2), state, rtol=1e-10, atol=1e-12
     )
     # Where the lag depends on the speed, steps of the motors are of second order.
     atol = 1e-9 if model.dynamics.idle_lag is None else 1e-6
     np.testing.assert_allclose(simulated[-1], reference.y[:, -1], rtol=0, atol=atol)
-
-
-def test_motors_near_standstill_are_as_slow_in_the_derivative_as_in_a_simulation():
-    model = replace(M3, parameters=replace(M3.parameters, idle_lag=2.0))
-    state = np.r_[np.zeros(6), np.linspace(0.0, 0.2, 6)]
-    command, h = np.linspace(1.0, 0.3, 6), 1e-5
-    steps = [model.simulate(state, command[None], t)[0] - state for t in (h, 2 * h)]
-    # Forward differences of second order.
-    slope = (4 * steps[0] - steps[1]) / (2 * h)
-    np.testing.assert_allclose(slope, model.derivative(state, command), rtol=1e-5, atol=1e-6)
 
 
 def test_simulations_agree_under_numpy_jax_and_casadi_and_for_a_batch():
