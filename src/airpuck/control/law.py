@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -13,12 +13,34 @@ from airpuck.control.allocation import Outcome
 from airpuck.control.reference import Reference
 from airpuck.estimate.estimator import Estimate
 
-#: How a control step ended. The outcomes of the allocation fly; all others idle the motors; a guard
-#: around the controller sets ``unsafe``.
-Status = (
-    Outcome | Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
-)
-FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", "open loop")
+#: What became of a prediction. ``optimal``: within all limits. ``softened``: beyond a limit of the
+#: craft's motion, by as little as possible. ``iteration limit``: the solver gave nothing usable,
+#: the plan of the step before is flown on. ``fallback``: there is none, an LQR steers.
+Predicted = Literal["optimal", "softened", "iteration limit", "fallback"]
+_Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
+#: How a control step ended. The outcomes of allocation and prediction fly; all others idle the
+#: motors; a guard around the controller sets ``unsafe``.
+Status = Outcome | Predicted | _Refused
+FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted), "open loop")
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a predictive law expects.
+
+    Attributes
+    ----------
+    times : array, shape (N,)
+        From when the command begins to act [s].
+    states : array, shape (N, 6)
+        x, y, γ and their rates at these times.
+    active : tuple of str
+        Limits at which the plan is somewhere: ``motor``, ``rail``, ``speed``, ``spin``, ``disc``.
+    """
+
+    times: Float[np.ndarray, " N"]
+    states: Float[np.ndarray, "N 6"]
+    active: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +53,23 @@ class Step:
         Motor commands to send, finite and within the vehicle's limits; an array of the caller's
         own, to change at will.
     status : str, default "open loop"
-        ``exact``, ``scaled``, ``nearest``: the craft flies, ``open loop``: without an allocation;
-        anything else: the motors idle, and this is why.
+        ``exact``, ``scaled``, ``nearest`` (`LQR`), ``optimal``, ``softened``, ``iteration limit``,
+        ``fallback`` (`MPC`): the craft flies, ``open loop``: without a law; anything else: the
+        motors idle, and this is why.
     request : array, shape (3,), default 0
-        Acceleration asked of the allocation [m/s², m/s², rad/s²]; zero when idle.
+        Acceleration asked of the allocation, or expected from the command [m/s², m/s², rad/s²];
+        zero when idle.
     estimate : Estimate or None
         State at the time at which the command will begin to act; None when idle.
+    prediction : Prediction or None
+        What a predictive law expects from then on.
     """
 
     command: Float[np.ndarray, " n"]
     status: Status = "open loop"
     request: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     estimate: Estimate | None = None
+    prediction: Prediction | None = None
 
     @property
     def flies(self) -> bool:

@@ -32,17 +32,27 @@ def lqr(
     u = -K x minimises Σ xᵀQx + uᵀRu over x⁺ = A x + B u; K = (R + BᵀPB)⁻¹BᵀPA with P from the
     discrete algebraic Riccati equation.
     """
+    p = cost_to_go(a, b, q, r)
+    return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+
+
+def cost_to_go(
+    a: Float[np.ndarray, "n n"],
+    b: Float[np.ndarray, "n m"],
+    q: Float[np.ndarray, "n n"],
+    r: Float[np.ndarray, "m m"],
+) -> Float[np.ndarray, "n n"]:
+    """Return P of xᵀPx, what the regulator's way from x to zero costs."""
     from scipy.linalg import LinAlgError, solve_discrete_are
 
     try:
-        p = solve_discrete_are(a, b, q, r)
+        return solve_discrete_are(a, b, q, r)
     except (LinAlgError, ValueError) as error:
         raise InputError(
             "these weights give no stabilising regulator; give position and yaw a positive weight, "
             "and weights that differ less",
             field="weights",
         ) from error
-    return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
 
 
 def regulator(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:

@@ -27,6 +27,26 @@ class Target:
     acceleration: Float[np.ndarray, " 3"]
 
 
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """When a state is to be reached, and how precisely."""
+
+    #: From now on [s].
+    remaining: float
+    #: Of x, y, γ and their rates; infinite: free.
+    precision: Float[np.ndarray, " 6"]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What a reference asks for at several times."""
+
+    states: Float[np.ndarray, "N 6"]
+    accelerations: Float[np.ndarray, "N 3"]
+    #: If only the state at one time counts until then.
+    arrival: Arrival | None = None
+
+
 @runtime_checkable
 class Reference(Protocol):
     """Says where the craft should be."""
@@ -71,6 +91,10 @@ class SetPoint:
         state = np.array([self.x, self.y, self.yaw, 0.0, 0.0, 0.0])
         return Target(state, np.zeros(3))
 
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        """Return the pose, at rest, for all times; see `course`."""
+        return _held(self.at(now, 0.0), len(ahead))
+
 
 class SetPoints:
     """Poses to hold, each from its time on.
@@ -97,6 +121,10 @@ class SetPoints:
     def at(self, now: float, ahead: float) -> Target:
         """Return the set point in force now; see `Reference.at`."""
         return self._targets[max(int(self.times.searchsorted(now, side="right")) - 1, 0)]
+
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        """Return the set point in force now for all times; see `course`."""
+        return _held(self.at(now, 0.0), len(ahead))
 
 
 class TimedPath:
@@ -129,12 +157,94 @@ class TimedPath:
 
     def at(self, now: float, ahead: float) -> Target:
         """Return pose, velocity and acceleration at ``now + ahead``; see `Reference.at`."""
-        time = now + ahead
-        inside = min(max(time, self._first), self._last)
-        pose, velocity, acceleration = (np.asarray(spline(inside)) for spline in self._splines)
-        if inside != time:
-            velocity, acceleration = np.zeros(3), np.zeros(3)
-        return Target(np.concatenate([pose, velocity]), acceleration)
+        wanted = self.over(now, np.array([ahead], dtype=float))
+        return Target(wanted.states[0], wanted.accelerations[0])
+
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        """Return the same at several times; see `course`."""
+        times = now + ahead
+        inside = times.clip(self._first, self._last)
+        pose, velocity, acceleration = (spline(inside) for spline in self._splines)
+        moving = (inside == times)[:, None]
+        return Course(np.hstack([pose, velocity * moving]), acceleration * moving)
+
+
+class Rendezvous:
+    """A state to reach at a given time, whatever the way there: to meet something that moves.
+
+    A predictive law arrives at that time; before it, nothing else counts. Other laws chase a target
+    that passes through the state at its velocity.
+
+    Parameters
+    ----------
+    time : float
+        When to arrive [s].
+    state : array, shape (6,)
+        x, y, γ and their rates.
+    precision : array, shape (6,), optional
+        Errors that matter as much as each other; infinite: free, such as a yaw that does not count.
+    then : Reference, optional
+        What to track afterwards; by default the pose of the arrival.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or a precision not positive.
+    """
+
+    def __init__(
+        self,
+        time: float,
+        state: Numbers,
+        *,
+        precision: Numbers = (0.002, 0.002, 0.05, 0.05, 0.05, 1.0),
+        then: Reference | None = None,
+    ) -> None:
+        self.time, self.state = float(time), np.array(state, dtype=float)
+        self.precision = np.array(precision, dtype=float)
+        if self.state.shape != (6,) or not np.isfinite([*self.state, self.time]).all():
+            raise InputError("give a finite time and six finite numbers", field="state")
+        if self.precision.shape != (6,) or not (self.precision > 0).all():
+            raise InputError("give six positive numbers; inf is free", field="precision")
+        self.then = then or SetPoint(*self.state[:3].tolist())
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the state on its way through the rendezvous; afterwards, what follows."""
+        left = self.time - now - ahead
+        if left < 0:
+            return self.then.at(now, ahead)
+        way = np.concatenate([self.state[:3] - left * self.state[3:], self.state[3:]])
+        return Target(way, np.zeros(3))
+
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        """Return the same at several times, and the arrival; see `course`."""
+        arrival = Arrival(self.time - now, self.precision)
+        if self.time < now + ahead[0]:
+            return course(self.then, now, ahead)
+        targets = [self.at(now, each) for each in ahead.tolist()]
+        return _listed(targets, arrival)
+
+
+def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+    """Return what a reference asks for at several times.
+
+    At once where it has a method `over`, otherwise by `Reference.at`.
+    """
+    over = getattr(reference, "over", None)
+    if over is not None:
+        return over(now, ahead)
+    return _listed([reference.at(now, each) for each in ahead.tolist()])
+
+
+def _listed(targets: Sequence[Target], arrival: Arrival | None = None) -> Course:
+    """Join targets of one time each."""
+    states = np.stack([target.state for target in targets])
+    return Course(states, np.stack([target.acceleration for target in targets]), arrival)
+
+
+def _held(target: Target, count: int) -> Course:
+    """Return one target for several times."""
+    return Course(np.tile(target.state, (count, 1)), np.tile(target.acceleration, (count, 1)))
 
 
 def _checked(

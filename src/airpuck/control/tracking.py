@@ -14,9 +14,11 @@ from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.law import Law, Status, Step
 from airpuck.control.lqr import LQR
+from airpuck.control.mpc import MPC
 from airpuck.control.pose_gate import STALE, PoseGate
 from airpuck.control.reference import Numbers, Reference, SetPoint
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
+from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
@@ -29,7 +31,7 @@ class TrackingController:
     """Steers the craft to a reference.
 
     Each step predicts the state to when the command will act, over the transport delay; a law
-    (`LQR`) then finds the command.
+    (`LQR` or `MPC`, as the tuning says) then finds the command.
 
     Parameters
     ----------
@@ -39,6 +41,8 @@ class TrackingController:
         What to track; may be exchanged at any time.
     tuning : Tuning, optional
         By default the packaged one.
+    table : Table, optional
+        Whose rails a predictive law keeps to; by default the paper's.
     gain : array, shape (3, 6), optional
         Of the law `LQR`.
     reject_disturbance : bool, default True
@@ -62,6 +66,7 @@ class TrackingController:
         reference: Reference,
         tuning: Tuning | None = None,
         *,
+        table: Table | None = None,
         gain: Float[np.ndarray, "3 6"] | None = None,
         reject_disturbance: bool = True,
         compensate_delay: bool = True,
@@ -78,8 +83,11 @@ class TrackingController:
         self.compensate_delay = compensate_delay
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
         #: Neither is to be exchanged: the programs below are made for them.
-        self.law: Law = LQR(
-            model, tuning, gain=gain, reject_disturbance=reject_disturbance, compiled=compiled
+        options = {"gain": gain, "reject_disturbance": reject_disturbance, "compiled": compiled}
+        self.law: Law = (
+            MPC(model, tuning, table=table, **options)
+            if tuning.regulator.kind == "mpc"
+            else LQR(model, tuning, **options)
         )
         self.filter = _estimator(model, tuning.estimation, compiled)
         axes, motors = np.zeros(3), np.zeros(vehicle.n_propellers)

@@ -50,6 +50,46 @@ class Allocation(Section):
     slack_weight: Annotated[float, pydantic.Field(gt=0, le=1e10)] = 1e6
 
 
+class PredictiveWeights(Weights):
+    """Weights of the predictive law: those of the regulator mean the same; and of the commands."""
+
+    #: On what commands are above idle.
+    command: PositiveWeight = 1e-3
+
+
+class Limits(Section):
+    """What the predictive law keeps to beside the motors' limits; exceeded rather than given up."""
+
+    #: Where the middle of the craft may be: lowest x and y, highest x and y. By default the table
+    #: less the craft's radius and a margin.
+    fence_m: tuple[float, float, float, float] | None = None
+    margin_m: NonNegative = 0.003
+    #: A craft that moves is to be within the fence this much later, too: commands may get lost.
+    headway_s: NonNegative = 0.03
+    #: Along the way that is planned.
+    speed_m_s: Positive | None = None
+    spin_rad_s: Positive | None = None
+    #: Discs to keep out of: x and y of the middle, and how near the craft's middle may come.
+    keep_out_m: tuple[tuple[float, float, Positive], ...] = ()
+    #: What a metre, metre per second or radian per second beyond a limit costs.
+    penalty: Positive = 1e4
+
+
+class Regulator(Section):
+    """Which law steers, and the settings of the predictive one."""
+
+    kind: Literal["lqr", "mpc"] = "lqr"
+    horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
+    step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
+    #: Steps with one command.
+    block: Annotated[int, pydantic.Field(ge=1, le=50)] = 3
+    solver: Literal["daqp", "piqp"] = "daqp"
+    #: Of the solver, at most.
+    iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 300
+    weights: PredictiveWeights
+    limits: Limits = Limits()
+
+
 class Estimation(Section):
     """The state estimator, and the noise that it assumes."""
 
@@ -91,7 +131,9 @@ class Tuning(Section):
     period_s : float
         Time between commands, from 1e-3 to 0.1.
     weights : Weights
-        Of the regulator.
+        Of the linear-quadratic regulator.
+    regulator : Regulator
+        Which law steers: that one, or prediction.
     allocation : Allocation
         Of the thrust allocation.
     estimation : Estimation
@@ -101,6 +143,7 @@ class Tuning(Section):
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
     weights: Weights
     allocation: Allocation = Allocation()
+    regulator: Regulator
     estimation: Estimation
 
     def with_estimator(self, estimator: str) -> Tuning:
@@ -127,7 +170,8 @@ class Tuning(Section):
         path : path-like
             The file to write.
         """
-        write_toml(path, self.model_dump(mode="json"), header="An airpuck controller tuning.")
+        content = self.model_dump(mode="json", exclude_none=True)
+        write_toml(path, content, header="An airpuck controller tuning.")
 
 
 def read_tuning(path: str | os.PathLike[str]) -> Tuning:

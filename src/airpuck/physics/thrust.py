@@ -53,6 +53,14 @@ def thrust_slope(coefficients: Any, speed: Any) -> Any:
     return total
 
 
+def thrust_curvature(coefficients: Any, speed: Any) -> Any:
+    """Evaluate d²F/dφ² [N]."""
+    total = 0.0
+    for power in reversed(range(1, coefficients.shape[1])):
+        total = total * speed + power * (power + 1) * _column(coefficients, power, speed)
+    return total
+
+
 def _column(coefficients: Any, power: int, like: Any) -> Any:
     """Return one column of the coefficients, shaped to broadcast along the batch axes of `like`."""
     column = coefficients[:, power]

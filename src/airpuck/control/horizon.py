@@ -1,0 +1,273 @@
+"""The problem of the predictive law: physics along a plan of commands, linearised there.
+
+Pure functions over an array namespace. See docs/control.md, "Predictive control".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Num
+
+from airpuck.compute.arrays import scan, slopes
+from airpuck.control.tuning import Regulator
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import Dynamics, acceleration
+from airpuck.physics.rollout import step
+from airpuck.physics.thrust import thrust_curvature
+
+#: Bounds of the effectiveness that the prediction counts with; a dead motor is left a little, so
+#: that its return is noticed, and no estimate may make the law timid.
+_EFFECTIVENESS = (0.02, 1.5)
+#: Error of the yaw from which a plan keeps its way round [rad].
+_UNDECIDED = np.pi - 0.5
+#: Below this the direction of a speed, or away from a disc's middle, is not known [m/s, m].
+_NOWHERE = 1e-9
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """How the horizon is cut into steps, and the steps into blocks with one command each."""
+
+    #: Length of a step [s].
+    step: float
+    #: Steps of each block.
+    lengths: tuple[int, ...]
+
+    @classmethod
+    def of(cls, regulator: Regulator) -> Blocks:
+        """Cut the horizon as the settings say; the last block may be shorter."""
+        count = max(round(regulator.horizon_s / regulator.step_s), 1)
+        whole, rest = divmod(count, regulator.block)
+        return cls(regulator.step_s, (regulator.block,) * whole + (rest,) * (rest > 0))
+
+    @property
+    def owner(self) -> Int[np.ndarray, " N"]:
+        """The block of each step."""
+        return np.repeat(np.arange(len(self.lengths)), self.lengths)
+
+    @property
+    def times(self) -> Float[np.ndarray, " N"]:
+        """Ends of the steps, from when the first command begins to act [s]."""
+        return self.step * np.arange(1, sum(self.lengths) + 1)
+
+    def shifted(self, plan: Float[np.ndarray, "B n"], elapsed: float) -> Float[np.ndarray, "B n"]:
+        """Return a plan a while later: the mean of the old commands over each block.
+
+        The last command goes on.
+        """
+        edges = self.step * np.concatenate([[0], np.cumsum(self.lengths)])
+        beyond = np.append(edges, edges[-1] + max(elapsed, self.step))
+        lasting = np.diff(beyond)[:, None] * np.concatenate([plan, plan[-1:]])
+        total = np.concatenate([np.zeros_like(plan[:1]), np.cumsum(lasting, axis=0)])
+        reached = [np.interp(edges + elapsed, beyond, column) for column in total.T]
+        return np.diff(reached, axis=1).T / np.diff(edges)[:, None]
+
+
+class Ahead(NamedTuple):
+    """What is asked for at the ends of the steps."""
+
+    #: x, y, γ and their rates.
+    states: Float[np.ndarray, "N 6"]
+    #: Accelerations to feed forward.
+    accelerations: Float[np.ndarray, "N 3"]
+    #: Weights of squared errors of the states.
+    weights: Float[np.ndarray, "N 6"]
+    #: Weight of the error at the end of the horizon, in place of the last of those.
+    terminal: Float[np.ndarray, "6 6"]
+
+
+class Stages(NamedTuple):
+    """A linear-quadratic problem in what changes of a plan: δu of each step, δz after it.
+
+    min Σ |e + δz|²_weights + |a + felt δz|²_effort + |δφ|²_bend + |u + δu|²_used
+    s.t. δz⁺ = [δp; 0] + onward (δz without position, δu),  lower ≤ G δz ≤ upper (soft).
+    """
+
+    #: States and accelerations along the plan, at the ends of the steps.
+    states: Num[Any, "N s"]
+    accelerations: Num[Any, "N 3"]
+    #: Derivative of a state by the one before, the position left out, and the command.
+    onward: Num[Any, "N s p"]
+    #: Derivative of the accelerations by the state there, the position left out.
+    felt: Num[Any, "N 3 q"]
+    #: Errors e of states and a of accelerations; weights of the former.
+    error: Num[Any, "N 6"]
+    excess: Num[Any, "N 3"]
+    weights: Num[Any, "N 6"]
+    terminal: Num[Any, "6 6"]
+    #: Weights of squared changes of motor speeds, for the bend of the thrust curves.
+    bend: Num[Any, "N n"]
+    #: Yaw still to turn, the way round that is taken.
+    way: Num[Any, ""]
+    #: The commands.
+    plan: Num[Any, "B n"]
+    #: Limits of linear functions of x, y, γ and their rates.
+    limited: Num[Any, "N c 6"]
+    lower: Num[Any, "N c"]
+    upper: Num[Any, "N c"]
+
+
+def stages(
+    model: Model, blocks: Blocks, regulator: Regulator, reject_disturbance: bool
+) -> Callable[..., Stages]:
+    """Return prediction and linearisation as one function.
+
+    (xp, state, motor speeds, disturbance, effectiveness, plan (B, n), the four arrays of `Ahead`,
+    fence (2, 2), discs (D, 3)) → stages.
+    """
+    dynamics, limits, owner = model.dynamics, regulator.limits, blocks.owner
+    w = regulator.weights
+    effort = blocks.step * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
+
+    def posed(
+        xp: Any,
+        state: Num[Any, " 6"],
+        speed: Num[Any, " n"],
+        disturbance: Num[Any, " 3"],
+        effectiveness: Num[Any, " n"],
+        way: Num[Any, ""],
+        plan: Num[Any, "B n"],
+        wanted: Num[Any, "N 6"],
+        feedforward: Num[Any, "N 3"],
+        weights: Num[Any, "N 6"],
+        terminal: Num[Any, "6 6"],
+        fence: Num[Any, "2 2"],
+        discs: Num[Any, "D 3"],
+    ) -> Stages:
+        effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
+        believed = replace(dynamics, thrust=dynamics.thrust * effectiveness[:, None])
+        start, pushed = xp.concatenate([state, speed]), reject_disturbance * disturbance
+        along = linearised(xp, believed, blocks.step, start, plan[owner], pushed)
+        states, accelerations = along[:2]
+        # Whole turns do not count, and at half a turn the way round does not waver.
+        left = state[2] - wanted[0, 2]
+        apart = wrapped(xp, left)
+        apart = apart + 2 * np.pi * xp.sign(way) * (apart * way < -_UNDECIDED * xp.abs(way))
+        error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
+        limited = _limits(xp, limits, states[:, :6], fence, discs)
+        asked = error, accelerations - feedforward, weights, terminal
+        bend = _bend(xp, believed, effort, blocks.step, along, asked)
+        return Stages(*along, *asked, bend, apart, plan, *limited)
+
+    return posed
+
+
+def _bend(
+    xp: Any, dynamics: Dynamics, effort: Num[Any, " 3"], h: float, along: Any, asked: Any
+) -> Num[Any, "N n"]:
+    """Return the convex part of what the bend of the thrust curves adds to the Hessian.
+
+    A motor at full speed loses less than nothing by its slope, which is flat there; without this
+    term the next plan would let it go.
+    """
+    states, _, onward, felt = along
+    error, excess, weights, terminal = asked
+    pushed = effort * excess
+    weighted = xp.concatenate([weights[:-1] * error[:-1], (terminal @ error[-1])[None]])
+    slope = xp.concatenate([weighted, xp.zeros((len(states), states.shape[1] - 6))], axis=1)
+    slope = slope + xp.concatenate(
+        [xp.zeros((len(states), 2)), xp.sum(felt * pushed[:, :, None], axis=1)], axis=1
+    )
+    q = felt.shape[2]
+
+    def back(costate: Any, given: tuple[Any, Any]) -> tuple[Any, Any]:
+        slope, onward = given
+        costate = slope + xp.concatenate([costate[:2], onward_t(onward, costate)])
+        return costate, costate
+
+    def onward_t(matrix: Any, costate: Any) -> Any:
+        return xp.sum(matrix[:, :q] * costate[:, None], axis=0)
+
+    following = xp.concatenate([onward[1:], xp.zeros_like(onward[:1])])
+    # After the last step nothing follows; its position would add itself.
+    _, costates = scan(xp, back, xp.zeros(states.shape[1]), (slope[::-1], following[::-1]))
+    costates = costates[::-1]
+    cos, sin = xp.cos(states[:, 2]), xp.sin(states[:, 2])
+    forward, left, angular = np.asarray(dynamics.configuration)[:, None]
+    each = xp.stack(
+        [
+            cos[:, None] * forward - sin[:, None] * left,
+            sin[:, None] * forward + cos[:, None] * left,
+            angular + 0 * cos[:, None],
+        ],
+        axis=1,
+    )
+    price = h * costates[:, 3:6] + h * h / 2 * costates[:, :3] + pushed
+    curvature = thrust_curvature(dynamics.thrust, states[:, 6:].T).T
+    return xp.maximum(xp.sum(each * price[:, :, None], axis=1) * curvature, 0.0)
+
+
+def linearised(
+    xp: Any,
+    dynamics: Dynamics,
+    duration: float,
+    start: Num[Any, " s"],
+    commands: Num[Any, "N n"],
+    pushed: Num[Any, " 3"],
+) -> tuple[Num[Any, "N s"], Num[Any, "N 3"], Num[Any, "N s p"], Num[Any, "N 3 q"]]:
+    """Predict the craft under commands and a constant acceleration; see `Stages`."""
+    h = duration
+    push = xp.concatenate([h * h / 2 * pushed, h * pushed, xp.zeros(commands.shape[1])])
+
+    def advance(state: Any, command: Any) -> tuple[Any, Any]:
+        following = step(xp, dynamics, state, command[0], h) + push
+        return following, following
+
+    _, states = scan(xp, advance, start, (commands,))
+    before = xp.concatenate([start[None], states[:-1]]).T
+    size = before.shape[0]
+
+    def onward(point: Any) -> Any:
+        held = xp.concatenate([0 * point[:2], point[: size - 2]])
+        return step(xp, dynamics, held, point[size - 2 :], h)
+
+    def felt(point: Any) -> Any:
+        return xp.stack(acceleration(xp, dynamics, point[:4], point[4:]))
+
+    moving = xp.concatenate([before[2:], commands.T])
+    by_state = xp.moveaxis(slopes(xp, onward, moving), (0, 1, 2), (2, 1, 0))
+    after = states.T[2:]
+    by_motion = xp.moveaxis(slopes(xp, felt, after), (0, 1, 2), (2, 1, 0))
+    return states, felt(after).T + pushed, by_state, by_motion
+
+
+def _limits(
+    xp: Any, limits: Any, states: Num[Any, "N 6"], fence: Num[Any, "2 2"], discs: Num[Any, "D 3"]
+) -> tuple[Num[Any, "N c 6"], Num[Any, "N c"], Num[Any, "N c"]]:
+    """Write what is limited as linear functions of changes of the states, with their bounds."""
+    count, one = len(states), np.eye(6)
+
+    def all_of(value: Any) -> Any:
+        return xp.broadcast_to(value, (count,))
+
+    # A craft that moves towards the fence must be there some time later only.
+    rows = [xp.broadcast_to(one[i] + limits.headway_s * one[3 + i], (count, 6)) for i in (0, 1)]
+    low, high = ([all_of(side[i]) for i in (0, 1)] for side in fence)
+    if limits.speed_m_s is not None:
+        along = _direction(xp, states[:, 3:5])
+        rows.append(xp.concatenate([xp.zeros((count, 3)), along, xp.zeros((count, 1))], axis=1))
+        low.append(all_of(-np.inf))
+        high.append(all_of(limits.speed_m_s))
+    if limits.spin_rad_s is not None:
+        rows.append(xp.broadcast_to(one[5], (count, 6)))
+        low.append(all_of(-limits.spin_rad_s))
+        high.append(all_of(limits.spin_rad_s))
+    for disc in discs:
+        away = _direction(xp, states[:, :2] - disc[:2])
+        rows.append(xp.concatenate([away, xp.zeros((count, 4))], axis=1))
+        low.append(away @ disc[:2] + disc[2])
+        high.append(all_of(np.inf))
+    limited = xp.stack(rows, axis=1)
+    now = xp.sum(limited * states[:, None], axis=-1)
+    return limited, xp.stack(low, axis=1) - now, xp.stack(high, axis=1) - now
+
+
+def _direction(xp: Any, vectors: Num[Any, "N 2"]) -> Num[Any, "N 2"]:
+    """Scale vectors to length one; those that point nowhere, to zero."""
+    length = xp.sqrt(xp.sum(vectors**2, axis=1, keepdims=True))
+    return xp.where(length > _NOWHERE, vectors / xp.maximum(length, _NOWHERE), 0.0)

@@ -1,0 +1,204 @@
+"""Predictive control: limits of motors, rails and time inside the prediction.
+
+Each step linearises the physics along the plan of the last one, moved on in time, and solves one
+quadratic program for a better plan: the real-time iteration of Diehl, Bock and Schlöder (SIAM
+Journal on Control and Optimization 43, 2005). See docs/control.md, "Predictive control".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.compute.compiled import program
+from airpuck.control.allocation import all_finite
+from airpuck.control.discretization import point_mass
+from airpuck.control.horizon import Ahead, Blocks, stages
+from airpuck.control.horizon_solvers import SOLVERS
+from airpuck.control.law import Prediction, Status, Step
+from airpuck.control.lqr import LQR, cost_to_go
+from airpuck.control.reference import Arrival, Reference, course
+from airpuck.control.tuning import Tuning
+from airpuck.craft.table import Table
+from airpuck.estimate.estimator import Estimate
+from airpuck.model.model_file import Model
+
+#: Commands of the first plan: in the middle of the thrust curves, where they are steep.
+_FIRST = 0.3
+#: A plan is flown on without an answer of the solver for this long [s].
+_FLOWN_ON = 0.1
+#: The least time to an arrival that counts [s].
+_SOON = 0.02
+
+
+class MPC:
+    """Finds the commands over the next horizon that track best within all limits.
+
+    Where the solver has no answer, the plan of the step before is flown on for 0.1 s; after that,
+    or where there is none, an `LQR` steers.
+
+    Parameters
+    ----------
+    model : Model
+        The craft; its thrust curves must rise.
+    tuning : Tuning
+        Its section `regulator`; the rest is the LQR's.
+    table : Table, optional
+        Where the rails are; by default the paper's.
+    gain : array, shape (3, 6), optional
+        Of the LQR.
+    reject_disturbance : bool, default True
+        Whether the estimated disturbance goes on in the prediction.
+    compiled : bool, default True
+        Whether the LQR's mathematics is compiled.
+
+    Raises
+    ------
+    InputError
+        If a thrust curve falls somewhere, or the weights give no regulator.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        tuning: Tuning,
+        *,
+        table: Table | None = None,
+        gain: Float[np.ndarray, "3 6"] | None = None,
+        reject_disturbance: bool = True,
+        compiled: bool = True,
+    ) -> None:
+        options = {"reject_disturbance": reject_disturbance, "compiled": compiled}
+        #: Steers where there is no plan.
+        self.fallback = LQR(model, tuning, gain=gain, **options)
+        regulator, vehicle = tuning.regulator, model.vehicle
+        limits, w = regulator.limits, regulator.weights
+        self._blocks = blocks = Blocks.of(regulator)
+        count = len(blocks.times)
+        #: Where the middle of the craft may be: lowest x and y, highest x and y [m].
+        self.fence = _fence(limits.fence_m, table or Table(), vehicle.radius_m + limits.margin_m)
+        #: Discs to keep out of: x and y of their middles, and how near the craft's may come [m].
+        self.keep_out = np.array(limits.keep_out_m).reshape(-1, 3)
+        self._kinds = ["rail", "rail"]
+        self._kinds += ["speed"] * (limits.speed_m_s is not None)
+        self._kinds += ["spin"] * (limits.spin_rad_s is not None)
+        self._kinds += ["disc"] * len(self.keep_out)
+        self._solver = SOLVERS[regulator.solver](vehicle, blocks, regulator, len(self._kinds))
+        self._posed = stages(model, blocks, regulator, reject_disturbance)
+        errors = np.array([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
+        self._efforts = np.array([w.acceleration, w.acceleration, w.angular_acceleration])
+        parts = np.diag(errors * blocks.step), np.diag(self._efforts * blocks.step)
+        self._weights = np.tile(errors * blocks.step, (count, 1))
+        self._terminal = cost_to_go(*point_mass(blocks.step), *parts)
+        self._range = vehicle.command_min, vehicle.command_max
+        self._first = np.full((len(blocks.lengths), vehicle.n_propellers), _FIRST).clip(
+            *self._range
+        )
+        self._forget()
+        axes, motors = np.zeros(3), np.zeros(vehicle.n_propellers)
+        given = np.zeros(6), motors, axes, motors, np.zeros(6), axes, self.fallback.gain
+        self._fall_back = program(self.fallback.stage, *given, compiled=compiled)
+
+    def _forget(self) -> None:
+        """Begin without a plan."""
+        #: The commands of the last answer, since when they hold, and when that answer came [s].
+        self._plan, self._since, self._answered = self._first, math.nan, -math.inf
+        #: What is still to turn, the way round that was chosen [rad].
+        self._way = np.zeros(())
+
+    def stage(self, xp: Any, *given: Any) -> tuple[Any, ...]:
+        """Pose the quadratic program; see `airpuck.control.law.Law`."""
+        posed = self._posed(xp, *given)
+        formed = self._solver.form(xp, posed)
+        return *formed, posed.states, posed.accelerations[0], posed.way
+
+    def asked(self, reference: Reference, now: float, delay: float) -> tuple[np.ndarray, ...]:
+        """Return the plan as it goes on from now, targets over the horizon, and limits."""
+        if not 0 <= now - self._since <= self._blocks.times[-1]:
+            self._forget()
+        elif now > self._since:
+            self._plan = self._blocks.shifted(self._plan, now - self._since)
+        self._since, self._asked = now, (reference, now, delay)
+        ahead = self._ahead(reference, now, delay)
+        return self._way, self._plan, *ahead, self.fence, self.keep_out
+
+    def _ahead(self, reference: Reference, now: float, delay: float) -> Ahead:
+        """Return targets and weights at the ends of the steps."""
+        times = self._blocks.times
+        wanted = course(reference, now, delay + times)
+        weights, terminal = self._weights, self._terminal
+        if wanted.arrival is not None:
+            weights, terminal = self._to_arrive(wanted.arrival, delay)
+        return Ahead(wanted.states, wanted.accelerations, weights, terminal)
+
+    def _to_arrive(
+        self, arrival: Arrival, delay: float
+    ) -> tuple[Float[np.ndarray, "N 6"], Float[np.ndarray, "6 6"]]:
+        """Return weights for which only the arrival counts until then, and the target after it."""
+        # An error of the precision asked for costs as much as 1 m/s² or rad/s² for a second.
+        sharp = np.tile(self._efforts, 2) / arrival.precision**2
+        times, left = self._blocks.times, max(arrival.remaining - delay, _SOON)
+        if left > times[-1]:
+            return np.zeros_like(self._weights), _way_left(left - times[-1], self._efforts, sharp)
+        met = int(np.argmin(np.abs(times - left)))
+        weights = np.where((times > times[met])[:, None], self._weights, 0.0)
+        weights[met] = sharp
+        return weights, self._terminal if met < len(times) - 1 else np.diag(sharp)
+
+    def finished(self, estimate: Estimate, staged: Sequence[Any]) -> Step:
+        """Solve the program and return the first command of the better plan."""
+        *formed, states, request, way = staged
+        answer = self._solver.solve(formed)
+        if answer is not None and all_finite(answer.change.ravel()):
+            self._plan = (self._plan + answer.change).clip(*self._range)
+            self._answered, self._way = self._since, way
+            status: Status = "softened" if answer.exceeded else "optimal"
+            ahead = Prediction(self._blocks.times, states[:, :6], self._active(answer.binding))
+            return Step(self._plan[0].copy(), status, request, estimate, ahead)
+        if self._since - self._answered <= _FLOWN_ON:
+            return Step(self._plan[0].copy(), "iteration limit", request, estimate)
+        self._forget()
+        e, asked = estimate, self.fallback.asked(*self._asked)
+        steered = self._fall_back(e.state, e.motor_speed, e.disturbance, e.effectiveness, *asked)
+        step = self.fallback.finished(e, steered)
+        return replace(step, status="fallback") if step.flies else step
+
+    def _active(self, binding: Bool[np.ndarray, " r"]) -> tuple[str, ...]:
+        """Name the limits at which the plan is somewhere."""
+        motors = self._plan.size
+        rows = np.any(binding[motors:].reshape(-1, len(self._kinds)), axis=0)
+        kinds = ["motor"] * bool(binding[:motors].any())
+        kinds += [self._kinds[k] for k in np.flatnonzero(rows)]
+        return tuple(dict.fromkeys(kinds))
+
+
+def _fence(
+    given: tuple[float, float, float, float] | None, table: Table, radius: float
+) -> Float[np.ndarray, "2 2"]:
+    """Return the corners of where the middle of the craft may be; the middle if nowhere is left."""
+    x, y = table.reach(radius)
+    corners = np.array(given or (-x, -y, x, y)).reshape(2, 2)
+    middle = corners.mean(axis=0)
+    return np.array([np.minimum(corners[0], middle), np.maximum(corners[1], middle)])
+
+
+def _way_left(
+    left: float, efforts: Float[np.ndarray, " 3"], sharp: Float[np.ndarray, " 6"]
+) -> Float[np.ndarray, "6 6"]:
+    """Return the weight of an error at a time before an arrival: the least effort to undo it.
+
+    To move a double integrator off by (e, e') in a time T costs ∫a² = 12 e²/T³ + 12 e e'/T² +
+    4 e'²/T at least. What is free at the arrival costs nothing.
+    """
+    weight = np.zeros((6, 6))
+    for axis, effort in enumerate(efforts):
+        if sharp[axis] > 0:
+            weight[axis, axis] = 12 * effort / left**3
+            weight[axis, axis + 3] = weight[axis + 3, axis] = 6 * effort / left**2
+            weight[axis + 3, axis + 3] = 4 * effort / left
+    return weight
