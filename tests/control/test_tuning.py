@@ -13,6 +13,8 @@ from airpuck.control.lqr import regulator
 from airpuck.control.tuning import (
     Allocation,
     Estimation,
+    Limits,
+    Regulator,
     Tuning,
     Weights,
     default_tuning,
@@ -55,6 +57,20 @@ angular_disturbance_density = 0.4
         ),
         allocation=st.builds(
             Allocation, solver=st.sampled_from(["daqp", "piqp"]), slack_weight=positive
+        ),
+        regulator=st.builds(
+            Regulator,
+            kind=st.sampled_from(["lqr", "mpc"]),
+            weights=st.just(default_tuning().regulator.weights),
+            limits=st.builds(
+                Limits,
+                fence_m=st.none() | st.tuples(*[st.floats(-9, 9)] * 4),
+                speed_m_s=st.none() | positive,
+                spin_rad_s=st.none() | positive,
+                keep_out_m=st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9), positive)).map(
+                    tuple
+                ),
+            ),
         ),
         estimation=st.builds(
             Estimation,
