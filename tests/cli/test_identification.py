@@ -13,6 +13,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.identification.selection import Candidate, Selection
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
+from airpuck.report.fit_sections import selection_section
 
 from ..command_line import airpuck, refused
 from ..synthetic import record
@@ -82,18 +83,24 @@ def test_the_ladder_is_shown_with_what_each_rung_buys():
         return Candidate(model, errors, ratio, interval, float(excess), 0.03)
 
     candidates = (tried("M2", 8.0, np.nan), tried("M3", 4.04, 0.505), tried("M5", 4.0, 0.99))
+    candidates += (tried("M5+drag", 4.0, 0.9998),)
     chosen = Fit(candidates[1].model, 0.0, (), True, "", 10, 0.0, ())
     selection = Selection(candidates, chosen, 5, np.arange(10.0))
     shown, words = _ladder_summary(selection)
     printer = Console(width=160, file=io.StringIO())
     printer.print(shown)
     rows = [line for line in printer.file.getvalue().splitlines() if line.startswith("│")]
-    assert len(rows) == 3
+    assert len(rows) == 4
     assert "8.00" in rows[0] and "%" not in rows[0]
     assert "4.04" in rows[1] and "-49.5 % (-51.5 to -47.5)" in rows[1]
     assert "-1.0 % (-3.0 to +1.0)" in rows[2]
+    assert " +0.0 % (-2.0 to +2.0)" in rows[3]
     # ln(4.04/4) = 1.0 %; half of 0.03 in squares is 1.5 %.
     assert words == (
         "M3 is the simplest that is as good as any: its errors are 1.0 ± 1.5 % above those of M5, "
         "the best"
     )
+    # The report's page shows the same.
+    [block] = selection_section(selection).blocks
+    assert words in block.caption
+    assert [row[0] for row in block.rows] == ["M2", "M3", "M5", "M5+drag"]

@@ -78,6 +78,14 @@ def test_a_lag_that_is_not_known_is_said_with_a_remedy():
     assert found.sentences[0].startswith("M3 cannot be trusted for control")
 
 
+def test_numbers_have_the_digits_that_their_errors_allow():
+    model = known(motor_time_constant=0.0002, transport_delay=0.0003, inertia=1e-6)
+    said = " ".join(verdict(model, np.array([0.04, 0.039, 0.0996])).sentences)
+    response = 1e3 * (MODEL.parameters.motor_time_constant + MODEL.transport_delay)
+    assert f"response time τ + d is {response:.2f} ± 0.36 ms" in said
+    assert "misses 4.0 %, 3.9 %, 10 %" in said
+
+
 def test_a_response_time_whose_parts_trade_off_is_known():
     model = known()
     assert model.uncertainty is not None

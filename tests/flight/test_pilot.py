@@ -66,9 +66,25 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
     )
     (flight,) = json.loads(ran.stdout)["flights"]
     assert flight["gains"] is None and list(flight["outcomes"]) == ["open loop"]
+    assert (flight["model"], flight["pilot"]) == ("M3", "Spring")
     (result,) = flight["setpoints"]
     assert result["set_point"] == {"x_m": 0.2, "y_m": 0.1, "yaw_rad": 0.3}
     assert abs(result["steady_state_error"]["x_m"]) < 0.1
+
+
+def test_a_pilot_that_sends_percent_is_warned_of_and_named(file, tmp_path):
+    file.write_text(SPRING.replace("(np.clip(", "(100 * np.clip("))
+    points = tmp_path / "points.toml"
+    points.write_text("setpoints = [{at_s = 0.2, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
+    ran = command_line.airpuck(
+        *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
+        *("--setpoints", points, "--pilot", f"{file}:Spring", "-o", tmp_path / "page"),
+    )
+    assert ran.stderr.startswith("warning: commands of Spring from 3 to ")
+    assert ran.stderr.endswith("were clipped to [0, 1]\n")
+    assert "Spring (M3) to ( 0.2,  0.1,  0.3)" in ran.stdout
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert "The set points of points.toml, flown with Spring (M3) on a twin of M3." in page
 
 
 def pilot(**changes):
@@ -103,7 +119,10 @@ def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):
     [
         (lambda self, time: np.zeros(6), "step() must return airpuck.Step(command), not ndarray"),
         (lambda self, time: airpuck.Step(np.zeros(4)), "needs 6 finite numbers"),
-        (lambda self, time: airpuck.Step(np.full(6, np.nan)), "needs 6 finite numbers"),
+        (
+            lambda self, time: airpuck.Step(np.full(6, np.nan if time > 0.05 else 0.1)),
+            "pilot Mine: step() at 0.06 s: its command needs 6 finite numbers",
+        ),
     ],
 )
 def test_a_wrong_command_is_refused(step, problem):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.report.fit_sections import FitStudy
+from airpuck.report.fit_sections import FitStudy, sources_section, study_sections
 
 from .conftest import fit_of, model_of
 
@@ -32,3 +32,17 @@ def test_a_reference_of_another_name_is_not_judged(study):
     )
     assert other.reference_losses == {}
     assert np.isfinite(list(study.reference_losses.values())).all()
+
+
+def test_recordings_are_named_so_that_those_of_one_folder_differ(study):
+    recordings = [replace(study.training, source=f"/data/bags/{name}") for name in "ab"]
+    [block] = sources_section(*recordings).blocks
+    assert [row[0] for row in block.rows] == ["bags/a", "bags/b"]
+
+
+def test_the_symbols_of_parameters_are_explained(study):
+    section = next(s for s in study_sections(study) if s.anchor == "parameters")
+    table = section.blocks[0]
+    for symbol in ("I", "τ", "α", "r", "d"):
+        assert f" {symbol}: " in table.caption
+        assert any(row[0].split()[0] == symbol for row in table.rows)

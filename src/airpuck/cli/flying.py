@@ -13,7 +13,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import origin, report, show
+from airpuck.cli.output import origin, report, show, warn
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -169,7 +169,10 @@ def track(
     if output is not None:
         from airpuck.report.tracking_report import tracking_report
 
-        page = tracking_report(tracked, plant.name, output, origin())
+        of = "the paper" if setpoints is None else setpoints.name
+        page = tracking_report(tracked, plant.name, output, origin(), set_points=of)
+    for flight in tracked:
+        warn(flight.warnings)
     # The keys of the last model stand at the top, too: for one model nothing need be looked up.
     flown = [flight.to_json() for flight in tracked]
     report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), page)
@@ -248,10 +251,10 @@ def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
                 x, y, yaw = result.steady_state_error
                 end = f"rests {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad away"
             x, y, yaw = result.pose
-            yield f"{flight.model:8s} to ({x:4.1f}, {y:4.1f}, {yaw:4.1f}): {settled:18s} {end}"
+            yield f"{flight.label:8s} to ({x:4.1f}, {y:4.1f}, {yaw:4.1f}): {settled:18s} {end}"
         if flight.rmse is not None:
             x, y, yaw = flight.rmse
             yield (
-                f"{flight.model:8s} twin against the real flight, 6 s from the first move on: "
+                f"{flight.label:8s} twin against the real flight, 6 s from the first move on: "
                 f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
             )

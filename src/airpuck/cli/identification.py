@@ -209,7 +209,7 @@ def identify(
     fit.model.save(output)
     found = None if other is None else airpuck.evaluate(fit.model, other)
     if report_folder is not None:
-        _write_report(fit, trajectories[0], other, found, report_folder)
+        _write_report(fit, trajectories[0], other, found, selection, report_folder)
     warn(fit.warnings, quiet)
     said = verdict_of(fit.model, found, other)
     figures = {**fit.to_json(), "verdict": said.to_json()}
@@ -242,35 +242,33 @@ def _fitted(
 
 def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
     """Yield how well every rung predicted what was held out, and which was taken."""
-    from airpuck.identification.selection import selection_words
-
-    rows = []
-    for candidate in selection.candidates:
-        x, y, yaw = candidate.rmse
-        errors = [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
-        change, (low, high) = (
-            100 * (v[..., -1] - 1) for v in (candidate.change, candidate.interval)
-        )
-        step = f"{change:+.1f} % ({low:+.1f} to {high:+.1f})" if math.isfinite(change) else ""
-        rows.append([candidate.name, str(candidate.free), *errors, step])
-    yield table(
-        ("model", "free", "x mm", "y mm", "yaw rad", "against the one above (95 % interval)"),
-        rows,
-        title=f"Errors after 0.2 s on {selection.folds} blocks of time held out in turn, "
-        f"{len(selection.start)} predictions",
+    from airpuck.identification.selection import (
+        SELECTION_HEADINGS,
+        selection_rows,
+        selection_title,
+        selection_words,
     )
+
+    yield table(SELECTION_HEADINGS, selection_rows(selection), title=selection_title(selection))
     yield selection_words(selection)
 
 
 def _write_report(
-    fit: Fit, training: Trajectory, other: Trajectory | None, found: Evaluation | None, folder: Path
+    fit: Fit,
+    training: Trajectory,
+    other: Trajectory | None,
+    found: Evaluation | None,
+    selection: Selection | None,
+    folder: Path,
 ) -> None:
-    """Write a page on a fit, and on how it predicts another recording, if one is given."""
+    """Write a page on a fit, how it predicts another recording, and what it was chosen from."""
     from airpuck.report.fit_report import fit_report
+    from airpuck.report.fit_sections import selection_section
     from airpuck.report.judged_sections import Judged
 
     judged = None if other is None or found is None else Judged(other, (found,))
-    fit_report(fit, training, folder, judged=judged, origin=origin())
+    more = () if selection is None else (selection_section(selection),)
+    fit_report(fit, training, folder, judged=judged, more=more, origin=origin())
 
 
 def verdict_of(model: Model, found: Evaluation | None, on: Trajectory | None) -> Verdict:

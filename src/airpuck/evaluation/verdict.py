@@ -5,6 +5,7 @@ The limits, and why they are where they are, stand in docs/method.md.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -215,8 +216,8 @@ def _known(model: Model, missed: Float[np.ndarray, " 3"] | None) -> list[str]:
         response, spread = _response_time(model), float(model.standard_error(_response_time))
         found.append(
             f"Its largest acceleration is known to {percent(float((error / size).max()))} in "
-            f"every direction; the response time τ + d is {1e3 * response:.0f} ± "
-            f"{1e3 * spread:.2g} ms."
+            f"every direction; the response time τ + d is "
+            f"{_with_error(1e3 * response, 1e3 * spread)} ms."
         )
     if missed is not None:
         found.append(
@@ -281,3 +282,9 @@ def _response_time(model: Model) -> Any:
 def _channels(shares: Float[np.ndarray, " 3"]) -> str:
     """Write the shares of x, y and yaw."""
     return ", ".join(percent(float(share)) for share in shares)
+
+
+def _with_error(value: float, error: float) -> str:
+    """Write a value to the two digits of its error."""
+    digits = max(1 - math.floor(math.log10(error)), 0) if 0 < error < math.inf else 1
+    return f"{value:.{digits}f} ± {error:.{digits}f}"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.law import Status, Step
 from airpuck.flight.link import Link, Measurement
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
@@ -114,7 +115,11 @@ def control(
             link.announce(asked)
             announced = asked
         step = checked_step(pilot, pilot.step(now))
-        link.send(step.command)
+        try:
+            link.send(step.command)
+        except InputError as error:
+            problem = f"step() at {now:.2f} s: its command {error.problem}"
+            raise InputError(problem, field=f"pilot {type(pilot).__name__}") from error
         pilot.sent(now, step.command)
         yield Action(due, now, step, asked)
         k = max(k + 1, math.floor((link.now - start) / period))

@@ -156,4 +156,6 @@ def pilot_maker(name: str) -> PilotMaker:
         check_pilot(pilot)
         return pilot
 
+    # What flies is named by the class.
+    make.__name__ = name.rpartition(":")[2]
     return make

@@ -227,6 +227,39 @@ def select_model(
     )
 
 
+#: Headings of `selection_rows`.
+SELECTION_HEADINGS = (
+    "model",
+    "free",
+    "x mm",
+    "y mm",
+    "yaw rad",
+    "against the one above (95 % interval)",
+)
+
+
+def selection_rows(selection: Selection) -> list[list[str]]:
+    """Write how well every rung predicted what was held out, and what it changed."""
+    rows = []
+    for candidate in selection.candidates:
+        x, y, yaw = candidate.rmse
+        errors = [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
+        change, (low, high) = (
+            100 * (v[..., -1] - 1) for v in (candidate.change, candidate.interval)
+        )
+        step = f"{change:+z.1f} % ({low:+z.1f} to {high:+z.1f})" if np.isfinite(change) else ""
+        rows.append([candidate.name, str(candidate.free), *errors, step])
+    return rows
+
+
+def selection_title(selection: Selection) -> str:
+    """Tell what the errors of `selection_rows` are of."""
+    return (
+        f"Errors after 0.2 s on {selection.folds} blocks of time held out in turn, "
+        f"{len(selection.start)} predictions"
+    )
+
+
 def selection_words(selection: Selection) -> str:
     """Tell in a sentence what was chosen, and why."""
     name, best = selection.fit.model.name, selection.best

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,15 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.identification.fit_result import Fit, knowledge_words
+from airpuck.identification.selection import (
+    SELECTION_HEADINGS,
+    Selection,
+    selection_rows,
+    selection_title,
+    selection_words,
+)
 from airpuck.model.model_file import Model
+from airpuck.model.quantities import QUANTITIES
 from airpuck.report.craft import craft_figure
 from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
 from airpuck.report.page import Block, Details, Picture, Section, Table, Text, packaged_text
@@ -181,6 +189,7 @@ def _parameter_section(study: FitStudy) -> Section:
     main = (
         "Parameters; bold: learned. F(1) is the thrust at full speed, of M4 at the physical scale."
     )
+    main += f" {_meanings(study.models)}."
     if any(m.known is not None for m in models):
         main += _INTERVALS
     blocks: list[Block] = [parameter_table(main, headings, main_rows(models), groups)]
@@ -211,13 +220,30 @@ def _parameter_section(study: FitStudy) -> Section:
     return Section("parameters", "Parameters", blocks)
 
 
+def _meanings(models: Sequence[Model]) -> str:
+    """Say what the symbols mean of what the models have."""
+    used = [
+        f"{q.symbol}: {q.meaning.partition(';')[0]}"
+        for q in QUANTITIES
+        if q.shown and any(getattr(m.parameters, q.name) is not None for m in models)
+    ]
+    return "; ".join(used)
+
+
+def selection_section(selection: Selection) -> Section:
+    """Show how well every rung predicted what was held out, and which was taken."""
+    title = f"{selection_title(selection)}, root mean square. {selection_words(selection)}."
+    table = Table(title, SELECTION_HEADINGS, selection_rows(selection))
+    return Section("selection", "Which terms help", (table,))
+
+
 def sources_section(*trajectories: Trajectory) -> Section:
     """List what the numbers come from."""
     from airpuck import __version__
 
     rows = [
         [
-            Path(t.source).parent.name or t.source,
+            "/".join(Path(t.source).parts[-2:]),
             str(len(t)),
             f"{t.duration:.2f}",
             " ".join(t.hashes.values()) or "none",

@@ -31,17 +31,19 @@ def tracking_report(
     truth: str,
     out: str | os.PathLike[str],
     origin: Origin | None = None,
+    *,
+    set_points: str = "the paper",
 ) -> Path:
-    """Write a report on a tracking study."""
-    names = " and ".join(flight.model for flight in flights)
-    lead = f"The set points of the paper, flown with {names} on a twin of {truth}."
+    """Write a report on a tracking study; `set_points`: whose they are."""
+    names = " and ".join(flight.label for flight in flights)
+    lead = f"The set points of {set_points}, flown with {names} on a twin of {truth}."
     return write_page(out, "Tracking of set points", lead, tracking_sections(flights), origin)
 
 
 def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
     """Return what a page shows of a tracking study."""
     rows = [
-        [f"{flight.model}, {kind}", *_row(result)]
+        [f"{flight.label}, {kind}", *_row(result)]
         for flight in flights
         for kind, track in _tracks(flight).items()
         for result in track.moves()
@@ -49,7 +51,7 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
     results = Table(
         f"What became of each set point. Settled: after so long the craft stays within "
         f"{1e3 * TOLERANCE[0]:g} mm and {TOLERANCE[2]:g} rad of it. Rests: mean distance over the "
-        "last second, or the last quarter of a short dwell; within that band where it settled. "
+        "last second, or the last quarter of a short dwell. "
         "Effort: mean of the sum of squared commands above the lowest.",
         ["flight", "set point", "settled after [s]", "overshoot", "rests away by", "effort"],
         rows,
@@ -68,7 +70,7 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
         words = "Twin against the real flight, 0.5 to 6.5 s on the figure's axis, root mean square."
         blocks.append(Table(words, ["flight", "x [mm]", "y [mm]", "yaw [rad]"], apart))
     inputs = [
-        Picture(f"inputs_{flight.model}", input_figure(flight), f"Commands of {flight.model}.")
+        Picture(f"inputs_{flight.model}", input_figure(flight), f"Commands of {flight.label}.")
         for flight in flights
     ]
     return [Section("tracking", "Tracking", blocks), Section("inputs", "Commands", inputs)]
@@ -118,7 +120,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
             line = _LINES[kind]
             for axes, values in zip(panels, track.pose.T, strict=True):
                 axes.plot(track.time - flight.origin, values, color=color, **line)
-            handles.append(style.key(f"{flight.model}, {kind}", color, **line))
+            handles.append(style.key(f"{flight.label}, {kind}", color, **line))
     panels[-1].set_xlim(0.0, max(float(f.twin.time[-1]) - f.origin for f in flights))
     style.top_legend(figure, handles)
     return figure

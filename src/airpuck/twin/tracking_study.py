@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,14 @@ class Tracked:
     outcomes: Mapping[str, int]
     #: Of the flight on the twin.
     recording: Recording
+    #: A pilot of one's own that flew, by the name of its class, and what to warn of.
+    pilot: str | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What flew, for tables: the model, and the pilot if it is one's own."""
+        return self.model if self.pilot is None else f"{self.pilot} ({self.model})"
 
     @property
     def results(self) -> list[SetPointResult]:
@@ -70,6 +78,7 @@ class Tracked:
         """Return the figures for ``--json``."""
         figures: dict[str, Any] = {
             "model": self.model,
+            "pilot": self.pilot,
             "gains": None if self.gains is None else vars(self.gains),
             "setpoints": [result.to_json() for result in self.results],
             "outcomes": dict(self.outcomes),
@@ -172,9 +181,20 @@ def tracking_study(
         )
         outcomes = {status: log.status.count(status) for status in sorted(set(log.status))}
         twin = Track.of(recording, truth.vehicle, f"{model.name}, twin")
-        known = gains if make_pilot is None else None
-        found.append(Tracked(model.name, known, twin, course.real, outcomes, recording))
+        flown = Tracked(model.name, gains, twin, course.real, outcomes, recording)
+        if make_pilot is not None:
+            name = getattr(make_pilot, "__name__", type(make_pilot).__name__)
+            flown = replace(flown, gains=None, pilot=name, warnings=_clipped(name, log.command))
+        found.append(flown)
     return found
+
+
+def _clipped(name: str, command: Float[np.ndarray, "K n"]) -> tuple[str, ...]:
+    """Say so where commands of one's own pilot lay outside of what motors take."""
+    low, high = float(command.min(initial=np.inf)), float(command.max(initial=-np.inf))
+    if low >= 0 and high <= 1:
+        return ()
+    return (f"commands of {name} from {low:.3g} to {high:.3g} were clipped to [0, 1]",)
 
 
 @dataclass(frozen=True, eq=False)
