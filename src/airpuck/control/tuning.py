@@ -85,7 +85,7 @@ class Regulator(Section):
     block: Annotated[int, pydantic.Field(ge=1, le=50)] = 3
     solver: Literal["daqp", "piqp"] = "daqp"
     #: Of the solver, at most.
-    iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 300
+    iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 500
     weights: PredictiveWeights
     limits: Limits = Limits()
 
