@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import Span, vehicle_of
+from airpuck.data.trajectory import Span, as_trajectories, vehicle_of
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.data.windows import make_windows
 from airpuck.model.model_file import published_model
@@ -163,3 +164,14 @@ def test_spans_keep_their_confidence_in_a_file(flight, tmp_path):
     # What is excluded already is not excluded twice.
     assert marked.leave_out([doubtful]).excluded == marked.excluded
     assert not marked.usable[(flight.time >= 0.5) & (flight.time <= 0.7)].any()
+
+
+@pytest.mark.parametrize("given", ["bags/training", Path("bags/training"), ["bag"], 5, object()])
+def test_what_is_no_trajectory_is_told_how_to_become_one(given):
+    with pytest.raises(InputError, match=r"not a Trajectory: airpuck.load_trajectory\(path\)"):
+        as_trajectories(given)
+
+
+def test_one_trajectory_or_several_are_a_list(flight):
+    assert as_trajectories(flight) == [flight]
+    assert as_trajectories((flight, flight)) == [flight, flight]

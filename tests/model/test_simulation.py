@@ -167,3 +167,10 @@ def test_samples_follow_the_key_and_are_crafts():
     lower, upper = model.parameters.bounds()
     assert (np.array(first) >= lower).all() and (np.array(first) <= upper).all()
     airpuck.TrackingController(model.sample(1, key=2)[0], airpuck.SetPoint(0, 0, 0))
+
+
+@pytest.mark.parametrize("period", [0, -0.01, np.nan, np.array([0.01, 0.0])])
+def test_a_period_that_is_no_time_is_refused(period):
+    state, command = state_and_command()
+    with pytest.raises(InputError, match="period: must be above 0 s"):
+        M3.simulate(state, np.tile(command, (2, 1)), period)

@@ -186,14 +186,18 @@ def test_what_moves_on_over_a_gap_has_not_jumped():
     assert find_jumps(time[seen], poses[seen]) == ()
 
 
-@pytest.mark.parametrize(("unit", "step"), [(1e3, "10"), (1e-3, "1e-05")])
-def test_commands_in_another_unit_of_time_are_told_so(unit, step):
+@pytest.mark.parametrize(
+    ("unit", "step", "advice"),
+    [(1e3, "10", 'command = {units = ["ms"]}'), (1e-3, "1e-05", "too small by a factor of about")],
+)
+def test_commands_in_another_unit_of_time_are_told_so(unit, step, advice):
     time = unit * np.arange(100) / 100.0
     stamp = np.rint(1e9 * time).astype(np.int64)
     stream = Stream(stamp, stamp, np.full((100, 2), 0.3), ("left", "right"))
     with pytest.raises(InputError, match=f"commands come every {step} s") as caught:
         check_commands(stream, time, "flight")
     assert caught.value.field == "time"
+    assert advice in str(caught.value)
     # A few that were logged as they changed are no such sign.
     few = Stream(stamp[:9], stamp[:9], stream.values[:9], stream.columns)
     check_commands(few, np.arange(9) * 30.0, "flight")

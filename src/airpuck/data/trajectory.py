@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -324,6 +325,20 @@ def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
     return list(
         zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
     )
+
+
+def as_trajectories(given: Any) -> list[Trajectory]:
+    """Return one or several trajectories as a list; refuse a path or recording with what to do."""
+    single = isinstance(given, Trajectory | str) or not isinstance(given, Iterable)
+    listed: list[Any] = [given] if single else list(given)
+    for one in listed:
+        if not isinstance(one, Trajectory):
+            raise InputError(
+                f"is a {type(one).__name__}, not a Trajectory: airpuck.load_trajectory(path) makes "
+                "one, or airpuck.preprocess(recording)",
+                field="trajectory",
+            )
+    return listed
 
 
 def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory, as_trajectories
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +133,7 @@ def make_windows(
     InputError
         If a trajectory has not a single window, or the propellers differ.
     """
-    if isinstance(trajectories, Trajectory):
-        trajectories = [trajectories]
+    trajectories = as_trajectories(trajectories)
     if prediction_length is None:
         longest = min(_longest_stretch(trajectory) for trajectory in trajectories)
         prediction_length = max(longest - encoder_length, 1)

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.notebook import html_table
-from airpuck.data.trajectory import Trajectory, check_propellers
+from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
@@ -251,6 +251,7 @@ def evaluate(
         If the model is of another craft, the trajectory is shorter than one window, or the encoder
         looks further ahead than the protocol allows.
     """
+    [trajectory] = as_trajectories(trajectory)
     check_propellers(model.vehicle, trajectory)
     if isinstance(encoder, str):
         encoder = make_encoder(encoder, model, protocol)

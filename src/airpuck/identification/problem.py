@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Trajectory, check_propellers, vehicle_of
+from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers, vehicle_of
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
@@ -197,8 +197,7 @@ class Problem:
         cls, trajectories: Trajectory | Sequence[Trajectory], model: str | Rung, **options: Any
     ) -> Problem:
         """Pose a problem; what is None among the other fields takes its default."""
-        if isinstance(trajectories, Trajectory):
-            trajectories = [trajectories]
+        trajectories = as_trajectories(trajectories)
         rung = named_rung(model) if isinstance(model, str) else model
         given = {name: value for name, value in options.items() if value is not None}
         if "vehicle" not in given:

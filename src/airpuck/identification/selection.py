@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.data.windows import Windows, make_windows
 from airpuck.evaluation.block_bootstrap import log_mean_square_errors, rmse_ratio
 from airpuck.evaluation.evaluate import by_channel, hold_for, prediction_errors
@@ -203,8 +203,7 @@ def select_model(
     loss, preparation = loss or Loss(), preparation or Preparation()
     if loss.prediction_time is None:
         raise InputError("needs windows shorter than the recording", field="prediction_time")
-    if isinstance(trajectories, Trajectory):
-        trajectories = [trajectories]
+    trajectories = as_trajectories(trajectories)
     rungs = [named_rung(rung) if isinstance(rung, str) else rung for rung in ladder]
     settings: Any = {"vehicle": vehicle, "loss": loss}
     richest = identify(trajectories, rungs[-1], preparation=preparation, **settings)

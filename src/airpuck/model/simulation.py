@@ -43,6 +43,8 @@ def derivative(model: Model, state: Any, command: Any) -> Any:
 def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
     """Simulate held commands; see `Model.simulate`."""
     n, dynamics = model.vehicle.n_propellers, model.dynamics
+    if isinstance(period, float | int | np.ndarray) and not np.all(np.asarray(period) > 0):
+        raise InputError("must be above 0 s", field="period")
 
     def states(state: Any, commands: Any) -> Any:
         xp = namespace(state, commands, period, dynamics.thrust)

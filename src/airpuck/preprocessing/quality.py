@@ -61,7 +61,8 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     period = _period(time)
     if period and not _PERIODS[0] <= period <= _PERIODS[1]:
         raise InputError(
-            f"poses come every {period:.3g} s, which no motion capture does{_other_unit(period)}",
+            f"poses come every {period:.3g} s, which no motion capture does"
+            f"{_other_unit(period, 'pose')}",
             file=source,
             field="time",
         )
@@ -78,8 +79,8 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
         )
 
 
-def _other_unit(period: float) -> str:
-    """Say which unit of time would make sense of poses that come so rarely or so often."""
+def _other_unit(period: float, stream: str) -> str:
+    """Say which unit of time would make sense of what comes so rarely or so often."""
     # The middle of what is possible, on a logarithmic scale.
     usual = math.sqrt(math.prod(_PERIODS))
     power = 3 * round(math.log10(usual / period) / 3)
@@ -87,8 +88,8 @@ def _other_unit(period: float) -> str:
         unit = {-3: "ms", -6: "us", -9: "ns"}[power]
         return (
             f"; in units of 1e{power} s they would come every {period * 10.0**power:.3g} s: name "
-            f'them in a mapping, pose = {{units = ["{unit}"]}}, or one that is 1e{power} times the '
-            "mapping's"
+            f'them in a mapping, {stream} = {{units = ["{unit}"]}}, or one that is 1e{power} times '
+            "the mapping's"
         )
     if power > 0:
         return f"; the mapping's unit of time is too small by a factor of about 1e{power}"
@@ -101,8 +102,8 @@ def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) 
     period = _period(time) if len(time) > _FEW else 0.0
     if period and not _COMMAND_PERIODS[0] <= period <= _COMMAND_PERIODS[1]:
         raise InputError(
-            f"commands come every {period:.3g} s, which no controller sends; name the unit of time "
-            'in a mapping: command = {units = ["ms"]}',
+            f"commands come every {period:.3g} s, as no controller sends them"
+            f"{_other_unit(period, 'command')}",
             file=source,
             field="time",
         )
