@@ -86,6 +86,8 @@ def flight() -> Recording:
         "estimate": stream(2000, 200, COLUMNS["estimate"], 4),
         "imu": stream(1000, 100, COLUMNS["imu"], 5),
         "mouse": stream(1000, 100, COLUMNS["mouse"], 6),
+        "puck": stream(2400, 240, COLUMNS["puck"], 7),
+        "mallet": stream(2400, 240, COLUMNS["mallet"], 8),
     }
     reference = streams["reference"]
     streams["reference"] = Stream(

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.craft.table import Table
+from airpuck.craft.table import Contact, Mallet, Puck, Table
 from airpuck.model.model_file import published_model
 from airpuck.twin.settings import (
     Effects,
@@ -21,7 +21,19 @@ from airpuck.twin.settings import (
 )
 
 EVERYTHING = TwinSettings(
-    table=Table(length_m=1.7, width_m=0.9, restitution=0.6, friction=0.2),
+    table=Table(length_m=1.7, width_m=0.9, restitution=0.6, friction=0.2, goal_width_m=0.3),
+    puck=Puck(
+        radius_m=0.03,
+        mass_kg=0.02,
+        inertia_kg_m2=1e-5,
+        drag_1_s=0.1,
+        spin_drag_1_s=0.3,
+        rail=Contact(restitution=0.7),
+        mallet=Contact(restitution=0.6),
+        craft=Contact(restitution=0.5),
+        standard_error={"drag_1_s": 0.01},
+    ),
+    mallet=Mallet(radius_m=0.05, speed_m_s=3.0, acceleration_m_s2=20.0),
     radio=Radio(
         delay_s=0.1 / 3, jitter_s=0.01, loss=0.1, timeout_s=0.3, outages_s=((1, 2.5), (4, 5))
     ),

@@ -1,8 +1,20 @@
-"""The air-hockey table: its rails, and the frame of the motion capture on it."""
+"""The air-hockey table: rails, goals, puck, mallet, and the frame of the motion capture on it."""
 
 from __future__ import annotations
 
-from airpuck.boundary.files import Fraction, NonNegative, Positive, Section
+import os
+from collections.abc import Mapping
+
+import pydantic
+
+from airpuck.boundary.files import (
+    Fraction,
+    NonNegative,
+    Positive,
+    Section,
+    read_toml,
+    write_toml,
+)
 
 
 class Table(Section):
@@ -13,15 +25,19 @@ class Table(Section):
     length_m, width_m : float
         Distance between opposite rails along x and along y.
     restitution : float
-        Share of the normal speed that a rail gives back, 1: elastic.
+        Share of the craft's normal speed that a rail gives back, 1: elastic.
     friction : float
-        Coulomb coefficient of friction at the rails.
+        Coulomb coefficient of friction of the craft at the rails.
+    goal_width_m : float
+        Width of the openings in the middle of both short rails, at most that of the table. Only the
+        puck fits through.
     """
 
     length_m: Positive = 2.2
     width_m: Positive = 1.1
     restitution: Fraction = 0.7
     friction: NonNegative = 0.1
+    goal_width_m: Positive = 0.40
 
     def reach(self, radius: float) -> tuple[float, float]:
         """Return how far from the middle of the table the centre of a disc can get.
@@ -37,3 +53,170 @@ class Table(Section):
             Half the free length and width [m].
         """
         return self.length_m / 2 - radius, self.width_m / 2 - radius
+
+
+class Contact(Section):
+    """How a puck bounces off something.
+
+    With the default grip a homogeneous puck without spin keeps 0.84 of its speed along a rail.
+    """
+
+    #: Share of the normal speed that is given back, 1: elastic.
+    restitution: Fraction
+    #: Share of the slip that goes where the cone of friction allows it; 1: none is left, 0: smooth.
+    grip: Fraction = 0.48
+    #: Coulomb coefficient of friction.
+    friction: NonNegative = 0.3
+
+
+class Puck(Section):
+    """The puck: size, drag on the air cushion, and how it bounces off rails, mallet and craft.
+
+    The defaults are assumed for any table. Published identifications of the Robot Air Hockey
+    Challenge's have 31.65 mm, 10 g, a drag of 0.2 1/s, of the speed at a rail 0.79 across and 0.84
+    along it, and 0.80 at a mallet; friction is a guess. Numbers without a standard error were not
+    identified on this table (`assumed`).
+
+    Attributes
+    ----------
+    radius_m, mass_kg : float
+        Of the disc.
+    inertia_kg_m2 : float, optional
+        About the vertical axis through the middle; left out: that of a homogeneous disc.
+    drag_1_s : float
+        Deceleration by speed.
+    spin_drag_1_s : float
+        The same of the spin; a viscous film under a homogeneous disc slows both alike.
+    rail, mallet, craft : Contact
+        Bounces; posts of the goals are as rails.
+    standard_error : mapping of str to float
+        Of the numbers that were identified, by name: ``drag_1_s``, ``rail.restitution``.
+    """
+
+    radius_m: Positive = 0.03165
+    mass_kg: Positive = 0.010
+    inertia_kg_m2: Positive | None = None
+    drag_1_s: NonNegative = 0.2
+    spin_drag_1_s: NonNegative = 0.2
+    rail: Contact = Contact(restitution=0.79)
+    mallet: Contact = Contact(restitution=0.80)
+    craft: Contact = Contact(restitution=0.80)
+    standard_error: Mapping[str, NonNegative] = {}
+
+    @pydantic.model_validator(mode="after")
+    def _errors_of_numbers(self) -> Puck:
+        for name in self.standard_error:
+            if name not in self._numbers():
+                raise ValueError(
+                    f"standard_error.{name} is of no number of a puck; these are "
+                    + ", ".join(self._numbers())
+                )
+        return self
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia about the vertical axis through the middle [kg m²]."""
+        return self.inertia_kg_m2 or self.mass_kg * self.radius_m**2 / 2
+
+    @property
+    def kept_along_rail(self) -> float:
+        """Share of its speed along a rail that a puck without spin keeps where it grips."""
+        return 1 - self.rail.grip / (1 + self.mass_kg * self.radius_m**2 / self.inertia)
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Names of the numbers that were not identified on this table."""
+        return tuple(name for name in self._numbers() if name not in self.standard_error)
+
+    @classmethod
+    def _numbers(cls) -> list[str]:
+        """Return the names of all numbers."""
+        names = []
+        for name, field in cls.model_fields.items():
+            if field.annotation is Contact:
+                names += [f"{name}.{key}" for key in Contact.model_fields]
+            elif name != "standard_error":
+                names.append(name)
+        return names
+
+
+class Mallet(Section):
+    """The human's mallet: a disc that a hand moves; what it meets does not move it."""
+
+    #: Of the disc.
+    radius_m: Positive = 0.04815
+    #: What a hand is taken to reach.
+    speed_m_s: Positive = 4.0
+    acceleration_m_s2: Positive = 40.0
+
+
+class AirHockey(Section):
+    """A table to play on: the table file.
+
+    Settings of a twin have the same sections, so that a table file is one for ``--twin``, too.
+
+    Attributes
+    ----------
+    table : Table
+        Rails and goals.
+    puck : Puck
+        The puck.
+    mallet : Mallet
+        The human's.
+    """
+
+    table: Table = Table()
+    puck: Puck = Puck()
+    mallet: Mallet = Mallet()
+
+    @pydantic.model_validator(mode="after")
+    def _puck_fits(self) -> AirHockey:
+        check_play(self.table, self.puck, self.mallet)
+        return self
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the table file as TOML.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        assumed = ", ".join(self.puck.assumed)
+        header = f"An air-hockey table.\nAssumed, not identified on this table: puck {assumed}."
+        write_toml(path, self.model_dump(mode="json", exclude_none=True), header=header)
+
+
+def check_play(table: Table, puck: Puck, mallet: Mallet) -> None:
+    """Refuse sizes that do not fit each other: a ValueError."""
+    if 2 * puck.radius_m >= min(table.goal_width_m, table.width_m):
+        raise ValueError(
+            f"puck.radius_m = {puck.radius_m:g} does not fit through a goal of "
+            f"table.goal_width_m = {table.goal_width_m:g}"
+        )
+    if 2 * (puck.radius_m + mallet.radius_m) >= min(table.length_m, table.width_m):
+        raise ValueError(
+            f"mallet.radius_m = {mallet.radius_m:g} leaves a puck no room on the table"
+        )
+
+
+def read_table(path: str | os.PathLike[str]) -> AirHockey:
+    """Read a table file.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file with any of the tables ``[table]``, ``[puck]``, ``[mallet]``; what it leaves out
+        is as by default.
+
+    Returns
+    -------
+    AirHockey
+        The table.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a field is wrong.
+    """
+    return read_toml(path, AirHockey, base=AirHockey())

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 #: The sensors.
-Kind = Literal["pose", "imu", "mouse"]
+Kind = Literal["pose", "imu", "mouse", "puck", "mallet"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,8 +20,8 @@ class Measurement:
     kind: Kind
     #: When it was measured, on the sensor's clock [s].
     stamp: float
-    #: Pose: x, y [m], yaw [rad]. IMU: acceleration along the body's x, y, z [m/s²], spin about them
-    #: [rad/s]. Mouse: velocity along the body's x, y [m/s].
+    #: Pose, of the puck and the mallet, too: x, y [m], yaw [rad]. IMU: acceleration along the
+    #: body's x, y, z [m/s²], spin about them [rad/s]. Mouse: velocity along the body's x, y [m/s].
     values: Float[np.ndarray, " k"]
 
 

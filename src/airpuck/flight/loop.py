@@ -132,5 +132,7 @@ def _tell(pilot: Pilot, measurement: Measurement, on_board: bool) -> None:
         pilot.pose(stamp, values)
     elif on_board and measurement.kind == "imu":
         pilot.imu(stamp, values[:2], float(values[5]))
-    elif on_board:
+    elif on_board and measurement.kind == "mouse":
         pilot.mouse(stamp, values)
+    elif measurement.kind in ("puck", "mallet") and hasattr(pilot, measurement.kind):
+        getattr(pilot, measurement.kind)(stamp, values)

@@ -24,7 +24,8 @@ class Pilot(Protocol):
     """Computes commands: a `TrackingController`, or a class of one's own.
 
     A class that inherits from it need only have `step`; the other methods then do nothing, and the
-    reference is the middle of the table.
+    reference is the middle of the table. One that plays also has ``puck(time, pose)`` and
+    ``mallet(time, pose)``, which take note of those.
     """
 
     #: The reference that the craft tracks.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,7 +17,7 @@ from airpuck.recording.log import Log, TopicLog
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.sqlite_file import read_sqlite
-from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.stream import POSES, Recording, Stream
 from airpuck.recording.topic_stream import may_hold, topic_stream
 from airpuck.recording.unpacking import unpacked_file, unpacked_message
 
@@ -44,7 +44,7 @@ def _stored(folder: Path) -> list[Path]:
     return sorted(found, key=order)
 
 
-def read_bag(path: Path, mapping: RecordingMapping) -> Recording:
+def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a rosbag2 folder, or a bare .mcap or .db3 file."""
     for stream, section in (("pose", mapping.pose), ("command", mapping.command)):
         if section.file:
@@ -63,7 +63,7 @@ def read_bag(path: Path, mapping: RecordingMapping) -> Recording:
         log.extend(_read_file(file, wanted))
     if str(metadata.get("compression_mode")).lower() == "message":
         _unpack_messages(log, path)
-    streams, said = _streams(log, mapping, path)
+    streams, said = _streams(log, mapping, needs, path)
     return Recording(streams, str(path), hashes, _warnings(log, metadata) + said)
 
 
@@ -143,7 +143,7 @@ def _missing(log: Log, metadata: Mapping[str, Any]) -> str:
 
 
 def _streams(
-    log: Log, mapping: RecordingMapping, source: Path
+    log: Log, mapping: RecordingMapping, needs: Sequence[str], source: Path
 ) -> tuple[dict[str, Stream], tuple[str, ...]]:
     """Decode the topics that are wanted and there, and say where stamps are missing."""
     streams, warnings, missing = {}, [], []
@@ -156,12 +156,12 @@ def _streams(
                 problem = error.problem if isinstance(error, InputError) else shortened(str(error))
                 field = error.field if isinstance(error, InputError) else None
                 raise InputError(problem, file=source, field=field or name) from error
-            if not stamped and stream in ("pose", "command"):
+            if not stamped and stream in (*POSES, "command"):
                 warnings.append(
                     f"messages on {name} carry no time: the recorder's times of arrival are used, "
                     "and the jitter of their way is in them"
                 )
-        elif mapping.topics.required(stream):
+        elif mapping.topics.required(stream, needs):
             missing.append(stream)
     if missing:
         absent = ", ".join(mapping.topics.by_stream[stream] for stream in missing)

@@ -31,6 +31,7 @@ from airpuck.recording.message import PATHS, columns_of
 from airpuck.recording.motion_capture_export import is_export, read_export
 from airpuck.recording.stream import (
     COLUMNS,
+    POSES,
     Recording,
     Stream,
     command_stream,
@@ -58,7 +59,7 @@ _TO_WRITE = {
 
 def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
     """Return whether a folder holds the CSV files of a recording."""
-    return any(_candidates(path, stream, mapping) for stream in ("pose", "command"))
+    return any(_candidates(path, stream, mapping) for stream in (*POSES, "command"))
 
 
 def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Path]:
@@ -71,14 +72,20 @@ def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Pa
     pattern = {"pose": "*pose*.csv", "command": "*control*.csv"}.get(stream)
     if pattern is None or named:
         return []
+    others = {
+        _file_name(topic) for name, topic in mapping.topics.by_stream.items() if name != stream
+    }
     found = {file for file in folder.glob(pattern) if "state_ref" not in file.name}
+    found = {file for file in found if file.name not in others}
     if stream == "pose" and not found:
         found = {file for file in folder.iterdir() if file.suffix in TABLES and file.is_file()}
         found = {file for file in found if is_export(file)}
     return sorted(file for file in found if file.is_file())
 
 
-def read_csv(folder: Path, mapping: RecordingMapping, single: Path | None) -> Recording:
+def read_csv(
+    folder: Path, mapping: RecordingMapping, needs: Sequence[str], single: Path | None
+) -> Recording:
     """Read a folder with CSV files, or a `single` one in it that holds poses and commands."""
     streams: dict[str, Stream] = {}
     hashes: dict[str, str] = {}
@@ -89,7 +96,7 @@ def read_csv(folder: Path, mapping: RecordingMapping, single: Path | None) -> Re
     for stream in mapping.topics.by_stream:
         path = None
         try:
-            path = _file_of(stream, folder, mapping, single)
+            path = _file_of(stream, folder, mapping, needs, single)
             if path is None:
                 continue
             streams[stream], said = _stream(stream, path, mapping)
@@ -118,7 +125,11 @@ def _require_columns(single: Path, mapping: RecordingMapping) -> None:
 
 
 def _file_of(
-    stream: str, folder: Path, mapping: RecordingMapping, single: Path | None
+    stream: str,
+    folder: Path,
+    mapping: RecordingMapping,
+    needs: Sequence[str],
+    single: Path | None,
 ) -> Path | None:
     """Find the file of a stream; None where there is none and none is needed."""
     named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
@@ -140,7 +151,7 @@ def _file_of(
         )
     if candidates:
         return candidates[0]
-    if not named and not mapping.topics.required(stream):
+    if not named and not mapping.topics.required(stream, needs):
         return None
     usual = named or f"{_file_name(mapping.topics.by_stream[stream])} or the like"
     problem = f"has no {stream} file ({usual})"
@@ -168,6 +179,8 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     table = plain_table(rows)
     if stream == "command":
         return _commands(table, mapping.command)
+    if stream in POSES:
+        return _poses(table, mapping.pose)
     types = list(PATHS[stream].values())
     names = next((names for names in types if set(names).issubset(table.columns)), types[0])
     stamp, received = _times(table)
@@ -327,7 +340,7 @@ def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
         table[_NANOSECONDS] = nanoseconds.tolist()
         table[_SECONDS] = seconds.tolist()
     columns = stream.columns if name == "command" else next(iter(PATHS[name].values()))
-    if name == "pose":
+    if name in POSES:
         yaw = stream.values[:, 2]
         w, z = np.cos(yaw / 2).tolist(), np.sin(yaw / 2).tolist()
         table |= {"pose.orientation.roll": level, "pose.orientation.pitch": level}
@@ -335,6 +348,6 @@ def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
         columns = (*columns[:2], _YAW)
     # tolist gives Python floats, which csv writes so that they read back bit-equal.
     table.update(zip(columns, stream.values.T.tolist(), strict=True))
-    if name == "pose":
+    if name in POSES:
         table["pose.position.z"] = level
     return table

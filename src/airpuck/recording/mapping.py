@@ -37,8 +37,8 @@ Name = Annotated[str, pydantic.Field(min_length=1)]
 class Topics(Section):
     """Topic names; the defaults are those of the authors' table.
 
-    A stream whose topic is not in the bag is left out, unless it is a pose or a command, or the
-    topic was named by the user: then it is an error.
+    A stream whose topic is not in the bag is left out, unless it is needed, as a rule the pose and
+    the command, or the topic was named by the user: then it is an error.
 
     Attributes
     ----------
@@ -52,6 +52,8 @@ class Topics(Section):
         The state estimated on line.
     imu, mouse : str
         On-board sensors.
+    puck, mallet : str
+        Motion capture of the puck and of the human's mallet: poses, as the craft's.
     """
 
     pose: TopicName = "/optitrack/drone/pose"
@@ -60,6 +62,8 @@ class Topics(Section):
     estimate: TopicName = "/navigation/state"
     imu: TopicName = "/drone/imu"
     mouse: TopicName = "/drone/mouse"
+    puck: TopicName = "/optitrack/puck/pose"
+    mallet: TopicName = "/optitrack/mallet/pose"
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> Topics:
@@ -74,20 +78,22 @@ class Topics(Section):
         """Stream name -> topic name."""
         return self.model_dump()
 
-    def required(self, stream: str) -> bool:
+    def required(self, stream: str, needs: Sequence[str] = ("pose", "command")) -> bool:
         """Return whether a bag must have this stream.
 
         Parameters
         ----------
         stream : str
             A stream's name.
+        needs : sequence of str, optional
+            Streams that are needed whatever topics are named.
 
         Returns
         -------
         bool
-            True for poses, commands and every topic that was named explicitly.
+            True for these, and for every topic that was named explicitly.
         """
-        return stream in ("pose", "command") or stream in self.model_fields_set
+        return stream in needs or stream in self.model_fields_set
 
 
 class Orientation(NamedTuple):

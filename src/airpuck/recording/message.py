@@ -15,7 +15,7 @@ from jaxtyping import Float, Int64
 from airpuck.recording.cdr import Field, Types, encode, flatten, layout_of, typestore
 from airpuck.recording.conversion import SECOND_NS, yaw_of
 from airpuck.recording.definition import parse_definition
-from airpuck.recording.stream import COLUMNS
+from airpuck.recording.stream import COLUMNS, POSES
 
 HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
 HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
@@ -48,20 +48,19 @@ def _pose(translation: str, rotation: str) -> tuple[str, ...]:
 _POSE_WITHIN = _pose("pose.pose.position", "pose.pose.orientation")
 _STATE = _fields("", of="x y yaw v_x v_y w_z")
 _STAMPED_STATE = _fields("state_msg", of="x y yaw v_x v_y w_z")
+_OF_POSES = {
+    "geometry_msgs/msg/PoseStamped": _pose("pose.position", "pose.orientation"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE_WITHIN,
+    "nav_msgs/msg/Odometry": _POSE_WITHIN,
+    "geometry_msgs/msg/TransformStamped": _pose("transform.translation", "transform.rotation"),
+    "geometry_msgs/msg/Pose": _pose("position", "orientation"),
+}
 
 #: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, z, quaternion.
 #: The first type is the one that is written. Commands may be of any type.
 PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
-        "pose": {
-            "geometry_msgs/msg/PoseStamped": _pose("pose.position", "pose.orientation"),
-            "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE_WITHIN,
-            "nav_msgs/msg/Odometry": _POSE_WITHIN,
-            "geometry_msgs/msg/TransformStamped": _pose(
-                "transform.translation", "transform.rotation"
-            ),
-            "geometry_msgs/msg/Pose": _pose("position", "orientation"),
-        },
+        **dict.fromkeys(POSES, _OF_POSES),
         "reference": {
             "holohover_msgs/msg/HolohoverState": _STATE,
             "holohover_msgs/msg/HolohoverStateStamped": _STAMPED_STATE,
@@ -105,7 +104,7 @@ def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
 
 def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[np.ndarray, "N k"]:
     """Turn a message's fields, in the order of `PATHS`, into the stream's columns."""
-    if stream == "pose" and len(values) > len(COLUMNS["pose"]):
+    if stream in POSES and len(values) > len(COLUMNS[stream]):
         x, y, _, *quaternion = values
         values = (x, y, yaw_of(*quaternion))
     return np.stack(values, axis=1, dtype=np.float64)
@@ -202,7 +201,7 @@ class StreamCodec:
     ) -> list[bytes]:
         """Write many messages."""
         columns = values.T
-        if self._stream == "pose":
+        if self._stream in POSES:
             x, y, yaw = columns
             level = np.zeros(len(yaw))
             columns = (x, y, level, level, level, np.sin(yaw / 2), np.cos(yaw / 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
@@ -21,6 +22,7 @@ def read_recording(
     *,
     mapping: RecordingMapping | None = None,
     topics: Topics | None = None,
+    needs: Sequence[str] = ("pose", "command"),
 ) -> Recording:
     """Read a recording as it was logged.
 
@@ -36,11 +38,13 @@ def read_recording(
         table.
     topics : Topics, optional
         Short for a mapping that only names topics.
+    needs : sequence of str, optional
+        Streams without which there is no recording.
 
     Returns
     -------
     Recording
-        At least a pose and a command stream, SI units, in our axes. Nothing is judged, sorted or
+        At least the streams that are needed, SI units, in our axes. Nothing is judged, sorted or
         unwrapped, but a bag's messages are in the order of the recorder's clock. Of a damaged .mcap
         every whole chunk is there, and a warning says how far it reaches. Where the mapping or an
         export leaves rows blank, they are left out, and a warning says how many.
@@ -57,18 +61,18 @@ def read_recording(
     ('x_m', 'y_m', 'yaw_rad')
     """
     with within_means(path):
-        return _read(Path(path), mapping or RecordingMapping(topics=topics or Topics()))
+        return _read(Path(path), mapping or RecordingMapping(topics=topics or Topics()), needs)
 
 
-def _read(path: Path, mapping: RecordingMapping) -> Recording:
+def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a recording in one of the forms."""
     found = path
     try:
         if found.is_dir():
             found = _resolve(found, mapping)
             if is_bag(found):
-                return read_bag(found, mapping)
-            return read_csv(found, mapping, None)
+                return read_bag(found, mapping, needs)
+            return read_csv(found, mapping, needs, None)
         if not found.exists():
             raise InputError("there is no such file or folder", file=path)
         if not found.is_file():
@@ -76,9 +80,9 @@ def _read(path: Path, mapping: RecordingMapping) -> Recording:
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if is_bag(found):
-        return read_bag(found, mapping)
+        return read_bag(found, mapping, needs)
     if found.suffix in TABLES:
-        return read_csv(found.parent, mapping, found)
+        return read_csv(found.parent, mapping, needs, found)
     if found.suffix in (".npz", ".pt"):
         raise InputError("is preprocessed already; no recording is left in it", file=path)
     raise InputError(f"is no recording; give {_FORMS}", file=path)

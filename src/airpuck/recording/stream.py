@@ -24,12 +24,16 @@ from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapp
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "pose": ("x_m", "y_m", "yaw_rad"),
+        "puck": ("x_m", "y_m", "yaw_rad"),
+        "mallet": ("x_m", "y_m", "yaw_rad"),
         "reference": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "estimate": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "imu": ("ax_m_s2", "ay_m_s2", "az_m_s2", "gx_rad_s", "gy_rad_s", "gz_rad_s"),
         "mouse": ("vx_m_s", "vy_m_s"),
     }
 )
+#: Streams of poses: the craft's, the puck's, the human's mallet's.
+POSES = ("pose", "puck", "mallet")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,8 +91,8 @@ class Recording:
     Attributes
     ----------
     streams : mapping of str to Stream
-        ``pose`` and ``command``, and where logged ``reference``, ``estimate``, ``imu``, ``mouse``;
-        columns as in `COLUMNS`.
+        ``pose`` and ``command``, and where logged ``reference``, ``estimate``, ``imu``, ``mouse``,
+        ``puck``, ``mallet``; columns as in `COLUMNS`.
     source : str
         The file or folder.
     hashes : mapping of str to str

@@ -31,7 +31,7 @@ from airpuck.recording.mapping import (
     RecordingMapping,
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
-from airpuck.recording.stream import COLUMNS, Stream
+from airpuck.recording.stream import COLUMNS, POSES, Stream
 
 Decoded = Mapping[str, np.ndarray]
 #: Fields to decode, and what turns them into columns and values.
@@ -54,9 +54,9 @@ def may_hold(stream: str, topic: TopicLog) -> bool:
 def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tuple[Stream, bool]:
     """Decode one topic, and say whether its messages carry their times."""
     msgtype = topic.msgtype
-    own = {"pose": mapping.pose, "command": mapping.command}.get(stream, CommandMapping())
+    own = _own(stream, mapping)
     usual = PATHS.get(stream, {}).get(msgtype, ())
-    if stream != "command" and not usual and not (stream == "pose" and mapping.pose.position):
+    if stream != "command" and not usual and not (stream in POSES and mapping.pose.position):
         accepted = " or ".join(PATHS[stream])
         raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
     types = definitions(msgtype, topic.definition, idl=topic.idl)
@@ -65,7 +65,7 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     fields = flatten(types, msgtype)
     if stream == "command":
         paths, convert = _command_plan(msgtype, fields, mapping.command)
-    elif stream == "pose":
+    elif stream in POSES:
         paths, convert = _pose_plan(usual, mapping.pose)
     else:
         paths, convert = usual, lambda found: (COLUMNS[stream], _table(found, usual))
@@ -87,6 +87,13 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
         arrived = received + round(own.start_s * SECOND_NS)
         return Stream(arrived, received, values, columns), False
     return Stream(stamp, received, values, columns), True
+
+
+def _own(stream: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
+    """Return what the mapping says of a stream; of all poses the same."""
+    if stream in POSES:
+        return mapping.pose
+    return mapping.command if stream == "command" else CommandMapping()
 
 
 def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:

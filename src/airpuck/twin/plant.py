@@ -14,6 +14,7 @@ from airpuck.compute.compiled import program
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import make_effects
+from airpuck.physics.contact import contact_impulse, mobility
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import step
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -106,11 +107,7 @@ def rebound(xp: Any, plant: Plant, state: Any) -> Any:
 
 
 def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> Any:
-    """Apply the impulse of the rails across one axis.
-
-    Newton's law of restitution in the normal direction; in the tangential one an impulse that
-    stops the slip if the cone of friction allows that, and otherwise lies on the cone.
-    """
+    """Apply the impulse of the rails across one axis; friction may stop the slip."""
     dynamics, disc, table = plant.dynamics, plant.disc, plant.table
     position, speed = state[axis], state[3 + axis]
     side = xp.sign(position)
@@ -130,26 +127,14 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
     normal_speed = state[3] * nx + state[4] * ny
     slip = state[4] * nx - state[3] * ny - disc.radius * spin
 
-    # Velocity of the contact per impulse.
-    k_nn = 1 / disc.mass + arm_t**2 / disc.inertia
-    k_tt = 1 / disc.mass + arm_n**2 / disc.inertia
-    k_nt = -arm_n * arm_t / disc.inertia
-    wanted_n, wanted_t = -(1 + table.restitution) * normal_speed, -slip
-    determinant = k_nn * k_tt - k_nt**2
-    stick_n = (k_tt * wanted_n - k_nt * wanted_t) / determinant
-    stick_t = (k_nn * wanted_t - k_nt * wanted_n) / determinant
-    sign = xp.sign(wanted_t)
-    slide_n = wanted_n / (k_nn + table.friction * sign * k_nt)
-    sticks = xp.abs(stick_t) <= table.friction * stick_n
-    impulse_n = xp.where(sticks, stick_n, slide_n)
-    impulse_t = xp.where(sticks, stick_t, table.friction * sign * slide_n)
-    # With friction and an offset centre of mass, Newton's law can add energy (Kane and Levinson
-    # 1985). Where it would, the rail is taken to be smooth.
-    work = impulse_n * (normal_speed + (k_nn * impulse_n + k_nt * impulse_t) / 2) + impulse_t * (
-        slip + (k_nt * impulse_n + k_tt * impulse_t) / 2
+    impulse_n, impulse_t = contact_impulse(
+        xp,
+        mobility(disc.mass, disc.inertia, arm_n, arm_t),
+        normal_speed,
+        slip,
+        table.restitution,
+        table.friction,
     )
-    impulse_n = xp.where(work > 0, wanted_n / k_nn, impulse_n)
-    impulse_t = xp.where(work > 0, 0.0, impulse_t)
 
     # Of the centre of mass, then of the geometric centre, which turns about it.
     turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from airpuck.flight.link import Kind, Measurement
-from airpuck.recording.stream import COLUMNS, Stream
+from airpuck.recording.stream import COLUMNS, POSES, Stream
 from airpuck.twin.settings import MotionCapture, TwinSettings
 
 #: Time of the recorder at the start of a flight [ns since 1970].
@@ -58,15 +58,16 @@ class Sensor:
         return self._count / self.rate
 
     def measure(self, truth: Float[np.ndarray, " k"]) -> None:
-        """Take the sample that is due."""
+        """Take the sample that is due; there is none of a truth of NaN."""
         time = self.due
         self._count += 1
         # All numbers are always drawn, so that one setting does not change what another draws.
         values = truth + np.multiply(self.noise, self.rng.standard_normal(len(self.noise)))
         late, luck = self.rng.exponential(self.latency[1]), self.rng.random()
-        if luck < self.dropped or any(start <= time < stop for start, stop in self.gaps):
+        unseen = luck < self.dropped or np.isnan(truth).any()
+        if unseen or any(start <= time < stop for start, stop in self.gaps):
             return
-        if self.kind == "pose":
+        if self.kind in POSES:
             values[2] = (values[2] + math.pi) % (2 * math.pi) - math.pi
         arrival = self._last_arrival = max(time + self.latency[0] + late, self._last_arrival)
         stamp = (1 + self.clock[1]) * time + self.clock[0]
@@ -97,14 +98,16 @@ def _nanoseconds(times: Sequence[float]) -> Int[np.ndarray, " N"]:
     return EPOCH_NS + np.rint(np.array(times, dtype=float) * 1e9).astype(np.int64)
 
 
-def pose_sensor(capture: MotionCapture, seed: int, logs: bool = True) -> Sensor:
-    """Build the motion capture of a twin."""
+def pose_sensor(
+    capture: MotionCapture, seed: int, logs: bool = True, *, kind: Kind = "pose", number: int = 1
+) -> Sensor:
+    """Build the motion capture of a twin, of its craft or of another body."""
     return Sensor(
-        "pose",
+        kind,
         rate=capture.rate_hz,
         noise=(capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad),
         latency=(capture.latency_s, capture.latency_jitter_s),
-        rng=np.random.default_rng([seed, 1]),
+        rng=np.random.default_rng([seed, number]),
         dropped=capture.dropped,
         gaps=capture.gaps_s,
         clock=(capture.clock_offset_s, capture.clock_drift),
@@ -112,8 +115,10 @@ def pose_sensor(capture: MotionCapture, seed: int, logs: bool = True) -> Sensor:
     )
 
 
-def build_sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]:
-    """Build the sensors, each with random numbers of its own."""
+def build_sensors(
+    settings: TwinSettings, seed: int, logs: bool, played: Sequence[Kind] = ()
+) -> list[Sensor]:
+    """Build the sensors, each with random numbers of its own; `played`: puck, mallet or none."""
     board = settings.on_board
     sensors = [pose_sensor(settings.motion_capture, seed, logs)]
     noises: dict[Kind, tuple[float, ...]] = {
@@ -124,6 +129,9 @@ def build_sensors(settings: TwinSettings, seed: int, logs: bool) -> list[Sensor]
     for number, (kind, noise) in enumerate(noises.items() if rate else (), start=2):
         rng = np.random.default_rng([seed, number])
         sensors.append(Sensor(kind, rate=rate, noise=noise, latency=latency, rng=rng, logs=logs))
+    for number, kind in enumerate(played, start=4):
+        sensor = pose_sensor(settings.motion_capture, seed, logs, kind=kind, number=number)
+        sensors.append(sensor)
     return sensors
 
 

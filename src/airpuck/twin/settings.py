@@ -17,7 +17,7 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
-from airpuck.craft.table import Table
+from airpuck.craft.table import AirHockey
 from airpuck.model.quantities import EFFECTS, Pair
 
 
@@ -140,13 +140,17 @@ class Motors(Section):
     weak: tuple[Weakness, ...] = ()
 
 
-class TwinSettings(Section):
+class TwinSettings(AirHockey):
     """Everything about a twin but the model of the craft.
 
     Attributes
     ----------
     table : Table
-        Rails.
+        Rails and goals.
+    puck : Puck
+        The puck, where there is one.
+    mallet : Mallet
+        The human's, where there is one.
     radio : Radio
         From the controller to the motors.
     motion_capture : MotionCapture
@@ -159,7 +163,6 @@ class TwinSettings(Section):
         Arming, stalls.
     """
 
-    table: Table = Table()
     radio: Radio
     motion_capture: MotionCapture
     on_board: OnBoard = OnBoard()

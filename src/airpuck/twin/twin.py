@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from numbers import Integral
 from typing import Any
 
@@ -13,13 +14,15 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.flight.link import Measurement
+from airpuck.flight.link import Kind, Measurement
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Tilt
+from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import acceleration
-from airpuck.recording.stream import COLUMNS, Recording
+from airpuck.recording.stream import COLUMNS, POSES, Recording
 from airpuck.twin.motors import MotorUnit
 from airpuck.twin.plant import LONGEST_STEP, Plant, build_plant, scaled
+from airpuck.twin.play import Play
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.sensors import build_sensors, command_stream, log_stream
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -40,6 +43,10 @@ class Twin:
         Where the craft stands at first [m, m, rad].
     plant : Plant, optional
         From `build_plant` of the same model and settings, to compile only once.
+    puck : PuckState, optional
+        Where a puck is at first, and how it moves; by default there is none.
+    mallet : tuple of float, optional
+        Where the human's mallet is at first [m]; by default there is none. It needs a puck.
     logs : bool, default True
         Whether to keep everything for `recording` and `truth`. One that runs for hours should not.
 
@@ -47,11 +54,14 @@ class Twin:
     ----------
     contacts : list of float
         When the craft met a rail [s].
+    play : Play or None
+        Puck and mallet: ``play.puck.state``, ``play.puck.goal``, ``play.puck.place(…)``,
+        ``play.mallet.target = x, y``.
 
     Raises
     ------
     InputError
-        If the seed is no number to begin with, or the craft would not stand on the table.
+        If the seed is no number to begin with, or the craft or the puck would not be on the table.
     """
 
     def __init__(
@@ -62,6 +72,8 @@ class Twin:
         seed: int = 0,
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         plant: Plant | None = None,
+        puck: PuckState | None = None,
+        mallet: tuple[float, float] | None = None,
         logs: bool = True,
     ) -> None:
         check_seed(seed)
@@ -81,10 +93,13 @@ class Twin:
         self._radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
         self._motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
         self._logs = logs
-        self._sensors = build_sensors(settings, seed, logs)
+        played = _played(puck, mallet)
+        self.play = None if puck is None else Play(settings, self.plant, puck, mallet, logs)
+        self._sensors = build_sensors(settings, seed, logs, played)
         self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
         self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
+        self._puck_truth: list[tuple[float, ...]] = []
         self.contacts: list[float] = []
 
     def wait_until(self, time: float) -> list[Measurement]:
@@ -98,9 +113,9 @@ class Twin:
             self._advance(following)
             for sensor in self._sensors:
                 if sensor.due <= following:
-                    sensor.measure(self._true_value(sensor.kind))
                     if sensor.kind == "pose" and self._logs:
-                        self._truth.append((following, self.state))
+                        self._log_truth(following)
+                    sensor.measure(self._true_value(sensor.kind))
         self.now = time
         arrived = [entry for sensor in self._sensors for entry in sensor.arrived(time)]
         arrived.sort(key=lambda entry: entry[0])
@@ -149,6 +164,11 @@ class Twin:
         times, states = zip(*self._truth, strict=True)
         return np.array(times), np.array(states)
 
+    @property
+    def puck_truth(self) -> Float[np.ndarray, "N 6"]:
+        """True states of the puck at the times of `truth`; NaN while it is in a goal."""
+        return np.array(self._puck_truth).reshape(-1, 6)
+
     def recording(self) -> Recording:
         """Return what a recorder on the network would have logged.
 
@@ -156,7 +176,8 @@ class Twin:
         -------
         Recording
             Streams ``pose``, ``command``, and where there are any ``reference``, ``imu``,
-            ``mouse``; stamps as the senders put them, arrivals on the recorder's clock.
+            ``mouse``, ``puck``, ``mallet``; stamps as the senders put them, arrivals on the
+            recorder's clock.
         """
         names = self.model.vehicle.propeller_names
         streams = {sensor.kind: sensor.stream() for sensor in self._sensors}
@@ -173,13 +194,30 @@ class Twin:
         while begin < time:
             duration = min(time - begin, LONGEST_STEP)
             command = self._motors.follow(begin, self._radio.command(begin))
-            left = self._thrust_left(begin)
-            self.state, met = self.plant.advance(self.state, command, duration, left)
+            fly = partial(self._fly, command, self._thrust_left(begin))
             # The last piece ends at the time itself, not a rounding error before it.
-            begin = time if duration == time - begin else begin + duration
+            end = time if duration == time - begin else begin + duration
+            if self.play is None:
+                self.state, met = fly(self.state, duration)
+                begin = end
+            else:
+                self.state, met = self.play.advance(self.state, end, fly)
+                begin = self.play.puck.time
             if met and self._logs:
                 self.contacts.append(begin)
         self._state_time = time
+
+    def _fly(self, command: Any, left: Any, state: Any, duration: float) -> tuple[Any, Any]:
+        """Move the craft alone; return its state, and whether it met a rail."""
+        state, met = self.plant.advance(state, command, duration, left)
+        return state, met
+
+    def _log_truth(self, time: float) -> None:
+        """Keep the states at a frame of the motion capture."""
+        self._truth.append((time, self.state))
+        if self.play is not None:
+            puck = self.play.puck
+            self._puck_truth.append((math.nan,) * 6 if puck.goal else puck.state)
 
     def _thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
         """Return the share of the thrust that battery and motors still give."""
@@ -190,6 +228,8 @@ class Twin:
         """Return what a perfect sensor would say."""
         if kind == "pose":
             return self.state[:3]
+        if self.play is not None and kind in POSES:
+            return self.play.pose(kind)
         yaw, vx, vy, spin = self.state[2:6].tolist()
         cos, sin = math.cos(yaw), math.sin(yaw)
         if kind == "mouse":
@@ -197,6 +237,18 @@ class Twin:
         felt = scaled(self._felt, self._thrust_left(self._state_time)[:, None])
         ax, ay, _ = acceleration(np, felt, self.state[2:6], self.state[6:])
         return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
+
+
+def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple[Kind, ...]:
+    """Return which bodies are there beside the craft; refuse what are no places."""
+    if puck is None:
+        if mallet is not None:
+            raise InputError("is there for a puck; give one, too", field="mallet")
+        return ()
+    for field, numbers_given in (("puck", puck), ("mallet", mallet or ())):
+        if not all(map(math.isfinite, numbers_given)):
+            raise InputError("needs finite numbers", field=field)
+    return ("puck",) if mallet is None else ("puck", "mallet")
 
 
 def check_seed(seed: Any, field: str = "seed") -> None:

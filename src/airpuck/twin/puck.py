@@ -1,0 +1,288 @@
+"""A puck among rails, goals and moving discs, from event to event."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from airpuck.craft.table import AirHockey, Contact
+from airpuck.physics.puck import (
+    Disc,
+    Meeting,
+    PuckState,
+    Walls,
+    coast,
+    sigma_of,
+    sigma_to_circle,
+    strike,
+    time_of,
+)
+
+#: What a puck can meet.
+Met = Literal["rail", "post", "goal", "mallet", "craft"]
+#: Slower than this, disc and puck do not bounce, but stay together [m/s].
+RESTING = 0.01
+#: Discs that come nearer more slowly than this do not meet [m/s].
+_STILL = 1e-9
+#: A puck with more than so many contacts within so much time is wedged: it stops for a while [s].
+MOST, WITHIN, _STOPPED = 20, 1e-3, 4e-3
+#: Discs that overlap by less are not pressed together [m].
+_ROUNDING = 1e-9
+#: How often a puck tries to make way, along a rail, too.
+_PASSES = 8
+#: What a disc bounces off that is wedged.
+_WEDGED = Contact(restitution=0.0, grip=0.0, friction=0.0)
+
+
+class Touch(NamedTuple):
+    """A contact of the puck."""
+
+    #: [s].
+    time: float
+    #: With what.
+    met: Met
+    #: Impulse along the normal [N s]; none in a goal.
+    impulse: float
+
+
+@dataclass(slots=True)
+class Moving(Disc):
+    """A disc on its way: to a place at the end of a step, along a line, as the puck's path is."""
+
+    #: Where it will be [m].
+    to_x: float = 0.0
+    to_y: float = 0.0
+    #: How its velocity changes until then [m/s², m/s², rad/s²].
+    ax: float = 0.0
+    ay: float = 0.0
+    spinning_up: float = 0.0
+    kind: Literal["mallet", "craft"] = "mallet"
+
+
+class PuckOnTable:
+    """A puck that moves, bounces and may end in a goal.
+
+    Parameters
+    ----------
+    play : AirHockey
+        Table and puck; settings of a twin are such, too.
+    state : PuckState
+        Where it is at first.
+    time : float, default 0
+        When that is [s].
+    logs : bool, default True
+        Whether to keep all contacts.
+
+    Attributes
+    ----------
+    state : PuckState
+        Now.
+    time : float
+        Now [s].
+    goal : int
+        In which goal it is, by the sign of its x; 0: in play.
+    touches : list of Touch
+        Its contacts so far.
+    """
+
+    def __init__(
+        self, play: AirHockey, state: PuckState, time: float = 0.0, *, logs: bool = True
+    ) -> None:
+        self._puck = puck = play.puck
+        self._laws = {"mallet": puck.mallet, "craft": puck.craft}
+        self._body = Disc(0.0, 0.0, radius=puck.radius_m, mass=puck.mass_kg, inertia=puck.inertia)
+        self._walls = Walls(play.table, puck.radius_m)
+        self._logs = logs
+        self.time, self.radius = time, puck.radius_m
+        self.touches: list[Touch] = []
+        self.place(state)
+
+    def place(self, state: PuckState) -> None:
+        """Put the puck somewhere, or back into play.
+
+        Parameters
+        ----------
+        state : PuckState
+            Where, and how it moves; what lies beyond a rail is put at the rail.
+        """
+        # Numbers of NumPy's are slow.
+        state = PuckState(*map(float, state))
+        x, y = self._walls.nearest(state.x, state.y)
+        self.goal = 0
+        self._free_from = -math.inf
+        self._contacts, self._counted_from = 0, self.time
+        self._move_on(state._replace(x=x, y=y))
+
+    def run(self, end: float, discs: Sequence[Moving] = ()) -> Moving | None:
+        """Let time pass until `end`, or until the puck has hit a disc that gives way.
+
+        Parameters
+        ----------
+        end : float
+            When to stop [s].
+        discs : sequence of Moving
+            Discs on their way; they are moved, and what gives way changes its velocity.
+
+        Returns
+        -------
+        Moving or None
+            The disc that was hit at `time`, before the end; None at the end.
+        """
+        passed: set[int] = set()
+        while self.time < end and not self.goal:
+            held = self.time < self._free_from
+            stop = min(end, self._free_from) if held else end
+            reach = sigma_of(self._puck.drag_1_s, stop - self.time)
+            share = reach / sigma_of(self._puck.drag_1_s, end - self.time)
+            wall = None
+            if not held and self._wall_time <= stop:
+                wall = self._walls.first(self.state)
+                wall = wall if wall.sigma <= reach else None
+            sigma = wall.sigma if wall else reach
+            hit, sigma = self._first_disc(discs, passed, reach, share, sigma)
+            self._advance(discs, stop, share, sigma, reach, at_end=not (wall or hit))
+            if hit is not None:
+                if self._bounce_off(hit, held):
+                    if hit.mass < math.inf:
+                        return hit
+                else:
+                    passed.add(id(hit))
+            elif wall is not None:
+                self._meet(wall)
+        if self.time < end:
+            for disc in discs:
+                disc.x, disc.y = disc.to_x, disc.to_y
+            self.time = end
+        self._separate(discs)
+        return None
+
+    def _first_disc(
+        self, discs: Sequence[Moving], passed: set[int], reach: float, share: float, sigma: float
+    ) -> tuple[Moving | None, float]:
+        """Return which disc is met before σ, and when."""
+        x, y, _, vx, vy, _ = self.state
+        found = None
+        for disc in discs:
+            if id(disc) in passed:
+                continue
+            dx, dy, apart = x - disc.x, y - disc.y, self._body.radius + disc.radius
+            ux = vx - (disc.to_x - disc.x) * share / reach
+            uy = vy - (disc.to_y - disc.y) * share / reach
+            if abs(dx) - apart > abs(ux) * sigma or abs(dy) - apart > abs(uy) * sigma:
+                continue
+            met = sigma_to_circle(dx, dy, ux, uy, apart)
+            if met <= sigma:
+                found, sigma = disc, met
+        return found, sigma
+
+    def _advance(
+        self,
+        discs: Sequence[Moving],
+        stop: float,
+        share: float,
+        sigma: float,
+        reach: float,
+        *,
+        at_end: bool,
+    ) -> None:
+        """Move puck and discs by σ."""
+        part = share * sigma / reach
+        lasted = stop - self.time if at_end else time_of(self._puck.drag_1_s, sigma)
+        for disc in discs:
+            disc.vx, disc.vy = disc.vx + disc.ax * lasted, disc.vy + disc.ay * lasted
+            disc.spin += disc.spinning_up * lasted
+            if at_end and share == 1:
+                disc.x, disc.y = disc.to_x, disc.to_y
+            else:
+                disc.x += (disc.to_x - disc.x) * part
+                disc.y += (disc.to_y - disc.y) * part
+        self.state = coast(self._puck, self.state, lasted)
+        self.time = stop if at_end else min(self.time + lasted, stop)
+
+    def _meet(self, wall: Meeting) -> None:
+        """Bounce off the table, or be in a goal."""
+        if wall.boundary == "goal":
+            self.goal = 1 if self.state.x > 0 else -1
+            self._log("goal", 0.0)
+            return
+        self._strike(Disc(0.0, 0.0), wall.nx, wall.ny, self._puck.rail, wall.boundary)
+
+    def _bounce_off(self, disc: Moving, held: bool) -> bool:
+        """Bounce off a disc, unless it moves away by now; return whether it did."""
+        dx, dy = self.state.x - disc.x, self.state.y - disc.y
+        distance = math.hypot(dx, dy)
+        # Middles that coincide have no normal; any is as good.
+        nx, ny = (dx / distance, dy / distance) if distance else (1.0, 0.0)
+        closing = -((self.state.vx - disc.vx) * nx + (self.state.vy - disc.vy) * ny)
+        if closing < _STILL:
+            return False
+        if held:
+            if math.isinf(disc.mass):
+                return False
+            strike(Disc(0.0, 0.0), disc, nx, ny, _WEDGED)
+            return True
+        law = self._laws[disc.kind]
+        if closing < RESTING:
+            law = law.model_copy(update={"restitution": 0.0})
+        self._strike(disc, nx, ny, law, disc.kind)
+        return True
+
+    def _strike(self, other: Disc, nx: float, ny: float, law: Contact, met: Met) -> None:
+        """Change the motion of the puck, and of what it meets."""
+        body, state = self._body, self.state
+        body.vx, body.vy, body.spin = state.vx, state.vy, state.spin
+        impulse = strike(body, other, nx, ny, law)
+        self._log(met, impulse)
+        if self.time - self._counted_from > WITHIN:
+            self._contacts, self._counted_from = 0, self.time
+        self._contacts += 1
+        if self._contacts > MOST:
+            self._free_from = self.time + _STOPPED
+            body.vx = body.vy = body.spin = 0.0
+        self._move_on(state._replace(vx=body.vx, vy=body.vy, spin=body.spin))
+
+    def _move_on(self, state: PuckState) -> None:
+        """Take a new state, and note when the puck will meet the table."""
+        self.state = state
+        sigma = self._walls.first(state).sigma
+        # A little earlier, since the state is rounded step by step until then.
+        self._wall_time = self.time + time_of(self._puck.drag_1_s, sigma) - 1e-9
+
+    def _separate(self, discs: Sequence[Moving]) -> None:
+        """Part puck and discs that overlap, as discs do whose paths are not quite straight.
+
+        The puck makes way; where it cannot, because it is wedged, it stops and the disc makes way.
+        """
+        x, y, moving = self.state.x, self.state.y, True
+        if self.goal or not any(self._overlap(disc, x, y) > 0 for disc in discs):
+            return
+        for disc in (*discs,) * _PASSES:
+            overlap, (nx, ny) = self._overlap(disc, x, y), _direction(disc, x, y)
+            if overlap > 0:
+                x, y = self._walls.nearest(x + overlap * nx, y + overlap * ny)
+        for disc in discs:
+            overlap, (nx, ny) = self._overlap(disc, x, y), _direction(disc, x, y)
+            if overlap > 0:
+                disc.x, disc.y = disc.x - overlap * nx, disc.y - overlap * ny
+                moving = moving and overlap < _ROUNDING
+        if not moving:
+            self._free_from = self.time + _STOPPED
+            self.state = PuckState(*self.state[:3])
+        self._move_on(self.state._replace(x=x, y=y))
+
+    def _overlap(self, disc: Disc, x: float, y: float) -> float:
+        """Return by how much a puck and a disc overlap [m]."""
+        return self._body.radius + disc.radius - math.hypot(x - disc.x, y - disc.y)
+
+    def _log(self, met: Met, impulse: float) -> None:
+        if self._logs:
+            self.touches.append(Touch(self.time, met, impulse))
+
+
+def _direction(disc: Disc, x: float, y: float) -> tuple[float, float]:
+    """Return the unit vector from a disc to the puck; where they coincide, any."""
+    dx, dy = x - disc.x, y - disc.y
+    distance = math.hypot(dx, dy)
+    return (dx / distance, dy / distance) if distance else (1.0, 0.0)

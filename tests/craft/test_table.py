@@ -1,0 +1,78 @@
+"""The table file: files in, files out, and what is refused."""
+
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey, Contact, Mallet, Puck, Table, read_table
+from airpuck.twin.settings import read_twin_settings
+
+EVERYTHING = AirHockey(
+    table=Table(length_m=1.948, width_m=1.038, goal_width_m=0.25),
+    puck=Puck(
+        radius_m=0.03,
+        mass_kg=0.02,
+        inertia_kg_m2=1e-5,
+        drag_1_s=0.1,
+        spin_drag_1_s=0.3,
+        rail=Contact(restitution=0.7, grip=0.5, friction=0.1),
+        mallet=Contact(restitution=0.6, grip=0.4, friction=0.2),
+        craft=Contact(restitution=0.5, grip=0.3, friction=0.4),
+        standard_error={"drag_1_s": 0.01, "rail.restitution": 0.002},
+    ),
+    mallet=Mallet(radius_m=0.05, speed_m_s=3.0, acceleration_m_s2=20.0),
+)
+
+
+@pytest.mark.parametrize("table", [EVERYTHING, AirHockey()])
+def test_a_table_survives_a_file_which_is_also_one_for_the_twin(tmp_path, table):
+    table.save(tmp_path / "table.toml")
+    assert read_table(tmp_path / "table.toml") == table
+    twin = read_twin_settings(tmp_path / "table.toml")
+    # A number that a file leaves out is as in the twin's settings.
+    assert (twin.table, twin.puck, twin.mallet) == (table.table, table.puck, table.mallet)
+
+
+def test_a_file_changes_what_it_names_and_nothing_else(tmp_path):
+    path = tmp_path / "table.toml"
+    path.write_text("[puck.rail]\nrestitution = 0.7\n[table]\ngoal_width_m = 0.25")
+    found = read_table(path)
+    assert found.puck.rail == Contact(restitution=0.7)
+    assert found.table == Table(goal_width_m=0.25)
+    assert found.puck.mallet == Puck().mallet
+
+
+def test_what_was_not_identified_is_assumed(tmp_path):
+    assert "rail.restitution" in Puck().assumed
+    assert not {"rail.restitution", "drag_1_s"} & set(EVERYTHING.puck.assumed)
+    assert "mallet.grip" in EVERYTHING.puck.assumed
+    EVERYTHING.save(tmp_path / "table.toml")
+    assert "mallet.grip" in (tmp_path / "table.toml").read_text().partition("[")[0]
+
+
+def test_the_defaults_are_the_published_ones():
+    puck = Puck()
+    assert (puck.radius_m, puck.mass_kg, puck.drag_1_s) == (0.03165, 0.010, 0.2)
+    assert (puck.rail.restitution, puck.mallet.restitution) == (0.79, 0.80)
+    assert puck.kept_along_rail == pytest.approx(0.84)
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("[puck.rail]\nrestitution = 1.1", "puck.rail.restitution"),
+        ("[puck.rail]\ngrip = -0.1", "puck.rail.grip"),
+        ("[puck]\ndrag_1_s = -1.0", "puck.drag_1_s"),
+        ("[puck]\nmass_kg = 0.0", "puck.mass_kg"),
+        ("[puck]\nradius_m = 0.3", "puck.radius_m"),
+        ('[puck.standard_error]\n"rail.colour" = 0.1', "rail.colour"),
+        ("[table]\ngoal_width_m = 0.06", "goal_width_m"),
+        ("[mallet]\nradius_m = 0.6", "mallet.radius_m"),
+        ("[goal]\nwidth_m = 0.3", "goal"),
+    ],
+)
+def test_what_makes_no_table_is_refused(tmp_path, text, field):
+    path = tmp_path / "table.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_table(path)
+    assert field in str(error.value)

@@ -1,0 +1,165 @@
+"""Craft, puck and mallet in the twin."""
+
+import math
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey, Mallet, Table
+from airpuck.model.model_file import published_model
+from airpuck.physics.puck import PuckState
+from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.csv_folder import write_csv
+from airpuck.recording.read import read_recording
+from airpuck.twin.plant import build_plant
+from airpuck.twin.play import HandMallet
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
+
+MODEL = published_model("M3")
+QUIET = default_twin_settings()
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return build_plant(MODEL)
+
+
+def test_a_shot_moves_the_craft_and_keeps_momentum_and_energy_in_bounds(plant):
+    start = PuckState(0.5, 0.03, 0.0, -5.0, 0.0, 10.0)
+    twin = Twin(MODEL, plant=plant, puck=start)
+    twin.wait_until(0.3)
+    assert twin.play is not None
+    puck, disc = twin.play.puck, plant.disc
+    touch = puck.touches[0]
+    assert [touch.met for touch in puck.touches] == ["craft"]
+    # When it hit: drag slowed it a little.
+    left = math.exp(-0.2 * touch.time)
+    before = np.array([start.vx, start.vy]) * left
+    after = np.array([puck.state.vx, puck.state.vy]) * math.exp(0.2 * (0.3 - touch.time))
+    puck_mass = 0.010
+    given = puck_mass * (before - after)
+    yaw, vx, vy, spin = twin.state[2:6]
+    rx, ry = plant.dynamics.center_of_mass
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    centre = np.array([vx - spin * ry, vy + spin * rx])
+    np.testing.assert_allclose(disc.mass * centre, given, rtol=1e-3)
+    energy = disc.mass / 2 * centre @ centre + disc.inertia / 2 * spin**2
+    assert 0 < energy < puck_mass / 2 * (before @ before - after @ after)
+
+
+def test_a_puck_that_nobody_touches_changes_nothing(plant):
+    flights = []
+    for puck in (None, PuckState(0.9, 0.45)):
+        twin = Twin(MODEL, plant=plant, puck=puck, seed=4)
+        for k in range(40):
+            twin.wait_until(0.01 * k)
+            twin.send(np.full(6, 0.3))
+        flights.append(twin.recording())
+    for kind in ("pose", "command", "imu", "mouse"):
+        alone, beside = flights[0][kind], flights[1][kind]
+        np.testing.assert_array_equal(alone.stamp_ns, beside.stamp_ns)
+        np.testing.assert_allclose(alone.values, beside.values, atol=1e-12)
+    assert "puck" not in flights[0].streams
+
+
+@pytest.mark.parametrize("write", [write_bag, write_csv])
+def test_puck_and_mallet_are_recorded_with_noise_and_dropped_frames(plant, write, tmp_path):
+    capture = QUIET.motion_capture.model_copy(update={"dropped": 0.2})
+    settings = QUIET.model_copy(update={"motion_capture": capture})
+    twin = Twin(MODEL, settings, plant=plant, puck=PuckState(0, 0.3, 0, 1, 1), mallet=(0.8, 0.1))
+    assert twin.play is not None
+    twin.play.mallet.target = 0.8, -0.3
+    twin.wait_until(2.0)
+    recording = twin.recording()
+    assert 380 * 0.7 < len(recording["puck"]) < 480 * 0.9
+    time, _ = twin.truth
+    stamps = (recording["puck"].stamp_ns - 1_700_000_000_000_000_000) / 1e9
+    truth = twin.puck_truth[np.searchsorted(time, stamps - 1e-6)]
+    errors = recording["puck"].values[:, :2] - truth[:, :2]
+    assert errors.std() == pytest.approx(capture.position_noise_m, rel=0.1)
+    assert recording["mallet"].values[-1, 1] == pytest.approx(-0.3, abs=1e-3)
+    write(recording, tmp_path / "flown")
+    back = read_recording(tmp_path / "flown", needs=("puck",))
+    for kind in ("puck", "mallet"):
+        np.testing.assert_allclose(back[kind].values, recording[kind].values, atol=1e-12)
+        np.testing.assert_array_equal(back[kind].stamp_ns, recording[kind].stamp_ns)
+
+
+def test_in_a_goal_the_puck_is_not_seen(plant):
+    twin = Twin(MODEL, plant=plant, puck=PuckState(0.9, 0.1, 0.0, 3.0, 0.0))
+    twin.wait_until(0.5)
+    assert twin.play is not None
+    assert twin.play.puck.goal == 1
+    frames = len(twin.recording()["puck"])
+    assert 10 < frames < 30
+    twin.play.puck.place(PuckState(0.3, 0.1))
+    twin.wait_until(0.6)
+    assert len(twin.recording()["puck"]) == frames + 24
+
+
+def test_the_same_seed_gives_the_same_game(plant):
+    def played():
+        twin = Twin(MODEL, plant=plant, puck=PuckState(0.4, 0, 0, -3, 1), mallet=(0.8, 0), seed=9)
+        assert twin.play is not None
+        for k in range(100):
+            twin.wait_until(0.01 * k)
+            twin.play.mallet.target = twin.play.puck.state[:2]
+        return twin.recording()["puck"], twin.play.puck.touches
+
+    assert played() == played()
+    assert len(played()[1]) > 1
+
+
+def test_a_craft_and_the_mallet_do_not_overlap(plant):
+    twin = Twin(MODEL, plant=plant, puck=PuckState(-0.9, 0.4), mallet=(0.3, 0.0), pose=(0.1, 0, 0))
+    assert twin.play is not None
+    hand = twin.play.mallet
+    hand.target = 0.0, 0.0
+    for k in range(100):
+        twin.wait_until(0.01 * k)
+        apart = math.hypot(twin.state[0] - hand.x, twin.state[1] - hand.y)
+        assert apart > hand.radius + 0.07 - 1e-9
+    assert twin.state[3] < -0.01
+
+
+@pytest.mark.parametrize("target", [(0.2, 0.3), (0.9, -0.4), (5.0, 5.0), (-5.0, 0.0)])
+def test_a_hand_keeps_to_its_limits_and_arrives(target):
+    limits, table = Mallet(speed_m_s=3.0, acceleration_m_s2=30.0), Table()
+    hand = HandMallet(limits, table, 0.6, 0.0)
+    hand.target = target
+    before, h, peak = (0.0, 0.0), 1 / 240, 0.0
+    for _ in range(400):
+        way = hand.moving(h)
+        way.x, way.y = way.to_x, way.to_y
+        hand.arrive(way, h)
+        speed = math.hypot(hand.vx, hand.vy)
+        peak = max(peak, speed)
+        assert speed <= 3.0 + 1e-9
+        change = math.hypot(hand.vx - before[0], hand.vy - before[1])
+        # At the border it is stopped.
+        assert change <= 30.0 * h + 1e-9 or target[0] in (5.0, -5.0)
+        before = hand.vx, hand.vy
+        assert hand.radius <= hand.x <= table.reach(hand.radius)[0]
+    assert (hand.x, hand.y) == pytest.approx(hand.allowed(*target), abs=1e-4)
+    assert peak > 2.0
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"mallet": (0.5, 0.0)}, "mallet"),
+        ({"puck": PuckState(math.nan, 0.0)}, "puck"),
+        ({"puck": PuckState(0.0, 0.0), "mallet": (math.inf, 0.0)}, "mallet"),
+    ],
+)
+def test_what_is_no_place_is_refused(plant, given, field):
+    with pytest.raises(InputError) as error:
+        Twin(MODEL, plant=plant, **given)
+    assert error.value.field == field
+
+
+def test_settings_of_a_twin_are_a_table_to_play_on():
+    assert isinstance(QUIET, AirHockey)
