@@ -29,6 +29,7 @@ ORDER = (
     "control",
     "flight",
     "twin",
+    "hockey",
     "experiment_design",
     "live",
     "campaigns",

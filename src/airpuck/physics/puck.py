@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from airpuck.craft.table import Contact, Puck, Table
+from airpuck.craft.table import AirHockey, Contact, Puck, Table
 from airpuck.physics.contact import PlainNumbers, contact_impulse, mobility
 
 #: Slower than this, nothing approaches [m/s]: friction and bounces leave roundings.
@@ -161,6 +161,11 @@ class Walls:
         if share <= 1:
             return x, y
         return math.copysign(self._line + dx * share, x), math.copysign(half + dy * share, y)
+
+
+def walls_of(play: AirHockey) -> Walls:
+    """Return what bounds the middle of the puck of a table."""
+    return Walls(play.table, play.puck.radius_m)
 
 
 def strike(first: Disc, second: Disc, nx: float, ny: float, law: Contact) -> float:

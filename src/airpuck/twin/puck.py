@@ -12,12 +12,12 @@ from airpuck.physics.puck import (
     Disc,
     Meeting,
     PuckState,
-    Walls,
     coast,
     sigma_of,
     sigma_to_circle,
     strike,
     time_of,
+    walls_of,
 )
 
 #: What a puck can meet.
@@ -93,7 +93,7 @@ class PuckOnTable:
         self._puck = puck = play.puck
         self._laws = {"mallet": puck.mallet, "craft": puck.craft}
         self._body = Disc(0.0, 0.0, radius=puck.radius_m, mass=puck.mass_kg, inertia=puck.inertia)
-        self._walls = Walls(play.table, puck.radius_m)
+        self._walls = walls_of(play)
         self._logs = logs
         self.time, self.radius = time, puck.radius_m
         self.touches: list[Touch] = []

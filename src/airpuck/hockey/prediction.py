@@ -1,0 +1,166 @@
+"""Where a puck will be, over several bounces, and how well that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.craft.table import AirHockey, Puck
+from airpuck.physics.puck import PuckState
+from airpuck.twin.puck import PuckOnTable, Touch
+
+#: What is not known of numbers that were not identified on this table; and from bounce to bounce.
+_ASSUMED = {
+    "drag_1_s": 0.05,
+    "spin_drag_1_s": 0.1,
+    "rail.restitution": 0.03,
+    "rail.grip": 0.1,
+}
+#: White accelerations by air and slope: [m/s²/√Hz] and [rad/s²/√Hz].
+ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class PuckBelief:
+    """What is known of a puck."""
+
+    #: When [s].
+    time: float
+    #: x, y [m], yaw [rad] and their rates.
+    mean: Float[np.ndarray, " 6"]
+    #: Of the mean.
+    covariance: Float[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True, eq=False)
+class PuckPrediction:
+    """Where a puck will be.
+
+    Attributes
+    ----------
+    time : array, shape (T,)
+        When [s].
+    mean : array, shape (T, 6)
+        x, y [m], yaw [rad] and their rates; from the goal on, in the goal.
+    covariance : array, shape (T, 6, 6)
+        Of the mean.
+    touches : tuple of Touch
+        Bounces of the mean until the last time.
+    goal : int
+        In which goal it ends, by the sign of x; 0: in none.
+    """
+
+    time: Float[np.ndarray, " T"]
+    mean: Float[np.ndarray, "T 6"]
+    covariance: Float[np.ndarray, "T 6 6"]
+    touches: tuple[Touch, ...]
+    goal: int
+
+
+class PuckModel:
+    """A table with a puck, and the same with each uncertain number a standard deviation off.
+
+    Parameters
+    ----------
+    play : AirHockey
+        Table and puck. Of numbers with a standard error that is how much they are off, else a
+        guess.
+    """
+
+    def __init__(self, play: AirHockey) -> None:
+        self.play = play
+        self._spread = {
+            name: play.puck.standard_error.get(name, assumed) for name, assumed in _ASSUMED.items()
+        }
+        #: How uncertain the drag is [1/s].
+        self.drag_error = self._spread["drag_1_s"]
+
+    @cached_property
+    def variants(self) -> list[tuple[AirHockey, AirHockey]]:
+        """The table with each number too high, and too low."""
+        puck = self.play.puck
+        return [
+            (
+                self.play.model_copy(update={"puck": _changed(puck, name, spread)}),
+                self.play.model_copy(update={"puck": _changed(puck, name, -spread)}),
+            )
+            for name, spread in self._spread.items()
+        ]
+
+
+def _changed(puck: Puck, name: str, change: float) -> Puck:
+    """Return a puck with another value of a number, within its bounds."""
+    section, _, key = name.rpartition(".")
+    if not section:
+        return puck.model_copy(update={name: max(getattr(puck, name) + change, 0.0)})
+    law = getattr(puck, section)
+    value = min(max(getattr(law, key) + change, 0.0), 1.0)
+    return puck.model_copy(update={section: law.model_copy(update={key: value})})
+
+
+def predict_puck(
+    model: PuckModel | AirHockey, belief: PuckBelief, times: Sequence[float]
+) -> PuckPrediction:
+    """Predict a puck that nobody hits.
+
+    Mean and covariance go through the bounces by differences of one standard deviation to both
+    sides (Nørgaard, Poulsen and Ravn, *Automatica* 36, 2000): along each axis of the belief, and in
+    each uncertain number of the puck.
+
+    Parameters
+    ----------
+    model : PuckModel or AirHockey
+        The table; a `PuckModel` is prepared once.
+    belief : PuckBelief
+        What is known now.
+    times : sequence of float
+        When to predict [s], rising, none before the belief.
+
+    Returns
+    -------
+    PuckPrediction
+        Mean, covariance and bounces.
+    """
+    model = model if isinstance(model, PuckModel) else PuckModel(model)
+    mean, touches, goal = _path(model.play, belief, belief.mean, times)
+    variance, axes = np.linalg.eigh(belief.covariance)
+    steps = axes * np.sqrt(np.maximum(variance, 0.0))
+    columns = []
+    for step in steps.T[variance > 0]:
+        high, low = (_path(model.play, belief, belief.mean + s * step, times)[0] for s in (1, -1))
+        columns.append((high - low) / 2)
+    for upper, lower in model.variants:
+        high, low = (_path(play, belief, belief.mean, times)[0] for play in (upper, lower))
+        columns.append((high - low) / 2)
+    deviation = np.array(columns)
+    covariance = np.einsum("kti,ktj->tij", deviation, deviation)
+    ahead = np.array(times, dtype=float) - belief.time
+    covariance += process_noise(ahead, ACCELERATION_DENSITY)
+    return PuckPrediction(np.array(times, dtype=float), mean, covariance, touches, goal)
+
+
+def process_noise(duration: Float[np.ndarray, " T"], density: float) -> Float[np.ndarray, "T 6 6"]:
+    """Return what white accelerations add to the covariance."""
+    noise = np.zeros((len(duration), 6, 6))
+    squares = np.square([density, density, SPIN_DENSITY])
+    for axis, square in enumerate(squares.tolist()):
+        noise[:, axis, axis] = square * duration**3 / 3
+        noise[:, axis, axis + 3] = noise[:, axis + 3, axis] = square * duration**2 / 2
+        noise[:, axis + 3, axis + 3] = square * duration
+    return noise
+
+
+def _path(
+    play: AirHockey, belief: PuckBelief, state: Float[np.ndarray, " 6"], times: Sequence[float]
+) -> tuple[Float[np.ndarray, "T 6"], tuple[Touch, ...], int]:
+    """Return states of a puck that begins somewhere, its bounces, and in which goal it ends."""
+    puck = PuckOnTable(play, PuckState(*state.tolist()), belief.time)
+    found = []
+    for time in times:
+        puck.run(time)
+        found.append(puck.state)
+    return np.array(found).reshape(-1, 6), tuple(puck.touches), puck.goal

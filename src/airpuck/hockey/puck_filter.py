@@ -1,0 +1,212 @@
+"""A Kalman filter of the puck, which knows the rails and notices hits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.prediction import (
+    ACCELERATION_DENSITY,
+    PuckBelief,
+    PuckModel,
+    PuckPrediction,
+    predict_puck,
+    process_noise,
+)
+from airpuck.physics.puck import PuckState, sigma_of, time_of, walls_of
+
+#: A measurement whose squared, normalised innovation is above this is no noise: once in 1e7 frames.
+GATE = 35.0
+#: What is believed of velocity and spin after a hit [m/s, rad/s].
+_UNKNOWN = np.array([10.0, 10.0, 50.0])
+#: For so long the error of the drag acts the same way [s].
+_DRAG_MEMORY = 0.1
+#: Without a measurement for so long, the filter begins anew [s].
+_LOST = 0.5
+#: Frames whose times differ by less are the same one [s].
+_SAME = 1e-6
+
+
+class PuckEvent(NamedTuple):
+    """What the filter noticed."""
+
+    #: When it happened [s].
+    time: float
+    #: A bounce off the table, a hit, or the first sight.
+    kind: Literal["rail", "post", "hit", "seen"]
+
+
+@dataclass(frozen=True)
+class PuckNoise:
+    """Noise of the measured poses, standard deviations."""
+
+    position_m: float = 5e-5
+    yaw_rad: float = 7e-4
+
+
+class PuckFilter:
+    """Estimates the puck's motion from its poses.
+
+    Between bounces it is a Kalman filter with the drag of the puck; bounces off rails and posts it
+    foresees. A pose that cannot be noise is taken for a hit or for an outlier: an outlier, if the
+    next pose goes with what was believed before.
+
+    Parameters
+    ----------
+    play : AirHockey
+        Table and puck.
+    noise : PuckNoise, optional
+        Of the poses.
+
+    Attributes
+    ----------
+    belief : PuckBelief or None
+        As of the last pose; None before the first.
+    events : list of PuckEvent
+        What was noticed so far.
+    outliers : int
+        Poses that were not used.
+    """
+
+    def __init__(self, play: AirHockey, noise: PuckNoise | None = None) -> None:
+        noise = noise or PuckNoise()
+        self.model = PuckModel(play)
+        self.belief: PuckBelief | None = None
+        self.events: list[PuckEvent] = []
+        self.outliers = 0
+        self._variance = np.square([noise.position_m, noise.position_m, noise.yaw_rad])
+        self._walls = walls_of(play)
+        # Before a pose that did not fit.
+        self._before: PuckBelief | None = None
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose of the puck.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s]; one that is not after the last is left out.
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
+        if not np.isfinite(pose).all() or not math.isfinite(time):
+            return
+        if self.belief is not None and time <= self.belief.time + _SAME:
+            return
+        if self.belief is None or time > self.belief.time + _LOST:
+            self._begin(time, pose, "seen")
+            return
+        if self._before is not None:
+            self._decide(time, pose)
+        moved, bounces = self._moved(self.belief, time)
+        if self._distance(moved, pose) > GATE:
+            # Twice in a row: the first one was a hit.
+            self._before = self.belief if self._before is None else None
+            self._begin(time, pose, None)
+            return
+        self.events += bounces
+        self.belief = self._corrected(moved, pose)
+
+    def predict(self, times: list[float]) -> PuckPrediction:
+        """Predict a puck that nobody hits; see `predict_puck`.
+
+        Parameters
+        ----------
+        times : list of float
+            When [s], rising; none before the last pose.
+
+        Returns
+        -------
+        PuckPrediction
+            Mean, covariance and bounces.
+
+        Raises
+        ------
+        InputError
+            If no pose has come, or a time is before the last.
+        """
+        if self.belief is None:
+            raise InputError("no pose of the puck has come yet")
+        for time in times:
+            ahead = numbers.Range(0, 60, "a puck is predicted ahead, not for longer", "s")
+            ahead.check(time - self.belief.time, "times")
+        return predict_puck(self.model, self.belief, times)
+
+    def _begin(
+        self, time: float, pose: Float[np.ndarray, " 3"], kind: Literal["seen"] | None
+    ) -> None:
+        """Believe a pose, and nothing of the velocity."""
+        covariance = np.diag(np.concatenate([self._variance, np.square(_UNKNOWN)]))
+        self.belief = PuckBelief(time, np.concatenate([pose, np.zeros(3)]), covariance)
+        if kind is not None:
+            self._before = None
+            self.events.append(PuckEvent(time, kind))
+
+    def _decide(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Find out from the next pose what the one was that did not fit."""
+        before, self._before = self._before, None
+        assert before is not None
+        assert self.belief is not None
+        moved, _ = self._moved(before, time)
+        if self._distance(moved, pose) <= GATE:
+            self.outliers += 1
+            self.belief = before
+            return
+        # Where the old way and the new one meet.
+        span = time - before.time
+        now = (pose[:2] - self.belief.mean[:2]) / (time - self.belief.time)
+        change = before.mean[3:5] - now
+        missing = pose[:2] - before.mean[:2] - now * span
+        when = float(missing @ change / max(change @ change, 1e-12))
+        latest = self.belief.time
+        self.events.append(PuckEvent(min(max(before.time + when, before.time), latest), "hit"))
+
+    def _moved(self, belief: PuckBelief, time: float) -> tuple[PuckBelief, list[PuckEvent]]:
+        """Return the belief at a later time, and the bounces until then."""
+        puck, duration = self.model.play.puck, time - belief.time
+        meeting = self._walls.first(PuckState(*belief.mean.tolist()))
+        if time_of(puck.drag_1_s, meeting.sigma) <= duration:
+            found = predict_puck(self.model, belief, [time])
+            bounces = [PuckEvent(t.time, t.met) for t in found.touches if t.met in ("rail", "post")]
+            return PuckBelief(time, found.mean[0], found.covariance[0]), bounces
+        rates = (puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s)
+        sigma = np.array([sigma_of(rate, duration) for rate in rates])
+        step = np.eye(6)
+        step[range(3), range(3, 6)] = sigma
+        step[range(3, 6), range(3, 6)] = 1 - np.array(rates) * sigma
+        speed = float(np.hypot(*belief.mean[3:5]))
+        density = ACCELERATION_DENSITY + self.model.drag_error * speed * math.sqrt(_DRAG_MEMORY)
+        grown = step @ belief.covariance @ step.T
+        grown += process_noise(np.array([duration]), density)[0]
+        return PuckBelief(time, step @ belief.mean, grown), []
+
+    def _innovation(
+        self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """Return by how much a pose differs from the belief, and the covariance of that."""
+        innovation = pose - belief.mean[:3]
+        innovation[2] = math.remainder(innovation[2], 2 * math.pi)
+        return innovation, belief.covariance[:3, :3] + np.diag(self._variance)
+
+    def _distance(self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]) -> float:
+        """Return the squared, normalised innovation."""
+        innovation, covariance = self._innovation(belief, pose)
+        return float(innovation @ np.linalg.solve(covariance, innovation))
+
+    def _corrected(self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]) -> PuckBelief:
+        """Return the belief that has a pose."""
+        innovation, covariance = self._innovation(belief, pose)
+        gain = np.linalg.solve(covariance, belief.covariance[:3]).T
+        # Joseph's form stays positive definite after a hit, when variances differ by 1e10.
+        left = np.eye(6)
+        left[:, :3] -= gain
+        corrected = left @ belief.covariance @ left.T + (gain * self._variance) @ gain.T
+        mean = belief.mean + gain @ innovation
+        return PuckBelief(belief.time, mean, corrected)

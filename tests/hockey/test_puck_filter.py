@@ -1,0 +1,176 @@
+"""The puck's filter and its predictions, against pucks whose truth is known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey, Puck
+from airpuck.hockey.prediction import PuckBelief, PuckModel, predict_puck
+from airpuck.hockey.puck_filter import GATE, PuckFilter, PuckNoise
+from airpuck.physics.puck import PuckState
+from airpuck.twin.puck import PuckOnTable
+
+PLAY = AirHockey()
+NOISE = PuckNoise()
+SIGMA = np.array([NOISE.position_m, NOISE.position_m, NOISE.yaw_rad])
+#: All numbers of the puck are known: what is left is noise.
+KNOWN = AirHockey(
+    puck=Puck(
+        standard_error=dict.fromkeys(
+            ("drag_1_s", "spin_drag_1_s", "rail.restitution", "rail.grip"), 1e-6
+        )
+    )
+)
+
+
+def watched(found, puck, stop, rng, *, start=0.0, dropped=0.0, jitter=0.0):
+    """Let a filter see a puck; return the errors of its belief."""
+    errors = []
+    for k in range(1, round((stop - start) * 240) + 1):
+        time = start + k / 240 + jitter * rng.uniform()
+        puck.run(time)
+        if rng.random() < dropped or puck.goal:
+            continue
+        found.pose(time, np.array(puck.state[:3]) + SIGMA * rng.standard_normal(3))
+        error = found.belief.mean - puck.state
+        error[2] = math.remainder(error[2], 2 * math.pi)
+        errors.append(error)
+    return np.array(errors)
+
+
+def shot(rng, speed=4.0):
+    angle = rng.uniform(-math.pi, math.pi)
+    place = rng.uniform([-0.7, -0.35], [0.7, 0.35]).tolist()
+    way = speed * math.cos(angle), speed * math.sin(angle)
+    return PuckState(*place, 0.0, *way, float(rng.normal(0, 10)))
+
+
+def test_the_estimate_is_as_good_as_it_says():
+    # Normalised errors of the whole state: 6 on average, after a third of a second and bounces.
+    rng, normalised = np.random.default_rng(1), []
+    for _ in range(40):
+        found, puck = PuckFilter(KNOWN), PuckOnTable(KNOWN, shot(rng))
+        error = watched(found, puck, 0.35, rng, dropped=0.1, jitter=1e-3)[-1]
+        normalised.append(error @ np.linalg.solve(found.belief.covariance, error))
+        assert not [e for e in found.events if e.kind == "hit"]
+    # The filter allows for air currents that are not there: errors may be smaller.
+    assert 1.0 < np.mean(normalised) < 7.5
+
+
+def test_bounces_off_rails_are_noticed_when_they_happen():
+    puck, found = PuckOnTable(PLAY, PuckState(0.2, 0.3, 0, 2.0, 2.5)), PuckFilter(PLAY)
+    watched(found, puck, 1.5, np.random.default_rng(2))
+    bounces = [t.time for t in puck.touches if t.met == "rail"]
+    noticed = [e.time for e in found.events if e.kind == "rail"]
+    assert len(bounces) >= 3
+    assert noticed == pytest.approx(bounces, abs=1e-3)
+
+
+@pytest.mark.parametrize("moment", [0.5001, 0.5017, 0.5040])
+def test_a_hit_is_noticed_when_it_happened_and_forgotten_in_some_frames(moment):
+    rng = np.random.default_rng(3)
+    puck, found = PuckOnTable(PLAY, PuckState(0.0, 0.0, 0, -0.7, 0.2)), PuckFilter(PLAY)
+    watched(found, puck, 0.5, rng)
+    puck.run(moment)
+    puck.place(puck.state._replace(vx=6.0, vy=-1.0, spin=20.0))
+    errors = watched(found, puck, 0.55, rng, start=0.5)
+    hits = [e.time for e in found.events if e.kind == "hit"]
+    assert hits == pytest.approx([moment], abs=2e-4)
+    # Three frames later velocity is known to a percent.
+    assert np.hypot(*errors[4, 3:5]) < 0.06
+
+
+def test_an_outlier_is_no_hit():
+    rng = np.random.default_rng(4)
+    puck, found = PuckOnTable(PLAY, PuckState(0.0, 0.0, 0, 0.7, 0.2)), PuckFilter(PLAY)
+    watched(found, puck, 0.3, rng)
+    wrong = np.array(puck.state[:3]) + np.array([0.1, 0.0, 0.0])
+    found.pose(0.303, wrong)
+    errors = watched(found, puck, 0.5, rng, start=0.3 + 1 / 240)
+    assert found.outliers == 1
+    assert not [e for e in found.events if e.kind == "hit"]
+    assert np.hypot(*errors[0, 3:5]) < 0.05
+
+
+def test_old_and_broken_poses_are_left_out():
+    found = PuckFilter(PLAY)
+    found.pose(1.0, np.zeros(3))
+    before = found.belief
+    for time, pose in ((0.9, np.ones(3)), (1.0, np.ones(3)), (1.1, np.full(3, np.nan))):
+        found.pose(time, pose)
+    assert found.belief is before
+    with pytest.raises(InputError, match="times"):
+        found.predict([0.5])
+    with pytest.raises(InputError, match="no pose"):
+        PuckFilter(PLAY).predict([0.5])
+
+
+def test_after_a_long_gap_it_begins_anew():
+    found = PuckFilter(PLAY)
+    found.pose(0.0, np.zeros(3))
+    found.pose(1.0, np.array([0.5, 0.1, 0.0]))
+    assert [e.kind for e in found.events] == ["seen", "seen"]
+
+
+def test_a_prediction_of_what_is_known_exactly_is_the_flight():
+    start = PuckState(0.1, 0.2, 0.3, 4.0, 2.0, 5.0)
+    times = np.linspace(0.1, 1.0, 10)
+    puck = PuckOnTable(KNOWN, start)
+    found = predict_puck(KNOWN, PuckBelief(0.0, np.array(start), np.zeros((6, 6))), list(times))
+    for time, mean in zip(times, found.mean, strict=True):
+        puck.run(float(time))
+        np.testing.assert_allclose(mean, puck.state, atol=1e-12)
+    assert [t.met for t in found.touches] == [t.met for t in puck.touches]
+    assert len(found.touches) >= 2
+
+
+def test_bands_of_predictions_over_bounces_hold_what_they_should():
+    # Pucks whose numbers are off as `PuckModel` assumes, seen for 0.2 s, predicted for 0.5 s.
+    rng, inside, total, bounces = np.random.default_rng(5), 0, 0, 0
+    names = ("drag_1_s", "spin_drag_1_s")
+    for _ in range(60):
+        puck = Puck()
+        rail = puck.rail.model_copy(
+            update={
+                "restitution": puck.rail.restitution + 0.03 * rng.normal(),
+                "grip": puck.rail.grip + 0.1 * rng.normal(),
+            }
+        )
+        off = {
+            name: max(getattr(puck, name) + spread * rng.normal(), 0)
+            for name, spread in zip(names, (0.05, 0.1), strict=True)
+        }
+        truth = AirHockey(puck=puck.model_copy(update={**off, "rail": rail}))
+        flown, found = PuckOnTable(truth, shot(rng)), PuckFilter(PLAY)
+        watched(found, flown, 0.2, rng)
+        prediction = found.predict([0.45, 0.7])
+        if flown.goal or prediction.goal or any(t.met == "post" for t in prediction.touches):
+            continue
+        bounces += len(prediction.touches)
+        for time, mean, covariance in zip(
+            prediction.time, prediction.mean, prediction.covariance, strict=True
+        ):
+            flown.run(float(time))
+            error = (mean - flown.state)[:2]
+            # 95 % of the plane's normal distribution.
+            inside += error @ np.linalg.solve(covariance[:2, :2], error) < 5.99
+            total += 1
+    assert bounces > 40
+    assert 0.88 <= inside / total <= 0.995
+
+
+def test_numbers_that_were_identified_narrow_the_bands():
+    belief = PuckBelief(0.0, np.array([0.0, 0.3, 0, 4.0, 1.0, 0]), np.diag([1e-8] * 3 + [1e-4] * 3))
+    wide, narrow = (predict_puck(PuckModel(play), belief, [0.5]) for play in (PLAY, KNOWN))
+    assert narrow.covariance[0, 0, 0] < 0.3 * wide.covariance[0, 0, 0]
+
+
+def test_the_gate_lets_noise_pass():
+    rng, rejected = np.random.default_rng(6), 0
+    found, puck = PuckFilter(PLAY), PuckOnTable(PLAY, PuckState(0.0, 0.0, 0, 0.3, 0.1))
+    watched(found, puck, 8.0, rng)
+    rejected = found.outliers + sum(e.kind == "hit" for e in found.events)
+    assert rejected == 0
+    assert GATE > 30
