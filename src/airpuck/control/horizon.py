@@ -167,39 +167,29 @@ def _bend(
     """
     states, _, onward, felt = along
     error, excess, weights, terminal = asked
-    pushed = effort * excess
-    weighted = xp.concatenate([weights[:-1] * error[:-1], (terminal @ error[-1])[None]])
-    slope = xp.concatenate([weighted, xp.zeros((len(states), states.shape[1] - 6))], axis=1)
-    slope = slope + xp.concatenate(
-        [xp.zeros((len(states), 2)), xp.sum(felt * pushed[:, :, None], axis=1)], axis=1
-    )
-    q = felt.shape[2]
+    pushed, moving = effort * excess, felt.shape[2]
+    ends = xp.concatenate([weights[:-1] * error[:-1], (terminal @ error[-1])[None]])
+    by_push = xp.sum(felt * pushed[:, :, None], axis=1)
+    slope = xp.pad(ends, ((0, 0), (0, moving - 4))) + xp.pad(by_push, ((0, 0), (2, 0)))
 
     def back(costate: Any, given: tuple[Any, Any]) -> tuple[Any, Any]:
         slope, onward = given
-        costate = slope + xp.concatenate([costate[:2], onward_t(onward, costate)])
+        by_motion = xp.sum(onward[:, :moving] * costate[:, None], axis=0)
+        costate = slope + xp.concatenate([costate[:2], by_motion])
         return costate, costate
 
-    def onward_t(matrix: Any, costate: Any) -> Any:
-        return xp.sum(matrix[:, :q] * costate[:, None], axis=0)
-
-    following = xp.concatenate([onward[1:], xp.zeros_like(onward[:1])])
-    # After the last step nothing follows; its position would add itself.
-    _, costates = scan(xp, back, xp.zeros(states.shape[1]), (slope[::-1], following[::-1]))
-    costates = costates[::-1]
-    cos, sin = xp.cos(states[:, 2]), xp.sin(states[:, 2])
-    forward, left, angular = np.asarray(dynamics.configuration)[:, None]
-    each = xp.stack(
-        [
-            cos[:, None] * forward - sin[:, None] * left,
-            sin[:, None] * forward + cos[:, None] * left,
-            angular + 0 * cos[:, None],
-        ],
-        axis=1,
-    )
-    price = h * costates[:, 3:6] + h * h / 2 * costates[:, :3] + pushed
-    curvature = thrust_curvature(dynamics.thrust, states[:, 6:].T).T
-    return xp.maximum(xp.sum(each * price[:, :, None], axis=1) * curvature, 0.0)
+    # What each end costs: itself, and by what follows from it; nothing follows from the last.
+    after = xp.concatenate([onward[1:], xp.zeros_like(onward[:1])])
+    _, costates = scan(xp, back, xp.zeros(states.shape[1]), (slope[::-1], after[::-1]))
+    costates = xp.pad(costates[::-1], ((0, 1), (0, 0)))
+    # A motor speed at the end of a step pushes for half of it and half of the next.
+    mean = (costates[:-1] + costates[1:]) / 2
+    price = h * mean[:, 3:6] + h * h / 2 * mean[:, :3] + pushed
+    cos, sin = xp.cos(states[:, 2:3]), xp.sin(states[:, 2:3])
+    forward, left, angular = np.asarray(dynamics.configuration)
+    by_thrust = price[:, :1] * (cos * forward - sin * left)
+    by_thrust = by_thrust + price[:, 1:2] * (sin * forward + cos * left) + price[:, 2:] * angular
+    return xp.maximum(by_thrust * thrust_curvature(dynamics.thrust, states[:, 6:].T).T, 0.0)
 
 
 def linearised(

@@ -1,0 +1,189 @@
+"""The predicted problem: against the rollout, finite differences and the cost itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.compute.compiled import program
+from airpuck.control.horizon import Blocks, linearised, stages
+from airpuck.control.tuning import Limits, default_tuning
+from airpuck.model.model_file import published_model
+from airpuck.physics.effects import Drag
+from airpuck.physics.rigid_body import acceleration
+from airpuck.physics.rollout import rollout, step
+
+MODEL = published_model("M3")
+RANDOM = np.random.default_rng(2)
+STATE = np.array([0.1, -0.2, 0.7, 0.8, -0.5, 3.0])
+SPEED = RANDOM.uniform(0.2, 0.8, 6)
+START = np.concatenate([STATE, SPEED])
+COMMANDS = RANDOM.uniform(0.1, 0.9, (8, 6))
+PUSH = np.array([0.3, -0.2, 1.5])
+DRAGGED = replace(MODEL.dynamics, effects=(Drag(0.4),))
+
+
+def test_without_a_disturbance_the_states_are_those_of_the_rollout():
+    states, *_ = linearised(np, DRAGGED, 0.02, START, COMMANDS, np.zeros(3))
+    expected = rollout(np, DRAGGED, START, COMMANDS, np.full(len(COMMANDS), 0.02))
+    np.testing.assert_allclose(states, expected, rtol=1e-13)
+
+
+def test_a_disturbance_moves_a_craft_at_rest_by_half_its_square_of_time():
+    idle = np.concatenate([np.zeros(6), np.zeros(6)])
+    states, felt, *_ = linearised(np, MODEL.dynamics, 0.02, idle, np.zeros((8, 6)), PUSH)
+    time = 0.02 * np.arange(1, 9)[:, None]
+    # An offset centre of mass swings by the spin; nothing else accelerates.
+    np.testing.assert_allclose(states[:, 3:6], PUSH * time, rtol=1e-4)
+    np.testing.assert_allclose(states[:, :3], PUSH * time**2 / 2, rtol=1e-4)
+    np.testing.assert_allclose(felt, np.tile(PUSH, (8, 1)), atol=1e-4)
+
+
+def test_slopes_are_those_of_finite_differences():
+    states, _, onward, felt = linearised(np, DRAGGED, 0.02, START, COMMANDS, PUSH)
+    before, tiny = np.concatenate([START[None], states[:-1]]), 1e-6
+    for k in range(len(COMMANDS)):
+        point = np.concatenate([before[k], COMMANDS[k]])
+
+        def ends(point: np.ndarray) -> np.ndarray:
+            return step(np, DRAGGED, point[:12], point[12:], 0.02)
+
+        def pushes(state: np.ndarray) -> np.ndarray:
+            return np.array(acceleration(np, DRAGGED, state[2:6], state[6:]))
+
+        for j in range(2, 18):
+            d = tiny * np.eye(18)[j]
+            slope = (ends(point + d) - ends(point - d)) / (2 * tiny)
+            np.testing.assert_allclose(onward[k, :, j - 2], slope, atol=2e-8)
+        for j in range(2, 12):
+            d = tiny * np.eye(12)[j]
+            slope = (pushes(states[k] + d) - pushes(states[k] - d)) / (2 * tiny)
+            np.testing.assert_allclose(felt[k, :, j - 2], slope, atol=2e-7)
+
+
+def test_compiled_it_is_the_same():
+    given = START, COMMANDS, PUSH
+
+    def all_of(xp, start, commands, push):
+        return linearised(xp, DRAGGED, 0.02, start, commands, push)
+
+    compiled = program(all_of, *given, compiled=True)(*given)
+    for one, other in zip(compiled, all_of(np, *given), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def posed(plan, wanted, *, state=STATE, model=MODEL, blocks=None, way=0.0, **limits):
+    """Pose a problem with equal weights, and a fence of ± 1 m and ± 0.4 m."""
+    regulator = default_tuning().regulator.model_copy(update={"limits": Limits(**limits)})
+    blocks = blocks or Blocks(0.02, (2, 2, 2))
+    count = len(blocks.times)
+    ask = np.tile(wanted, (count, 1)), np.zeros((count, 3)), np.ones((count, 6)), np.eye(6)
+    fence = np.array([[-1.0, -0.4], [1.0, 0.4]])
+    believed = state, SPEED, np.zeros(3), np.ones(6)
+    discs = np.array(regulator.limits.keep_out_m).reshape(-1, 3)
+    pose = stages(model, blocks, regulator, True)
+    return pose(np, *believed, np.array(way), plan, *ask, fence, discs)
+
+
+PLAN = RANDOM.uniform(0.2, 0.8, (3, 6))
+
+
+@given(st.integers(-20, 20), st.floats(-3, 3))
+def test_whole_turns_of_target_and_craft_do_not_count(turns, yaw):
+    wanted, turned = np.zeros(6), np.zeros(6)
+    wanted[2], turned[2] = yaw, yaw + 2 * np.pi * turns
+    one, other = (posed(PLAN, each).error for each in (wanted, turned))
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    assert abs(one[0, 2]) < np.pi + 0.1
+
+
+def test_at_half_a_turn_the_way_round_is_kept():
+    wanted = np.zeros(6)
+    wanted[2] = STATE[2] - np.pi + 0.01  # a little more than half a turn to the left
+    assert posed(PLAN, wanted).way > 3
+    assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(-np.pi - 0.01)
+    assert posed(PLAN, wanted, way=3.1).way > 3
+    # A quarter of a turn is no question.
+    wanted[2] = STATE[2] - np.pi / 2
+    assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(np.pi / 2)
+
+
+def test_limits_are_met_by_changes_that_reach_them():
+    s = posed(PLAN, np.zeros(6), speed_m_s=0.5, spin_rad_s=2.0, keep_out_m=((0.5, 0.1, 0.2),))
+    change = RANDOM.normal(size=(6, 6))
+    reached = s.states[:, :6] + change
+    moved = np.einsum("kci,ki->kc", s.limited, change)
+    headway = Limits().headway_s
+    for i in (0, 1):
+        later = reached[:, i] + headway * reached[:, 3 + i]
+        side = (-1.0, 1.0) if i == 0 else (-0.4, 0.4)
+        np.testing.assert_allclose(moved[:, i] - s.lower[:, i], later - side[0], atol=1e-12)
+        np.testing.assert_allclose(s.upper[:, i] - moved[:, i], side[1] - later, atol=1e-12)
+    planned = s.states[:, 3:5] / np.linalg.norm(s.states[:, 3:5], axis=1)[:, None]
+    along = np.sum(planned * reached[:, 3:5], axis=1)
+    np.testing.assert_allclose(s.upper[:, 2] - moved[:, 2], 0.5 - along, atol=1e-12)
+    np.testing.assert_allclose(s.upper[:, 3] - moved[:, 3], 2.0 - reached[:, 5], atol=1e-12)
+    # The distance from a disc's middle is at least its share along the way from it in the plan.
+    share = moved[:, 4] - s.lower[:, 4] + 0.2
+    assert (share <= np.linalg.norm(reached[:, :2] - (0.5, 0.1), axis=1) + 1e-12).all()
+
+
+def test_the_bend_of_the_thrust_curves_is_in_the_hessian():
+    # One short step: nothing but the thrusts bends, so the Hessian of the cost is known.
+    blocks, h = Blocks(0.01, (1,)), 0.01
+    regulator = default_tuning().regulator
+    w = regulator.weights
+    effort = h * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
+    wanted = np.array([3.0, 1.0, 0.7, 0.0, 0.0, 0.0])
+
+    def cost(plan: np.ndarray) -> float:
+        s = posed(plan, wanted, blocks=blocks)
+        return (s.error[-1] @ s.error[-1] + s.excess[0] @ (effort * s.excess[0])) / 2
+
+    plan, tiny = np.full((1, 6), 0.9), 1e-3
+    s = posed(plan, wanted, blocks=blocks)
+    drive = s.onward[0, 6:, 10:].diagonal()
+    left_out = np.zeros((2, 6))
+    for motor in range(6):
+        d = tiny * np.eye(6)[motor][None]
+        curved = (cost(plan + d) - 2 * cost(plan) + cost(plan - d)) / tiny**2
+        by_u = s.onward[0, :6, 10 + motor]
+        felt = s.felt[0, :, 4 + motor] * drive[motor]
+        gauss_newton = by_u @ by_u + felt @ (effort * felt)
+        left_out[0, motor] = curved - gauss_newton
+        left_out[1, motor] = left_out[0, motor] - s.bend[0, motor] * drive[motor] ** 2
+    # What would make it less convex is left out on purpose.
+    wanted_less = left_out[0] < 0
+    assert not s.bend[0, wanted_less & (left_out[0] < -0.02)].any()
+    assert left_out[0].max() > 0.05
+    assert np.abs(left_out[1, ~wanted_less]).max() < left_out[0].max() / 2
+
+
+def test_straight_thrust_curves_do_not_bend():
+    straight = MODEL.parameters.thrust * [1.0, 0.0, 0.0]
+    model = replace(MODEL, parameters=replace(MODEL.parameters, thrust=straight))
+    assert not posed(PLAN, np.zeros(6), model=model).bend.any()
+
+
+@settings(max_examples=50)
+@given(st.floats(0, 0.11), st.lists(st.integers(1, 4), min_size=2, max_size=6))
+def test_a_shifted_plan_gives_what_was_planned(elapsed, lengths):
+    blocks = Blocks(0.02, tuple(lengths))
+    plan = np.random.default_rng(len(lengths)).uniform(size=(len(lengths), 2))
+    shifted = blocks.shifted(plan, elapsed)
+    # By brute force: the mean of the old plan, the last command held, in small pieces.
+    edges = 0.02 * np.concatenate([[0], np.cumsum(lengths)])
+    for b, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        times = begin + elapsed + (end - begin) * (np.arange(4000) + 0.5) / 4000
+        old = np.minimum(np.searchsorted(edges, times, side="right") - 1, len(lengths) - 1)
+        np.testing.assert_allclose(shifted[b], plan[old].mean(axis=0), atol=2e-3)
+
+
+def test_a_horizon_is_cut_into_blocks():
+    regulator = default_tuning().regulator
+    blocks = Blocks.of(regulator.model_copy(update={"horizon_s": 0.22, "block": 4}))
+    assert blocks.lengths == (4, 4, 3)
+    np.testing.assert_array_equal(blocks.owner, [0] * 4 + [1] * 4 + [2] * 3)
+    np.testing.assert_allclose(blocks.times[[0, -1]], [0.02, 0.22])
