@@ -139,16 +139,20 @@ class MPC:
     def _to_arrive(
         self, arrival: Arrival, delay: float
     ) -> tuple[Float[np.ndarray, "N 6"], Float[np.ndarray, "6 6"]]:
-        """Return weights for which only the arrival counts until then, and the target after it."""
+        """Return weights for which only the arrival counts."""
         # An error of the precision asked for costs as much as 1 m/s² or rad/s² for a second.
         sharp = np.tile(self._efforts, 2) / arrival.precision**2
         times, left = self._blocks.times, max(arrival.remaining - delay, _SOON)
+        weights = np.zeros_like(self._weights)
         if left > times[-1]:
-            return np.zeros_like(self._weights), _way_left(left - times[-1], self._efforts, sharp)
-        met = int(np.argmin(np.abs(times - left)))
-        weights = np.where((times > times[met])[:, None], self._weights, 0.0)
-        weights[met] = sharp
-        return weights, self._terminal if met < len(times) - 1 else np.diag(sharp)
+            return weights, _way_left(left - times[-1], self._efforts, sharp)
+        # Between two ends of steps each counts by its share.
+        after = int(np.searchsorted(times, left))
+        share = 1 - (times[after] - left) / self._blocks.step
+        weights[after] = share * sharp
+        if after:
+            weights[after - 1] = (1 - share) * sharp
+        return weights, np.diag(weights[-1])
 
     def finished(self, estimate: Estimate, staged: Sequence[Any]) -> Step:
         """Solve the program and return the first command of the better plan."""

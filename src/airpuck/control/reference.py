@@ -172,8 +172,8 @@ class TimedPath:
 class Rendezvous:
     """A state to reach at a given time, whatever the way there: to meet something that moves.
 
-    A predictive law arrives at that time; before it, nothing else counts. Other laws chase a target
-    that passes through the state at its velocity.
+    Until then, nothing else counts for a predictive law. Other laws chase a target that passes
+    through the state at its velocity.
 
     Parameters
     ----------
@@ -210,19 +210,19 @@ class Rendezvous:
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the state on its way through the rendezvous; afterwards, what follows."""
-        left = self.time - now - ahead
-        if left < 0:
+        if self.time < now + ahead:
             return self.then.at(now, ahead)
-        way = np.concatenate([self.state[:3] - left * self.state[3:], self.state[3:]])
-        return Target(way, np.zeros(3))
+        wanted = self.over(now, np.array([ahead]))
+        return Target(wanted.states[0], wanted.accelerations[0])
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
         """Return the same at several times, and the arrival; see `course`."""
-        arrival = Arrival(self.time - now, self.precision)
-        if self.time < now + ahead[0]:
+        left = self.time - now - ahead[:, None]
+        if left[0] < 0:
             return course(self.then, now, ahead)
-        targets = [self.at(now, each) for each in ahead.tolist()]
-        return _listed(targets, arrival)
+        poses = self.state[:3] - left * self.state[3:]
+        states = np.hstack([poses, np.tile(self.state[3:], (len(ahead), 1))])
+        return Course(states, np.zeros_like(poses), Arrival(self.time - now, self.precision))
 
 
 def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
@@ -233,13 +233,9 @@ def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> 
     over = getattr(reference, "over", None)
     if over is not None:
         return over(now, ahead)
-    return _listed([reference.at(now, each) for each in ahead.tolist()])
-
-
-def _listed(targets: Sequence[Target], arrival: Arrival | None = None) -> Course:
-    """Join targets of one time each."""
+    targets = [reference.at(now, each) for each in ahead.tolist()]
     states = np.stack([target.state for target in targets])
-    return Course(states, np.stack([target.acceleration for target in targets]), arrival)
+    return Course(states, np.stack([target.acceleration for target in targets]))
 
 
 def _held(target: Target, count: int) -> Course:

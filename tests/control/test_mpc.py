@@ -1,0 +1,205 @@
+"""The predictive law: closed loops on simulated craft, and every way in which it can fail."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airpuck.control.law import FLYING, Step
+from airpuck.control.mpc import MPC
+from airpuck.control.reference import Reference, Rendezvous, SetPoint, TimedPath
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Limits, Tuning, default_tuning
+from airpuck.craft.table import Table
+from airpuck.estimate.estimator import Estimate
+from airpuck.model.model_file import Model, published_model
+from airpuck.physics.rollout import step as physics
+
+from .flights import HOME, fly
+
+MODEL = published_model("M3")
+H = 0.01
+
+
+def tuned(**limits) -> Tuning:
+    base = default_tuning()
+    found = base.regulator.model_copy(update={"kind": "mpc", "limits": Limits(**limits)})
+    return base.model_copy(update={"regulator": found})
+
+
+def law(table: Table | None = None, **limits) -> TrackingController:
+    return TrackingController(MODEL, HOME, tuned(**limits), table=table)
+
+
+def closed_loop(
+    ours: TrackingController,
+    reference: Reference,
+    duration: float,
+    start: np.ndarray,
+    *,
+    model: Model = MODEL,
+) -> tuple[np.ndarray, list[Step]]:
+    """Steer a craft whose state is known and that has no delay: states at 100 Hz, steps."""
+    ours.reference = reference
+    state = np.concatenate([start, np.full(6, MODEL.vehicle.command_min)])
+    states, steps = [state], []
+    delay = ours.model.transport_delay
+    for k in range(round(duration / H)):
+        estimate = Estimate(k * H, state[:6], state[6:], np.zeros(3))
+        # Sent so much earlier that it acts now.
+        steps.append(ours.steer(estimate, k * H - delay))
+        for _ in range(2):
+            state = physics(np, model.dynamics, state, steps[-1].command, H / 2)
+        states.append(state)
+    return np.array(states), steps
+
+
+FREE = law()
+
+
+def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
+    return np.array([x, y, yaw, 0.0, 0.0, 0.0])
+
+
+def test_it_reaches_set_points_that_an_lqr_needs_longer_for():
+    target, settled = np.array([0.6, -0.2, 2.8]), []
+    for ours in (FREE, TrackingController(MODEL, HOME)):
+        states, steps = closed_loop(ours, SetPoint(*target), 2.0, at_rest(-0.6, 0.2, 0.0))
+        apart = np.abs(states[:, :3] - target)
+        far = (np.hypot(*apart[:, :2].T) > 0.01) | (apart[:, 2] > 0.05)
+        settled.append(np.flatnonzero(far)[-1] * H)
+        assert all(one.status in FLYING for one in steps)
+    assert settled[0] < 0.75 * settled[1]
+    np.testing.assert_allclose(states[-1, :3], target, atol=0.02)
+
+
+def test_it_flies_a_craft_with_delay_that_is_another_than_believed():
+    ours = TrackingController(MODEL, SetPoint(0.3, 0.1, 1.0), tuned())
+    _, poses, steps = fly(ours, 1.5)
+    np.testing.assert_allclose(poses[-1], [0.3, 0.1, 1.0], atol=5e-3)
+    assert {one.status for one in steps[5:]} <= {"optimal", "softened"}
+
+
+def test_what_it_expects_is_what_comes():
+    states, steps = closed_loop(FREE, SetPoint(0.5, 0.1, 1.0), 0.6, at_rest(0.0, 0.0, 0.0))
+    ahead = steps[20].prediction
+    assert ahead is not None
+    k = round(ahead.times[4] / H)
+    np.testing.assert_allclose(ahead.states[4, :3], states[20 + k, :3], atol=8e-3)
+    assert "motor" in ahead.active
+
+
+def test_a_path_is_followed_without_lag():
+    times = np.linspace(0, 2, 21)
+    poses = np.stack([0.4 * np.sin(2 * times), 0.2 * np.sin(4 * times), times], axis=1)
+    path = TimedPath(times, poses)
+    start = np.concatenate([poses[0], np.zeros(3)])
+    states, _ = closed_loop(FREE, path, 2.0, start)
+    wanted = np.array([path.at(k * H, 0.0).state for k in range(len(states))])
+    assert np.abs(states[60:190, :2] - wanted[60:190, :2]).max() < 0.006
+
+
+@pytest.mark.parametrize("yaw", [1.0, np.inf])
+def test_a_rendezvous_is_kept(yaw):
+    met = np.array([0.5, 0.15, 1.0, 0.4, -0.9, 0.0])
+    precision = (0.002, 0.002, 0.05 if np.isfinite(yaw) else np.inf, 0.05, 0.05, np.inf)
+    meeting = Rendezvous(0.9, met, precision=precision, then=SetPoint(0.0, 0.0, 0.0))
+    states, _ = closed_loop(FREE, meeting, 2.2, at_rest(-0.3, -0.2, 0.0))
+    arrived = states[90]
+    np.testing.assert_allclose(arrived[:2], met[:2], atol=0.004)
+    np.testing.assert_allclose(arrived[3:5], met[3:5], atol=0.08)
+    if np.isfinite(yaw):
+        assert arrived[2] == pytest.approx(1.0, abs=0.06)
+    np.testing.assert_allclose(states[-1, :2], 0.0, atol=0.01)  # and then it goes on
+
+
+def test_the_way_to_a_rendezvous_is_the_cheapest():
+    # The weight of an error some time before is what the least effort to undo it costs: of the
+    # cubic through both ends, integrated by hand.
+    from airpuck.control.mpc import _way_left
+
+    left, effort, apart, drift = 0.7, 0.3, 0.2, -0.5
+    weight = _way_left(left, np.full(3, effort), np.ones(6))
+    # x(t) = e + e't + a t² + b t³ with x(T) = x'(T) = 0.
+    a, b = np.linalg.solve(
+        [[left**2, left**3], [2 * left, 3 * left**2]], [-apart - drift * left, -drift]
+    )
+    times = np.linspace(0, left, 20001)
+    cost = np.trapezoid((2 * a + 6 * b * times) ** 2, times) * effort
+    error = np.array([apart, 0, 0, drift, 0, 0])
+    assert error @ weight @ error == pytest.approx(cost, rel=1e-6)
+
+
+def test_it_stops_before_rails_that_a_target_is_beyond():
+    states, steps = closed_loop(FREE, SetPoint(3.0, 0.0, 0.0), 1.5, at_rest(0.0, 0.0, 0.0))
+    border = Table().reach(MODEL.vehicle.radius_m)[0]
+    assert states[:, 0].max() < border
+    assert states[-1, 0] > border - 0.02
+    assert "rail" in steps[-1].prediction.active
+
+
+def test_limits_of_speed_spin_fence_and_discs_are_kept():
+    ours = law(
+        speed_m_s=0.8,
+        spin_rad_s=4.0,
+        fence_m=(-0.9, -0.4, 0.55, 0.4),
+        keep_out_m=((0.0, 0.0, 0.2),),
+    )
+    states, steps = closed_loop(ours, SetPoint(0.6, 0.02, 3.0), 2.5, at_rest(-0.6, 0.0, 0.0))
+    assert np.hypot(*states[:, 3:5].T).max() < 0.84
+    assert np.abs(states[:, 5]).max() < 4.2
+    assert states[:, 0].max() < 0.553
+    assert np.hypot(*states[:, :2].T).min() > 0.197
+    assert states[-1, 0] > 0.5
+    active = {kind for one in steps if one.prediction for kind in one.prediction.active}
+    assert {"speed", "spin", "disc", "rail"} <= active
+
+
+def test_a_table_smaller_than_the_craft_has_an_answer():
+    ours = law(Table(length_m=0.1, width_m=0.1))
+    _, steps = closed_loop(ours, SetPoint(0.5, 0.0, 0.0), 0.2, at_rest(0.2, 0.0, 0.0))
+    assert {one.status for one in steps} <= {"softened", "iteration limit"}
+
+
+def test_without_an_answer_the_plan_the_lqr_and_idling_motors_follow(monkeypatch):
+    ours = law()
+    controller = ours.law
+    assert isinstance(controller, MPC)
+    craft = Estimate(0.0, at_rest(0.1, 0.0, 0.5), np.full(6, 0.3), np.zeros(3))
+    first = ours.steer(craft, 0.0)
+    assert first.status == "optimal"
+    monkeypatch.setattr(controller._solver, "solve", lambda formed: None)
+    later = [ours.steer(craft, 0.01 * k) for k in range(1, 16)]
+    assert [one.status for one in later] == ["iteration limit"] * 10 + ["fallback"] * 5
+    for one in later:
+        assert one.flies
+    lost = replace(craft, state=np.full(6, np.nan))
+    idle = ours.steer(lost, 0.2)
+    assert idle.status == "failed"
+    np.testing.assert_array_equal(idle.command, np.full(6, MODEL.vehicle.command_min))
+
+
+def test_the_lqr_that_steers_in_its_place_is_that_of_the_tuning():
+    ours, lqr = law(), TrackingController(MODEL, HOME)
+    craft = Estimate(0.0, at_rest(0.1, 0.0, 0.5), np.full(6, 0.3), np.zeros(3))
+    ours.law._solver.solve = lambda formed: None
+    one, other = ours.steer(craft, 0.0), lqr.steer(craft, 0.0)
+    assert one.status == "fallback"
+    np.testing.assert_allclose(one.command, other.command, atol=1e-9)
+
+
+anything = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-5, 5)
+
+
+@settings(max_examples=60)
+@given(st.lists(anything, min_size=6, max_size=6), st.lists(anything, min_size=3, max_size=3))
+def test_whatever_is_believed_commands_are_finite_and_within_limits(state, push):
+    with np.errstate(all="ignore"):
+        craft = Estimate(0.0, np.array(state), np.full(6, 0.3), np.array(push))
+        FREE.reference = SetPoint(0.4, 0.0, 1.0)
+        found = FREE.steer(craft, 0.0)
+    assert np.isfinite(found.command).all()
+    assert (found.command >= MODEL.vehicle.command_min).all()
+    assert (found.command <= MODEL.vehicle.command_max).all()
