@@ -1,6 +1,7 @@
 """The predicted problem: against the rollout, finite differences and the cost itself."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -175,7 +176,7 @@ def test_a_shifted_plan_gives_what_was_planned(elapsed, lengths):
     shifted = blocks.shifted(plan, elapsed)
     # By brute force: the mean of the old plan, the last command held, in small pieces.
     edges = 0.02 * np.concatenate([[0], np.cumsum(lengths)])
-    for b, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for b, (begin, end) in enumerate(pairwise(edges)):
         times = begin + elapsed + (end - begin) * (np.arange(4000) + 0.5) / 4000
         old = np.minimum(np.searchsorted(edges, times, side="right") - 1, len(lengths) - 1)
         np.testing.assert_allclose(shifted[b], plan[old].mean(axis=0), atol=2e-3)
