@@ -27,6 +27,7 @@ ORDER = (
     "faults",
     "identification",
     "control",
+    "planning",
     "flight",
     "twin",
     "hockey",
@@ -74,6 +75,7 @@ def test_imports_go_downwards(path):
         ("jax", {"compute", "evaluation", "identification", "twin"}),
         ("optax", {"identification"}),
         ("scipy", {"control", "evaluation", "faults", "flight", "identification", "twin"}),
+        ("casadi", {"compute", "planning"}),
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),
@@ -121,7 +123,9 @@ def test_importing_stays_light(module):
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
-    assert not {"jax", "matplotlib", "scipy", "rosbags", "optax", "cyclonedds"} & set(loaded)
+    assert not {"jax", "casadi", "matplotlib", "scipy", "rosbags", "optax", "cyclonedds"} & set(
+        loaded
+    )
 
 
 def test_every_public_name_can_be_imported():

@@ -16,6 +16,7 @@ FIRST_USE = {
     "control": """python -c "import airpuck; airpuck.read_model('paper:M3').to_statespace()" """,
     "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
     "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
+    "plan": "airpuck plan --from 0 0 0 --to 0.5 0 0",
     "campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet",
 }
 SPEC = 'kind = "tracking"\nseeds = 1\nbase.dwell_s = 0.2\n'

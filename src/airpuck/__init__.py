@@ -69,6 +69,8 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.model.model_file import Model as Model, read_model as read_model
     from airpuck.model.parameters import Parameters as Parameters
     from airpuck.model.rungs import named_rung as named_rung
+    from airpuck.planning.plan import Plan as Plan, plan as plan, read_plan as read_plan
+    from airpuck.planning.request import Goal as Goal, Limits as Limits
     from airpuck.preprocessing.pipeline import (
         load_trajectory as load_trajectory,
         preprocess as preprocess,
@@ -130,6 +132,8 @@ _NAMES = {
     "model.model_file": "Model read_model",
     "model.parameters": "Parameters",
     "model.rungs": "named_rung",
+    "planning.plan": "Plan plan read_plan",
+    "planning.request": "Goal Limits",
     "preprocessing.pipeline": "load_trajectory preprocess",
     "recording.bag_writer": "write_bag",
     "recording.csv_folder": "write_csv",

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import sys
+from itertools import islice
 from typing import Annotated, Any
 
 import typer
@@ -53,6 +54,27 @@ class Command(_PlainFlags, TyperCommand):
         if not ctx.resilient_parsing:
             check_inputs(ctx)
         return rest
+
+
+def repeated(**counts: int) -> type[Command]:
+    """Return a kind of command with options of so many numbers each, that may be repeated.
+
+    Typer knows options of several numbers, and options that are repeated, but not both in one. The
+    command gets texts with the numbers in them.
+    """
+
+    class Repeated(Command):
+        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+            """Join the numbers to one argument."""
+            joined, left = [], iter(args)
+            for arg in left:
+                joined.append(arg)
+                count = counts.get(arg.removeprefix("--").replace("-", "_"), 0)
+                if count and arg.startswith("--"):
+                    joined.append(" ".join(islice(left, count)))
+            return super().parse_args(ctx, joined)
+
+    return Repeated
 
 
 class _Group(_PlainFlags, TyperGroup):

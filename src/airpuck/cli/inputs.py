@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import airpuck
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli.output import warn
 
@@ -134,6 +135,22 @@ def read_excitation(
     given = {"duration_s": duration, "amplitude": amplitude, "hold_s": hold}
     planned = ExcitationPlan() if path is None else read_excitation_plan(path)
     return planned.model_copy(update={k: v for k, v in given.items() if v is not None})
+
+
+def rows(texts: Sequence[str], count: int, option: str, words: str) -> list[tuple[float, ...]]:
+    """Read the numbers of an option that may be repeated, each time with so many of them."""
+    found = []
+    for text in texts:
+        try:
+            row = tuple(map(float, text.split()))
+        except ValueError:
+            row = ()
+        if len(row) != count:
+            raise InputError(words, field=option)
+        for number in row:
+            numbers.COORDINATE.check(number, option)
+        found.append(row)
+    return found
 
 
 def published_flights(models: Sequence[str]) -> list[Path | None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +13,7 @@ import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
-from airpuck.cli.app import Command, app
+from airpuck.cli.app import app, repeated
 from airpuck.cli.output import is_stdout, report, show, write_json
 
 if TYPE_CHECKING:
@@ -79,21 +78,7 @@ def twin(
     )
 
 
-class _Triples(Command):
-    """A command whose --setpoint takes three numbers and may be repeated; Typer knows only one."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join the three numbers to one argument."""
-        joined = []
-        left = iter(args)
-        for arg in left:
-            joined.append(arg)
-            if arg == SETPOINT:
-                joined.append(" ".join(islice(left, 3)))
-        return super().parse_args(ctx, joined)
-
-
-@app.command(rich_help_panel=_PANEL, cls=_Triples)
+@app.command(rich_help_panel=_PANEL, cls=repeated(setpoint=3))
 def fly(
     model: Annotated[str | None, options.CONTROLLERS_MODEL] = None,
     setpoints: Annotated[
@@ -329,14 +314,8 @@ def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None)
     if file is not None:
         return read_setpoints(file)
     dwell = 3.0 if dwell is None else dwell
-    try:
-        poses = [tuple(map(float, text.split())) for text in texts or ["0 0 0"]]
-    except ValueError:
-        poses = [()]
-    if any(len(pose) != 3 for pose in poses):
-        raise InputError("give three numbers: x [m], y [m], yaw [rad]", field=SETPOINT)
-    for coordinate in chain.from_iterable(poses):
-        numbers.COORDINATE.check(coordinate, SETPOINT)
+    words = "give three numbers: x [m], y [m], yaw [rad]"
+    poses = inputs.rows(texts or ["0 0 0"], 3, SETPOINT, words)
     return SetPoints([k * dwell for k in range(len(poses))], poses)
 
 

@@ -44,6 +44,9 @@ def lag_at(xp: Any, speed: Any, time_constant: Any, idle_lag: Any = None) -> Any
 
 def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
     """Return exp(-h/τ), A of eq. dis_motor_dynamics; 0 for τ = 0, with a finite derivative."""
+    if getattr(getattr(time_constant, "dtype", None), "hasobject", False):
+        # CasADi's symbols, which have no truth value. A lag that depends on the speed is never 0.
+        return xp.exp(-duration / time_constant)
     # No division by zero even in the branch that is not taken: where() hides the value of a NaN,
     # but not its derivative.
     lagging = time_constant > 0

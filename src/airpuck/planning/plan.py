@@ -1,0 +1,382 @@
+"""Time-optimal plans: the shortest flight that was found, and a time that none undercuts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.control.reference import Numbers, Target
+from airpuck.craft.table import Table
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration
+from airpuck.planning.certificate import Weight, lower_bound, lower_bound_through
+from airpuck.planning.request import Goal, Limits, Request, checked_request
+from airpuck.planning.starts import starts
+from airpuck.planning.transcription import Path, Solved, program_for
+
+_FORMAT = "airpuck plan 1"
+#: Intervals of the program that judges the starts.
+_COARSE = 20
+#: Paths that may be refined before the search gives up.
+_REFINED = 5
+#: Samples of a plan are this far apart [s].
+_SAMPLE = 1e-3
+#: Parts of an interval in which a path is simulated again; how far off its end may be (x, y, γ and
+#: their rates), and how far between nodes it may be beyond what it must not touch [m].
+_PARTS, _MISSED = 5, np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-2])
+_GRAZED = 3e-3
+#: Multipliers of rails that are nothing, as a share of the largest price.
+_TOUCH = 1e-3
+
+
+@dataclass(frozen=True)
+class Start:
+    """A start of the search and what became of it.
+
+    Attributes
+    ----------
+    name : str
+        How the craft turns, or passes, in the first guess.
+    time_s : float or None
+        The duration that the coarse program found; None if it did not converge.
+    status : str
+        The solver's words.
+    """
+
+    name: str
+    time_s: float | None
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A time-optimal flight; a reference that a controller can track.
+
+    Attributes
+    ----------
+    model : Model
+        The craft that it was planned for.
+    time : array, shape (N + 1,)
+        Times of the nodes from the start on [s].
+    states : array, shape (N + 1, 6 + n)
+        x, y [m], γ [rad], their rates and the motor speeds at the nodes.
+    commands : array, shape (N, n)
+        Commands that reach the motors between the nodes; the transport delay is not in them.
+    lower_bound : float
+        No control of these motors within the same limits of spin and speed takes less time [s].
+    starts : tuple of Start
+        What the search began with, and what it found there.
+    reserve : float
+        Share of every motor's thrust that the plan leaves to feedback.
+    begin : float, default 0
+        When the flight begins, on the clock of the controller [s].
+    """
+
+    model: Model
+    time: Float[np.ndarray, " nodes"]
+    states: Float[np.ndarray, "nodes s"]
+    commands: Float[np.ndarray, "intervals n"]
+    lower_bound: float
+    starts: tuple[Start, ...] = ()
+    reserve: float = 0.0
+    begin: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """How long the flight takes [s]."""
+        return float(self.time[-1])
+
+    @property
+    def spread(self) -> float:
+        """By what share the worst start that converged is slower than the best."""
+        times = [start.time_s for start in self.starts if start.time_s is not None]
+        return max(times) / min(times) - 1 if times else 0.0
+
+    def starting(self, begin: float) -> Plan:
+        """Return the plan for another time of departure.
+
+        Parameters
+        ----------
+        begin : float
+            When the flight begins, on the clock of the controller [s].
+
+        Returns
+        -------
+        Plan
+            A copy.
+        """
+        return replace(self, begin=begin)
+
+    @cached_property
+    def samples(self) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M s"]]:
+        """Times [s] and states of the flight as simulated from the start, a millisecond apart."""
+        path = Path(np.array([self.duration]), self.states, self.commands)
+        parts = int(np.ceil(np.diff(self.time).max() / _SAMPLE))
+        return path.simulated(self.model, self.time, parts)
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the planned state and acceleration at ``now + ahead``; see `Reference.at`.
+
+        Before the beginning and after the end the craft is to stand still there.
+        """
+        times, states = self.samples
+        time = now + ahead - self.begin
+        inside = min(max(time, 0.0), float(times[-1]))
+        last = min(int(np.searchsorted(times, inside, side="right")) - 1, len(times) - 2)
+        share = (inside - times[last]) / (times[last + 1] - times[last])
+        state = (1 - share) * states[last] + share * states[last + 1]
+        if inside != time:
+            return Target(np.append(state[:3], np.zeros(3)), np.zeros(3))
+        rates = acceleration(np, self.model.dynamics, state[2:6], state[6:])
+        return Target(state[:6].copy(), np.array(rates))
+
+    def motors_at(self, now: float, ahead: float) -> Float[np.ndarray, " n"]:
+        """Return the commands that are planned to reach the motors at ``now + ahead``.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        ahead : float
+            How long from now on [s].
+
+        Returns
+        -------
+        array, shape (n,)
+            Commands; idle before the beginning and after the end.
+        """
+        time = now + ahead - self.begin
+        if not 0 <= time < self.duration:
+            return np.full(self.commands.shape[1], self.model.vehicle.command_min)
+        return self.commands[int(np.searchsorted(self.time, time, side="right")) - 1].copy()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            Duration, bound, and what the starts gave.
+        """
+        return {
+            "time_s": self.duration,
+            "lower_bound_s": self.lower_bound,
+            "gap": 1 - self.lower_bound / self.duration,
+            "converged": True,
+            "reserve": self.reserve,
+            "starts": [vars(start) for start in self.starts],
+            "spread": self.spread,
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the plan as TOML; `read_plan` reads every number back bit-equal.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        content = {
+            "format": _FORMAT,
+            "motors": list(self.model.vehicle.propeller_names),
+            "lower_bound_s": self.lower_bound,
+            "reserve": self.reserve,
+            "times_s": self.time.tolist(),
+            "states": self.states.tolist(),
+            "commands": self.commands.tolist(),
+        }
+        write_toml(path, content, header="An airpuck plan: a time-optimal flight.")
+
+
+class _PlanFile(Section):
+    format: str
+    motors: tuple[str, ...]
+    lower_bound_s: float
+    reserve: float
+    times_s: tuple[float, ...]
+    states: tuple[tuple[float, ...], ...]
+    commands: tuple[tuple[float, ...], ...]
+
+
+def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
+    """Read a plan file.
+
+    Parameters
+    ----------
+    path : path-like
+        As `Plan.save` writes it.
+    model : Model
+        Of the craft that is to fly it.
+
+    Returns
+    -------
+    Plan
+        The plan, without the starts of its search.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is damaged, or is for other motors.
+    """
+    content = read_toml(path, _PlanFile)
+    if content.format != _FORMAT:
+        raise InputError(f"is not {_FORMAT!r}", file=path, field="format")
+    if content.motors != model.vehicle.propeller_names:
+        raise InputError(
+            f"is for the motors {', '.join(content.motors)}; give the model it was made with",
+            file=path,
+            field="motors",
+        )
+    n, nodes = len(content.motors), len(content.times_s)
+    time = np.array(content.times_s)
+    widths = {len(row) for row in content.states}, {len(row) for row in content.commands}
+    if nodes < 2 or widths != ({6 + n}, {n}) or len(content.states) != nodes:
+        raise InputError("has rows of a wrong length", file=path, field="states")
+    if len(content.commands) != nodes - 1 or time[0] != 0 or (np.diff(time) <= 0).any():
+        raise InputError("times must rise from 0, one for each state", file=path, field="times_s")
+    states, commands = np.array(content.states), np.array(content.commands)
+    bound, reserve = content.lower_bound_s, content.reserve
+    return Plan(model, time, states, commands, bound, reserve=reserve)
+
+
+def plan(
+    model: Model,
+    start: Numbers,
+    goal: Goal | Numbers,
+    *,
+    via: Sequence[Numbers] = (),
+    table: Table | None = None,
+    keep_out: Sequence[Numbers] = (),
+    limits: Limits | None = None,
+    intervals: int = 40,
+    warm: Plan | None = None,
+) -> Plan:
+    """Plan the fastest flight from one state to another, with a time that none undercuts.
+
+    Local optima exist. The search begins from several paths on a coarse grid, and refines the best;
+    `Plan.starts` says which they were and how far apart their ends are.
+
+    Parameters
+    ----------
+    model : Model
+        The craft.
+    start : array, shape (3,), (6,) or (6 + n,)
+        x, y [m], γ [rad]; their rates, by default 0; the motor speeds, by default idle.
+    goal : Goal or array, shape (3,) or (6,)
+        Where to; numbers alone are a yaw by the shorter way, and rates, by default 0.
+    via : sequence of (x, y), optional
+        Points that the craft's centre passes, in this order [m].
+    table : Table, optional
+        Whose rails the craft does not touch; by default there are none.
+    keep_out : sequence of (x, y, radius), optional
+        Discs that the craft does not touch [m].
+    limits : Limits, optional
+        Reserve of thrust, limits of spin and speed, margin.
+    intervals : int, default 40
+        Intervals of constant commands in each leg, 10 to 400.
+    warm : Plan, optional
+        A neighbouring plan to begin at, in place of all starts.
+
+    Returns
+    -------
+    Plan
+        A flight that converged.
+
+    Raises
+    ------
+    InputError
+        If the request is not sensible or cannot be met, or no start converged.
+    """
+    numbers.INTERVALS.check(intervals, "intervals")
+    request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())
+    solved, tried = _search(request, intervals, warm)
+    path = solved.path
+    if len(request.via):
+        bound = lower_bound_through(request, path.durations)
+    else:
+        bound = lower_bound(request, _weight(request, solved), float(path.times[-1]))
+    return Plan(
+        model,
+        path.times,
+        path.states,
+        path.commands,
+        min(bound, float(path.times[-1])),
+        tried,
+        request.limits.reserve,
+    )
+
+
+def _search(
+    request: Request, intervals: int, warm: Plan | None
+) -> tuple[Solved, tuple[Start, ...]]:
+    """Try the starts on a coarse grid, and refine the best until one converges."""
+    legs, discs = len(request.via) + 1, len(request.keep_out)
+    found: list[tuple[float, float, list[Path]]] = []
+    tried = []
+    if warm is not None:
+        durations = np.diff(warm.time[:: (len(warm.time) - 1) // legs])
+        path = Path(durations, warm.states, warm.commands)
+        near = min(request.goal_yaws(), key=lambda yaw: abs(yaw - warm.states[-1, 2]))
+        found.append((warm.duration, near, [path]))
+    else:
+        coarse = program_for(request.model, _COARSE, legs, discs)
+        for name, guess, yaw in starts(request, _COARSE):
+            one = coarse.solve(request, guess, yaw)
+            time = float(one.path.durations.sum())
+            tried.append(Start(name, time if one.converged else None, one.status))
+            # What the coarse grid lets pass a rail may be no start for the fine one.
+            paths = [one.path, guess] if one.converged else [guess]
+            found.append((time if one.converged else np.inf, yaw, paths))
+    fine = program_for(request.model, intervals, legs, discs)
+    statuses = [start.status for start in tried]
+    best_first = sorted(found, key=lambda f: f[0])
+    for yaw, path in [(yaw, path) for _, yaw, paths in best_first for path in paths][:_REFINED]:
+        solved = fine.solve(request, path.resampled(intervals), yaw)
+        if solved.converged and _flies(request, solved.path):
+            if warm is not None:
+                time = float(solved.path.durations.sum())
+                tried.append(Start("the neighbouring plan", time, solved.status))
+            return solved, tuple(tried)
+        statuses.append("touches between nodes" if solved.converged else solved.status)
+    words = ", ".join(sorted(set(statuses)))
+    raise InputError(
+        f"no plan was found from any of {max(len(tried), 1)} starts ({words}); there may be no way "
+        "within the limits",
+        field="plan",
+    )
+
+
+def _flies(request: Request, path: Path) -> bool:
+    """Simulate a path in smaller steps: it must end where it should, and touch nothing."""
+    _, states = path.simulated(request.model, path.times, _PARTS)
+    if (np.abs(states[-1] - path.states[-1])[:6] > _MISSED).any():
+        return False
+    place = states[:, :2]
+    discs = request.keep_out
+    away = np.hypot(*(place[:, None] - discs[:, :2]).transpose(2, 0, 1)) - discs[:, 2]
+    inside = (np.abs(place) < np.array(request.reach) + _GRAZED).all()
+    return bool(inside and (away > -_GRAZED).all())
+
+
+def _weight(request: Request, solved: Solved) -> Weight:
+    """Read a weight for the certificate off a plan's costates.
+
+    The multipliers of the steps' velocities; kinks stand where the path touches a rail.
+    """
+    times, prices = solved.path.times, solved.prices
+    touch = np.abs(solved.touching[1:-1]).max(axis=1)
+    scale = np.abs(prices[:, :2]).max() + np.abs(solved.touching[1:-1]).max(initial=0.0)
+    kinks = times[1:-1][touch > _TOUCH * max(scale, 1e-9)]
+    values = prices[:, 3] + 1j * prices[:, 4]
+    yaw, spin = np.abs(prices[:, 2]).max(), np.abs(prices[:, 5]).max()
+    # A price above the true one costs nothing: what it forbids is no optimum.
+    return Weight.fitted(times[1:], values, kinks, (2 * float(yaw) + 0.1, 2 * float(spin) + 0.01))

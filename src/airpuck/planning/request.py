@@ -1,0 +1,248 @@
+"""What is asked of a plan: from where to where, past what, within which limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+from airpuck.control.reference import Numbers
+from airpuck.craft.table import Table
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
+from airpuck.physics.thrust import thrust
+from airpuck.planning.attainable import strongest_push
+
+#: A yaw beyond this is a mistake: the craft would have to turn for seconds [rad].
+_MOST_YAW = 50.0
+#: Further than this is no table [m].
+_FARTHEST = 100.0
+_MOST_POINTS = 20
+#: Start and goal that are nearer than this are the same [m, m, rad, m/s, m/s, rad/s].
+_SAME = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
+#: Step in which braking before a rail is looked at [s].
+_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where a plan ends.
+
+    Attributes
+    ----------
+    x, y : float
+        Position [m].
+    yaw : float, optional
+        Orientation [rad]; None: any.
+    velocity : (vx, vy, spin), optional
+        Rates at the end [m/s, m/s, rad/s], by default at rest; None: any.
+    turn : {"shorter", "exact"}, default "shorter"
+        Whether whole turns do not count, or the yaw is meant as it stands.
+    """
+
+    x: float
+    y: float
+    yaw: float | None = None
+    velocity: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+    turn: Literal["shorter", "exact"] = "shorter"
+
+    @property
+    def state(self) -> Float[np.ndarray, " 6"]:
+        """x, y, γ and their rates; nan where free."""
+        yaw = math.nan if self.yaw is None else self.yaw
+        velocity = (math.nan,) * 3 if self.velocity is None else self.velocity
+        return np.array([self.x, self.y, yaw, *velocity], dtype=float)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a plan may use.
+
+    Attributes
+    ----------
+    reserve : float, default 0
+        Share of every motor's thrust that is kept for feedback, below 1.
+    spin : float, default 15
+        Largest spin [rad/s].
+    speed : float, default 3
+        Largest velocity along x and along y [m/s].
+    margin : float, default 0
+        Distance that the craft keeps from the rails and from what it must not touch [m].
+    """
+
+    reserve: float = 0.0
+    spin: float = 15.0
+    speed: float = 3.0
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers.RESERVE.check(self.reserve, "reserve")
+        numbers.SPIN_LIMIT.check(self.spin, "spin")
+        numbers.SPEED_LIMIT.check(self.speed, "speed")
+        numbers.CLEARANCE.check(self.margin, "margin")
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A checked request: whatever is in it can be asked of the solver."""
+
+    model: Model
+    #: x, y, γ, their rates, and the motor speeds.
+    start: Float[np.ndarray, " s"]
+    goal: Goal
+    #: Way points, in order [m].
+    via: Float[np.ndarray, "V 2"]
+    #: How far the craft's centre may be from the middle of the table [m]; inf without rails.
+    reach: tuple[float, float]
+    #: Of each disc its centre, and how near the craft's centre may come [m].
+    keep_out: Float[np.ndarray, "D 3"]
+    limits: Limits
+
+    @cached_property
+    def highest_command(self) -> Float[np.ndarray, " n"]:
+        """The command of each motor at which the reserve begins."""
+        vehicle, curves = self.model.vehicle, self.model.dynamics.thrust
+        speeds = np.linspace(vehicle.command_min, vehicle.command_max, 2001)
+        forces = thrust(curves, np.tile(speeds, (vehicle.n_propellers, 1)))
+        allowed = (1 - self.limits.reserve) * forces[:, -1:]
+        return speeds[(forces <= allowed + 1e-12).sum(axis=1) - 1]
+
+    def goal_yaws(self) -> tuple[float, ...]:
+        """Return the final yaws worth trying, as continuous angles; the nearest first."""
+        begin, yaw = self.start[2], self.goal.yaw
+        if yaw is None:
+            return (float(begin),)
+        if self.goal.turn == "exact":
+            return (float(yaw),)
+        turn = float(wrapped(np, yaw - begin))
+        # Only where the two ways are about as long may the longer one be the faster.
+        other = turn - math.copysign(2 * np.pi, turn)
+        near = (turn,) if abs(turn) < 2.0 else (turn, other)
+        return tuple(float(begin) + one for one in near)
+
+
+def checked_request(
+    model: Model,
+    start: Numbers,
+    goal: Goal | Numbers,
+    via: Sequence[Numbers],
+    table: Table | None,
+    keep_out: Sequence[Numbers],
+    limits: Limits,
+) -> Request:
+    """Check what was asked for, or refuse it in one line that says which and why."""
+    vehicle = model.vehicle
+    begin = _numbers(start, "start", (3, 6, 6 + vehicle.n_propellers))
+    begin = np.append(begin, np.zeros(max(0, 6 - len(begin))))
+    if len(begin) == 6:  # motors idle
+        begin = np.append(begin, np.full(vehicle.n_propellers, vehicle.command_min))
+    if not isinstance(goal, Goal):
+        end = _numbers(goal, "goal", (3, 6)).tolist()
+        goal = Goal(*end[:3], velocity=(end[3], end[4], end[5]) if len(end) == 6 else (0.0,) * 3)
+    wanted = goal.state
+    if not np.isfinite(wanted[:2]).all() or np.isinf(wanted).any():
+        raise InputError("must be finite numbers", field="goal")
+    points = _rows(via, "via", 2)
+    discs = _rows(keep_out, "keep_out", 3)
+    if (discs[:, 2] <= 0).any():
+        raise InputError("a disc needs a radius above zero", field="keep_out")
+    discs = discs + np.array([0.0, 0.0, vehicle.radius_m + limits.margin])
+    room = np.inf if table is None else vehicle.radius_m + limits.margin
+    reach = (np.inf, np.inf) if table is None else table.reach(room)
+    request = Request(model, begin, goal, points, reach, discs, limits)
+    _check_motion(request, begin[2:6], "start")
+    _check_motion(request, wanted[2:6], "goal")
+    places = [("start", begin[:2]), *(("via", p) for p in points), ("goal", wanted[:2])]
+    for name, place in places:
+        _check_place(request, name, place)
+    if not ((begin[6:] >= 0) & (begin[6:] <= 1)).all():
+        raise InputError("motor speeds must lie in [0, 1]", field="start")
+    away = wanted - begin[:6]
+    away[2] = away[2] if goal.turn == "exact" else wrapped(np, away[2])
+    if len(points) == 0 and (np.isnan(away) | (np.abs(away) < _SAME)).all():
+        raise InputError("is where the craft is already", field="goal")
+    _check_braking(request, begin[:5], "start", "hits the rail whatever it does")
+    if goal.velocity is not None:
+        backwards = np.concatenate([wanted[:3], -wanted[3:5]])
+        _check_braking(request, backwards, "goal", "must have come from beyond the rail")
+    return request
+
+
+def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.ndarray, " k"]:
+    """Return finite numbers, or refuse them."""
+    array = np.array(values, dtype=float)
+    if array.ndim != 1 or len(array) not in lengths:
+        raise InputError(f"give {' or '.join(map(str, lengths))} numbers", field=field)
+    if not np.isfinite(array).all():
+        raise InputError("must be finite numbers", field=field)
+    return array
+
+
+def _rows(values: Sequence[Numbers], field: str, width: int) -> Float[np.ndarray, "k width"]:
+    """Return rows of finite numbers, or refuse them."""
+    if len(values) > _MOST_POINTS:
+        raise InputError(f"give at most {_MOST_POINTS}", field=field)
+    rows = [_numbers(row, field, (width,)) for row in values]
+    return np.array(rows).reshape(-1, width)
+
+
+def _check_motion(request: Request, motion: Float[np.ndarray, " 4"], field: str) -> None:
+    """Refuse a yaw of many turns, or rates beyond the limits."""
+    yaw, vx, vy, spin = motion
+    limits = request.limits
+    if abs(yaw) > _MOST_YAW:
+        raise InputError(
+            f"a yaw of {yaw:g} rad is {abs(yaw) / (2 * np.pi):.0f} turns; "
+            f"give radians, at most {_MOST_YAW:g}",
+            field=field,
+        )
+    fastest = np.nanmax(np.abs([vx, vy, 0.0]))
+    if fastest > limits.speed:
+        raise InputError(f"{fastest:g} m/s is above the limit of {limits.speed:g}", field=field)
+    if abs(spin) > limits.spin:
+        raise InputError(f"{spin:g} rad/s is above the limit of {limits.spin:g}", field=field)
+
+
+def _check_place(request: Request, name: str, place: Float[np.ndarray, " 2"]) -> None:
+    """Refuse a place outside the rails, or where the craft would touch what it must not."""
+    x, y = (float(v) for v in place)
+    if max(abs(x), abs(y)) > _FARTHEST:
+        raise InputError(f"({x:g}, {y:g}) m is on no table", field=name)
+    reach = request.reach
+    if abs(x) > reach[0] or abs(y) > reach[1]:
+        raise InputError(
+            f"({x:g}, {y:g}) is outside the rails: the craft's centre can be within "
+            f"±{reach[0]:g} m by ±{reach[1]:g} m",
+            field=name,
+        )
+    for cx, cy, radius in request.keep_out:
+        if math.hypot(x - cx, y - cy) < radius:
+            raise InputError(
+                f"({x:g}, {y:g}) is inside the keep-out disc around ({cx:g}, {cy:g}): "
+                f"the craft's centre must stay {radius:g} m away",
+                field=name,
+            )
+
+
+def _check_braking(request: Request, state: Float[np.ndarray, " 5"], field: str, fate: str) -> None:
+    """Refuse a velocity towards a rail that the hardest braking does not stop in time."""
+    times = np.arange(_STEP, 5.0, _STEP)
+    push = strongest_push(request, times, motors_known=field == "start")
+    lost = np.cumsum(push) * _STEP
+    for axis, name in enumerate("xy"):
+        velocity = float(state[3 + axis])
+        room = request.reach[axis] - float(state[axis]) * np.sign(velocity)
+        travelled = float(np.maximum(abs(velocity) - lost, 0.0).sum() * _STEP)
+        if travelled > room + 1e-6:
+            raise InputError(
+                f"at {abs(velocity):g} m/s towards a rail {room:.3f} m away along {name}, it "
+                f"{fate}: no thrust stops it in less than {travelled:.3f} m",
+                field=field,
+            )

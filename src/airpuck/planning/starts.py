@@ -1,0 +1,81 @@
+"""Paths to start the search from: local optima differ by how the craft turns, and by which way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.planning.attainable import strongest_push
+from airpuck.planning.request import Request
+from airpuck.planning.transcription import Path
+
+#: Turned aside half way, by the names of starts [rad].
+_ASIDE = {"straight": 0.0, "turned left": 0.5, "turned right": -0.5}
+#: Further from a disc than this share of its radius a way round it leads.
+_ROUND = 1.3
+
+
+def starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
+    """Yield what each start is called, its path and its final yaw."""
+    for number, yaw in enumerate(request.goal_yaws()):
+        for name, aside in _ASIDE.items():
+            if number and aside:
+                continue
+            label = "the longer turn" if number else name
+            yield label, _path(request, intervals, yaw, aside, ways=request.via), yaw
+    for name, side in (("round on the left", 1.0), ("round on the right", -1.0)):
+        detours = _detours(request, side)
+        if detours is not None:
+            yaw = request.goal_yaws()[0]
+            yield name, _path(request, intervals, yaw, 0.0, ways=detours), yaw
+
+
+def _path(
+    request: Request,
+    intervals: int,
+    yaw: float,
+    aside: float,
+    ways: Float[np.ndarray, "W 2"],
+) -> Path:
+    """Guess a path: straight from point to point, as smooth as rest to rest, turning on the way."""
+    goal = request.goal.state
+    corners = np.vstack([request.start[:2], ways, goal[:2]])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    legs = len(request.via) + 1
+    # Ends of the legs along the corners; a detour belongs to the one leg.
+    ends = along if legs > 1 else along[[0, -1]]
+    push = float(strongest_push(request, np.array([np.inf]))[0])
+    lengths = np.maximum(np.diff(ends), 0.05)
+    turn = abs(yaw - request.start[2])
+    durations = np.maximum(2.2 * np.sqrt(lengths / push), 0.1)
+    durations = np.maximum(durations, turn / request.limits.spin * 1.3 / legs)
+    total = intervals * legs
+    share = np.linspace(0, 1, total + 1)
+    smooth = share**2 * (3 - 2 * share)
+    position = np.interp(share * legs, np.arange(legs + 1), ends) if legs > 1 else smooth * ends[1]
+    place = np.array([np.interp(position, along, column) for column in corners.T]).T
+    turned = request.start[2] + (yaw - request.start[2]) * smooth + aside * np.sin(np.pi * share)
+    pose = np.column_stack([place, turned])
+    times = np.concatenate([[0.0], np.cumsum(np.repeat(durations / intervals, intervals))])
+    rates = np.gradient(pose, times, axis=0)
+    n = len(request.start) - 6
+    motors = np.full((total + 1, n), 0.5)
+    return Path(durations, np.column_stack([pose, rates, motors]), np.full((total, n), 0.5))
+
+
+def _detours(request: Request, side: float) -> Float[np.ndarray, "W 2"] | None:
+    """Return points beside the discs that lie on the straight way, in order; None if none does."""
+    if len(request.via) or not len(request.keep_out):
+        return None
+    start, goal = request.start[:2], request.goal.state[:2]
+    way = goal - start
+    length = float(np.hypot(*way)) or 1.0
+    along, left = way / length, np.array([-way[1], way[0]]) / length
+    found = []
+    for x, y, radius in request.keep_out:
+        to = np.array([x, y]) - start
+        if 0 < to @ along < length and abs(to @ left) < radius:
+            found.append((to @ along, np.array([x, y]) + side * _ROUND * radius * left))
+    return np.array([point for _, point in sorted(found, key=lambda f: f[0])]) if found else None

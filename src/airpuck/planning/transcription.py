@@ -1,0 +1,252 @@
+"""The shortest flight as a nonlinear program: direct multiple shooting in CasADi, by IPOPT.
+
+The step from node to node is `airpuck.physics.rollout.step`, traced with CasADi's symbols.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.compute.arrays import with_symbols
+from airpuck.model.model_file import Model
+from airpuck.physics.rollout import step
+from airpuck.planning.request import Request
+
+#: x, y, γ and their rates.
+_MOTION = 6
+#: No leg takes so many times as long as its guess.
+_LONGEST = 6.0
+#: Shortest duration of a leg [s].
+_SHORTEST = 1e-3
+#: Of the mean squared change of commands between intervals, in seconds: commands that do not
+#: matter, and only those, become smooth.
+_SMOOTHING = 1e-4
+_MOST_ITERATIONS = 120
+#: Runge-Kutta steps between two nodes: then a plan of a second ends within a millimetre.
+_SUBSTEPS = 2
+
+Solver = Literal["ipopt", "fatrop"]
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A flight as the program sees it: nodes, and commands held between them."""
+
+    #: How long each leg takes [s].
+    durations: Float[np.ndarray, " legs"]
+    #: States at the nodes, and commands; the end of a leg is the start of the next.
+    states: Float[np.ndarray, "nodes s"]
+    commands: Float[np.ndarray, "intervals n"]
+
+    @property
+    def times(self) -> Float[np.ndarray, " nodes"]:
+        """Times of the nodes [s]."""
+        intervals = len(self.commands) // len(self.durations)
+        steps = np.repeat(self.durations / intervals, intervals)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    def simulated(
+        self, model: Model, times: Float[np.ndarray, " nodes"], parts: int
+    ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M s"]]:
+        """Return times and states as simulated from the start, each interval in so many parts."""
+        periods = np.repeat(np.diff(times) / parts, parts)
+        flown = model.simulate(self.states[0], np.repeat(self.commands, parts, axis=0), periods)
+        return np.concatenate([[0.0], np.cumsum(periods)]), np.vstack([self.states[:1], flown])
+
+    def resampled(self, intervals: int) -> Path:
+        """Return the path with another number of intervals in each leg."""
+        legs = len(self.durations)
+        if intervals * legs == len(self.commands):
+            return self
+        before = self.times
+        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
+        times = np.concatenate(
+            [np.linspace(ends[i], ends[i + 1], intervals + 1)[:-1] for i in range(legs)]
+            + [ends[-1:]]
+        )
+        states = np.array([np.interp(times, before, column) for column in self.states.T]).T
+        middle = (times[1:] + times[:-1]) / 2
+        held = np.clip(np.searchsorted(before, middle) - 1, 0, len(self.commands) - 1)
+        return Path(self.durations, states, self.commands[held])
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What the solver made of one start."""
+
+    path: Path
+    converged: bool
+    #: Its words.
+    status: str
+    iterations: int
+    #: Multipliers of the steps' states: what a state is worth, up to sign [s per unit].
+    prices: Float[np.ndarray, "intervals s"]
+    #: Of the bounds of positions at the nodes: where the path touches a rail.
+    touching: Float[np.ndarray, "nodes 2"]
+
+
+class Transcription:
+    """The program for a model and a number of intervals, way points and discs; see `program_for`.
+
+    Variables are, node by node, state and command, then the final state and the durations of the
+    legs. All limits, and start and goal, are bounds, so a program is built once.
+    """
+
+    def __init__(
+        self, model: Model, intervals: int, legs: int, discs: int, solver: Solver = "ipopt"
+    ) -> None:
+        casadi = _casadi()
+        self.intervals, self.legs = intervals, legs
+        self.n = model.vehicle.n_propellers
+        self.size = _MOTION + self.n
+        total = intervals * legs
+        advance, between = _step_functions(model)
+        z = [casadi.SX.sym(f"z{k}", self.size) for k in range(total + 1)]
+        u = [casadi.SX.sym(f"u{k}", self.n) for k in range(total)]
+        durations = [casadi.SX.sym(f"T{leg}") for leg in range(legs)]
+        places = casadi.SX.sym("discs", 3, discs)
+        steps, clear = [], []
+        for k in range(total):
+            h = durations[k // intervals] / intervals
+            steps.append(z[k + 1] - advance(z[k], u[k], h))
+            middle = between(z[k], z[k + 1], h)
+            for d in range(discs):
+                for point in (middle, z[k + 1][:2]):
+                    away = point - places[:2, d]
+                    clear.append(casadi.dot(away, away) / places[2, d] ** 2)
+        changes = [u[k + 1] - u[k] for k in range(total - 1)]
+        rough = sum(casadi.dot(c, c) for c in changes) / max(total - 1, 1)
+        variables = [part for pair in zip(z, u, strict=False) for part in pair]
+        x = casadi.vertcat(*variables, z[-1], *durations)
+        problem = {
+            "x": x,
+            "f": sum(durations) + _SMOOTHING * rough,
+            "g": casadi.vertcat(*steps, *clear),
+            "p": casadi.vec(places),
+        }
+        self._solve = casadi.nlpsol("plan", solver, problem, _options(solver))
+        self._clearances = len(clear)
+
+    def solve(self, request: Request, guess: Path, final_yaw: float) -> Solved:
+        """Solve from a guess, for a goal with this yaw."""
+        lower, upper = self._bounds(request, final_yaw, guess.durations)
+        steps = self.intervals * self.legs * self.size
+        found = self._solve(
+            x0=self._packed(guess.states, guess.commands, guess.durations),
+            lbx=lower,
+            ubx=upper,
+            lbg=np.concatenate([np.zeros(steps), np.ones(self._clearances)]),
+            ubg=np.concatenate([np.zeros(steps), np.full(self._clearances, np.inf)]),
+            p=request.keep_out.ravel(),
+        )
+        stats = self._solve.stats()
+        states, commands, durations = self._unpacked(found["x"].full()[:, 0])
+        prices = found["lam_g"].full()[:steps, 0].reshape(-1, self.size)
+        touching = self._unpacked(found["lam_x"].full()[:, 0])[0][:, :2]
+        return Solved(
+            Path(durations, states, commands),
+            bool(stats["success"]),
+            str(stats["return_status"]),
+            int(stats["iter_count"]),
+            prices,
+            touching,
+        )
+
+    def _bounds(
+        self, request: Request, final_yaw: float, guess: Float[np.ndarray, " legs"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of all variables."""
+        total, limits = self.intervals * self.legs, request.limits
+        vehicle, free = request.model.vehicle, np.inf
+        motion = [*request.reach, free, limits.speed, limits.speed, limits.spin]
+        upper = np.tile([*motion, *np.ones(self.n)], (total + 1, 1))
+        lower = np.tile([*(-np.array(motion)), *np.zeros(self.n)], (total + 1, 1))
+        goal = request.goal.state
+        if not np.isnan(goal[2]):
+            goal[2] = final_yaw
+        fixed = np.concatenate([~np.isnan(goal), np.zeros(self.n, dtype=bool)])
+        lower[-1, fixed] = upper[-1, fixed] = goal[~np.isnan(goal)]
+        for leg, point in enumerate(request.via, start=1):
+            lower[leg * self.intervals, :2] = upper[leg * self.intervals, :2] = point
+        lower[0] = upper[0] = request.start
+        least = np.full((total, self.n), vehicle.command_min)
+        most = np.tile(request.highest_command, (total, 1))
+        shortest, longest = np.full(self.legs, _SHORTEST), _LONGEST * guess
+        return self._packed(lower, least, shortest), self._packed(upper, most, longest)
+
+    def _packed(self, states: Any, commands: Any, durations: Any) -> np.ndarray:
+        """Lay out the variables."""
+        nodes = np.concatenate([states[:-1], commands], axis=1)
+        return np.concatenate([nodes.ravel(), states[-1], durations])
+
+    def _unpacked(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return states, commands and durations."""
+        x, durations = x[: -self.legs], x[-self.legs :]
+        nodes = x[: -self.size].reshape(-1, self.size + self.n)
+        states = np.concatenate([nodes[:, : self.size], x[None, -self.size :]])
+        return states, nodes[:, self.size :], durations
+
+
+@lru_cache(maxsize=16)
+def program_for(model: Model, intervals: int, legs: int, discs: int) -> Transcription:
+    """Return the program, built at its first use in this process."""
+    return Transcription(model, intervals, legs, discs)
+
+
+def _step_functions(model: Model) -> tuple[Any, Any]:
+    """Trace the step of the physics, and the position half way between two nodes."""
+    casadi = _casadi()
+    n = model.vehicle.n_propellers
+    z, u, h = casadi.SX.sym("z", _MOTION + n), casadi.SX.sym("u", n), casadi.SX.sym("h")
+
+    def advance(state: Any, command: Any, duration: Any) -> Any:
+        for _ in range(_SUBSTEPS):
+            state = step(np, model.dynamics, state, command, duration[0] / _SUBSTEPS)
+        return state
+
+    following = with_symbols(advance, z, u, h)
+    after = casadi.SX.sym("after", _MOTION + n)
+    # The middle of the cubic through both positions with both velocities.
+    middle = (z[:2] + after[:2]) / 2 + h / 8 * (z[3:5] - after[3:5])
+    return (
+        casadi.Function("step", [z, u, h], [following]),
+        casadi.Function("middle", [z, after, h], [middle]),
+    )
+
+
+def _options(solver: Solver) -> dict[str, Any]:
+    """Return the settings of a solver: silent, and limited."""
+    common = {"print_time": False, "error_on_fail": False}
+    if solver == "fatrop":
+        return common | {
+            "structure_detection": "auto",
+            "fatrop": {"print_level": 0, "max_iter": _MOST_ITERATIONS},
+        }
+    return common | {
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": _MOST_ITERATIONS,
+            "tol": 1e-7,
+            # Half the iterations of any other choice, from cold and from neighbouring plans.
+            "mu_strategy": "adaptive",
+            "adaptive_mu_globalization": "never-monotone-mode",
+        }
+    }
+
+
+def _casadi() -> Any:
+    """Return CasADi, or say how to get it."""
+    try:
+        import casadi
+    except ImportError:
+        raise InputError(
+            "planning needs CasADi: install airpuck with its extra, pip install 'airpuck[plan]'"
+        ) from None
+    return casadi

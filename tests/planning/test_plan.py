@@ -1,0 +1,203 @@
+"""Plans against what is known by hand, and against an independent integrator."""
+
+from dataclasses import replace
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.control.reference import Reference
+from airpuck.craft.table import Table
+from airpuck.planning.plan import read_plan
+from airpuck.planning.request import Goal, Limits
+
+from .crafts import ACCELERATION, at_rest, one_axis
+
+M3 = airpuck.read_model("paper:M3")
+EFFECTS = replace(
+    M3,
+    frame="body",
+    parameters=replace(
+        M3.parameters,
+        center_of_mass=np.array([2e-3, -1e-3]),
+        drag=np.array([0.1, 0.05, 0.2, 0.0]),
+        tilt=np.array([2e-3, -1e-3]),
+        idle_lag=0.5,
+        pair_interaction=0.2,
+        voltage_sag=0.05,
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def metre():
+    return airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), table=Table())
+
+
+def integrated(plan):
+    """The final state by diffrax, from the start state and the commands alone."""
+    times, commands = jnp.array(plan.time), jnp.array(plan.commands)
+
+    def rates(t, state, _):
+        last = jnp.clip(jnp.searchsorted(times, t, side="right") - 1, 0, len(commands) - 1)
+        return plan.model.derivative(state, commands[last])
+
+    # A step never crosses a switch.
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rates),
+        diffrax.Dopri8(),
+        0.0,
+        float(times[-1]),
+        1e-3,
+        jnp.array(plan.states[0]),
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=1e-9, atol=1e-10), jump_ts=times[1:-1]
+        ),
+        max_steps=100_000,
+    )
+    return np.asarray(solution.ys[-1])
+
+
+def test_a_double_integrator_takes_two_root_d_over_a():
+    for distance in (0.3, 1.0):
+        found = airpuck.plan(one_axis(), at_rest(0), at_rest(distance))
+        known = 2 * np.sqrt(distance / ACCELERATION)
+        assert found.duration == pytest.approx(known, rel=1e-4)
+        assert 0.97 * known < found.lower_bound <= known
+
+
+def test_without_lag_one_axis_switches_once_from_full_ahead_to_full_back():
+    found = airpuck.plan(one_axis(), at_rest(0), at_rest(1.0))
+    forward, back = found.commands.T[:2]
+    half = len(forward) // 2
+    np.testing.assert_allclose(forward, np.arange(len(forward)) < half, atol=1e-3)
+    np.testing.assert_allclose(back, np.arange(len(back)) >= half, atol=1e-3)
+
+
+def test_lag_costs_time_and_bound_alike():
+    lag = 0.05
+    slow = airpuck.plan(one_axis(lag), at_rest(0), at_rest(0.5))
+    quick = 2 * np.sqrt(0.5 / ACCELERATION)
+    assert quick < slow.lower_bound <= slow.duration < quick + 2 * lag
+
+
+@pytest.mark.parametrize(
+    ("goal", "seconds"),
+    # From an independent prototype of the same problem.
+    [((0.5, 0, 0), 0.798), ((-0.5, 0, 2 * np.pi / 3), None)],
+)
+def test_the_papers_craft(metre, goal, seconds):
+    found = metre if seconds else airpuck.plan(M3, (-0.5, 0, 0), goal)
+    if seconds:
+        assert found.duration == pytest.approx(seconds, rel=5e-3)
+    assert 0.9 * found.duration < found.lower_bound <= found.duration
+
+
+def test_half_a_turn_takes_a_quarter_of_a_second():
+    goal = Goal(0.0, 0.0, np.pi, turn="exact")
+    found = airpuck.plan(M3, (0, 0, 0), goal, limits=Limits(spin=40.0))
+    assert found.duration == pytest.approx(0.252, rel=5e-3)
+
+
+@pytest.mark.parametrize("model", [M3, EFFECTS], ids=["M3", "effects"])
+def test_an_independent_integrator_ends_at_the_goal(model):
+    start = (-0.4, -0.2, 0.5, 0.8, 0.3, 2.0)
+    found = airpuck.plan(model, start, (0.5, 0.2, -1.0), table=Table())
+    with jax.enable_x64(True):
+        end = integrated(found)[:6]
+    away = end - np.array([0.5, 0.2, -1.0, 0, 0, 0])
+    assert np.abs(away[:2]).max() < 1e-3
+    assert np.abs(away[3:5]).max() < 1e-3
+    assert abs(away[2]) < 1e-3
+    assert found.lower_bound <= found.duration
+
+
+def test_finer_grids_agree(metre):
+    finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), intervals=80, warm=metre)
+    assert finer.duration == pytest.approx(metre.duration, rel=5e-3)
+
+
+@pytest.mark.study
+def test_four_times_as_fine_a_grid_agrees(metre):
+    finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), intervals=160)
+    assert finer.duration == pytest.approx(metre.duration, rel=5e-3)
+
+
+def test_a_neighbouring_plan_is_a_start_of_its_own(metre):
+    found = airpuck.plan(M3, (-0.48, 0.01, 0), (0.5, 0, 0), table=Table(), warm=metre)
+    assert [start.name for start in found.starts] == ["the neighbouring plan"]
+    assert found.duration == pytest.approx(metre.duration, rel=0.05)
+
+
+def test_way_points_rails_discs_and_limits_are_kept():
+    table, limits = Table(), Limits(reserve=0.1, spin=6.0, speed=1.2, margin=0.02)
+    disc = (0.1, 0.05, 0.05)
+    found = airpuck.plan(
+        M3,
+        (-0.8, -0.3, 0),
+        (0.8, 0.3, 1.0),
+        via=[(-0.3, 0.4)],
+        keep_out=[disc],
+        table=table,
+        limits=limits,
+    )
+    _, states = found.samples
+    assert np.hypot(*(states[:, :2] - (-0.3, 0.4)).T).min() < 2e-3
+    away = np.hypot(*(states[:, :2] - disc[:2]).T).min()
+    assert away > disc[2] + M3.vehicle.radius_m + limits.margin - 1e-3
+    reach = table.reach(M3.vehicle.radius_m + limits.margin)
+    assert (np.abs(states[:, :2]) < np.array(reach) + 1e-3).all()
+    assert np.abs(found.states[:, 3:5]).max() < limits.speed + 1e-6
+    assert np.abs(found.states[:, 5]).max() < limits.spin + 1e-6
+    full = M3.dynamics.thrust.sum(axis=1)
+    curves = M3.dynamics.thrust
+    force = sum(curves[:, k] * found.commands ** (k + 1) for k in range(3))
+    assert (force <= 0.9 * full + 1e-6).all()
+    assert 0 < found.lower_bound < found.duration
+
+
+def test_an_open_goal_is_reached_sooner(metre):
+    free = airpuck.plan(M3, (-0.5, 0, 0), Goal(0.5, 0.0, None, None), table=Table())
+    assert 0.9 * free.duration < free.lower_bound < free.duration < 0.8 * metre.duration
+
+
+def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
+    flown = metre.starting(2.0)
+    assert isinstance(flown, Reference)
+    np.testing.assert_allclose(flown.at(1.0, 0.1).state, [-0.5, 0, 0, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(flown.at(5.0, 0.1).state, [0.5, 0, 0, 0, 0, 0], atol=1e-3)
+    times = np.linspace(0, metre.duration, 4001)
+    targets = [flown.at(2.0 + t - 0.02, 0.02) for t in times]
+    gained = np.trapezoid([target.acceleration for target in targets], times, axis=0)
+    middle = int(np.argmax([target.state[3] for target in targets]))
+    velocity = np.trapezoid(
+        [target.acceleration for target in targets[: middle + 1]], times[: middle + 1], axis=0
+    )
+    np.testing.assert_allclose(gained, 0, atol=0.02)
+    np.testing.assert_allclose(velocity, targets[middle].state[3:], atol=0.02)
+    assert flown.motors_at(2.0, 0.0) == pytest.approx(metre.commands[0])
+    assert flown.motors_at(9.0, 0.0) == pytest.approx(np.full(6, M3.vehicle.command_min))
+
+
+def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
+    path = tmp_path / "plan.toml"
+    metre.save(path)
+    again = read_plan(path, M3)
+    np.testing.assert_array_equal(again.states, metre.states)
+    np.testing.assert_array_equal(again.commands, metre.commands)
+    assert (again.lower_bound, again.duration) == (metre.lower_bound, metre.duration)
+    with pytest.raises(InputError, match="is for the motors"):
+        read_plan(path, one_axis())
+    path.write_text(path.read_text().replace("airpuck plan 1", "airpuck plan 9"))
+    with pytest.raises(InputError, match="format"):
+        read_plan(path, M3)
+
+
+def test_what_did_not_converge_is_refused():
+    # From rail to rail there is no way past it.
+    with pytest.raises(InputError, match="no plan was found"):
+        airpuck.plan(M3, (-0.9, 0, 0), (0.9, 0, 0), keep_out=[(0, 0, 0.6)], table=Table())
