@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import Range
 from airpuck.cli.app import app
+from airpuck.cli.output import show_time_left
 
 from ..command_line import airpuck, refused
 
@@ -96,6 +97,17 @@ def test_the_shell_completes():
     # What was typed before is not refused meanwhile.
     typed = ("identify", "x", "-o", "/nowhere/x", "--stride", "0", "--method", "")
     assert completions("airpuck", *typed) == ["lm", "adam"]
+    assert "auto" in completions("airpuck", "identify", "x", "--model", "")
+    assert completions("airpuck", "identify", "x", "--model", "M5") == ["M5"]
+
+
+def test_time_that_is_left_is_said_while_there_is_some(capsys):
+    with show_time_left("flights", quiet=False) as progress:
+        for done in (0.5, 1.0):
+            progress(done, 1.0)
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("flights: 50 %, about ")
+    assert last == "flights: 100 %"
 
 
 def test_the_shell_finds_the_completion():

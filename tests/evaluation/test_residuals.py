@@ -1,5 +1,6 @@
 """Residual tests: rates under the truth, power against errors, and the arithmetic."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -71,6 +72,16 @@ def test_rates_of_false_alarms_are_nominal():
         beyond += np.mean([np.abs(t.correlation) > t.band for t in tests])
     assert (alarms <= 10).all()  # P(more than 10) = 0.0003
     assert 0.004 < beyond / 300 < 0.02
+
+
+def test_a_share_too_small_to_count_is_white_and_says_what_would_count():
+    # An AR(1) of 0.05: the past says 0.05² = 0.25 % of the variance, surely, and 1 % would count.
+    rng = np.random.default_rng(4)
+    values = rng.normal(size=40_001)
+    values = values[1:] + 0.05 * values[:-1]
+    found = ljung_box("x", values, np.ones(len(values), dtype=bool), 10, 0)
+    assert found.statistic > 60 and found.passed
+    assert re.search(r"white \(past ones say 0\.[23] % of the variance, 1 % would", found.verdict)
 
 
 def test_bands_know_that_both_signals_are_smooth():

@@ -147,6 +147,14 @@ def test_fit_report_shows_when_packets_arrived(study, tmp_path):
     assert "jitter 6.3 ± 0.2 ms over 3 packets" in page.text
 
 
+def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path):
+    both = [replace(study.training, source=f"lab/{name}") for name in ("monday", "tuesday")]
+    page = fit_report(study.fits[3], both, tmp_path).read_text(encoding="utf-8")
+    assert f"identified from {2 * study.training.duration:.1f} s of flight" in page
+    assert "2 recordings, of which pictures show the first" in page
+    assert "lab/monday" in page and "lab/tuesday" in page
+
+
 def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path):
     alone = Judged(judged.trajectory, judged.evaluations[3:4])
     path = fit_report(study.fits[3], study.training, tmp_path, judged=alone)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -84,6 +84,13 @@ def preprocess(
     )
 
 
+def _rung_names() -> list[str]:
+    """Complete --model in the shell."""
+    from airpuck.model.rungs import RUNGS
+
+    return [*RUNGS, "auto"]
+
+
 @app.command(rich_help_panel=PANEL)
 def identify(
     recordings: Annotated[
@@ -92,8 +99,9 @@ def identify(
     model: Annotated[
         str,
         Option(
+            autocompletion=_rung_names,
             help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
-            "that predicts held-out parts of the recordings as well as any."
+            "that predicts held-out parts of the recordings as well as any.",
         ),
     ] = "M3",
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
@@ -209,7 +217,7 @@ def identify(
     fit.model.save(output)
     found = None if other is None else airpuck.evaluate(fit.model, other)
     if report_folder is not None:
-        _write_report(fit, trajectories[0], other, found, selection, report_folder)
+        _write_report(fit, trajectories, other, found, selection, report_folder)
     warn(fit.warnings, quiet)
     said = verdict_of(fit.model, found, other)
     figures = {**fit.to_json(), "verdict": said.to_json()}
@@ -255,7 +263,7 @@ def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
 
 def _write_report(
     fit: Fit,
-    training: Trajectory,
+    training: Sequence[Trajectory],
     other: Trajectory | None,
     found: Evaluation | None,
     selection: Selection | None,

@@ -165,7 +165,8 @@ def show_time_left(what: str, quiet: bool) -> Iterator[Callable[[float, float], 
         tenths = int(10 * done / total)
         if tenths > said and not quiet:
             said, left = tenths, (time.monotonic() - began) * (total / done - 1)
-            print(f"{what}: {10 * tenths} %, about {left:.0f} s left", file=sys.stderr, flush=True)
+            rest = f", about {left:.0f} s left" if done < total else ""
+            print(f"{what}: {10 * tenths} %{rest}", file=sys.stderr, flush=True)
 
     if quiet or not sys.stderr.isatty():
         yield in_words

@@ -48,7 +48,8 @@ class Whiteness:
     def verdict(self) -> str:
         """One sentence."""
         q = f"Q = {self.statistic:.1f}, {self.degrees} degrees of freedom, {p_text(self.p_value)}"
-        q = f"past ones say {100 * self.share:.1f} % of the variance, {q}"
+        least = f"{100 * LEAST_SHARE:g} % would count"
+        q = f"past ones say {100 * self.share:.1f} % of the variance, {least}: {q}"
         if self.passed:
             return f"{self.channel} innovations are white ({q})"
         lag = int(np.abs(self.autocorrelation).argmax())

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.evaluation.presentation import delay_words
 from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.identification.fit_result import Fit
@@ -22,7 +22,7 @@ from airpuck.report.page import Origin, Picture, Section, write_page
 
 def fit_report(
     fits: Fit | Sequence[Fit],
-    training: Trajectory,
+    training: Trajectory | Sequence[Trajectory],
     out: str | os.PathLike[str],
     *,
     judged: Judged | None = None,
@@ -37,8 +37,8 @@ def fit_report(
     ----------
     fits : Fit or sequence of Fit
         Fits of one craft to one recording.
-    training : Trajectory
-        What they were learned from.
+    training : Trajectory or sequence of Trajectory
+        What they were learned from; of several, pictures show the first.
     out : path-like
         Folder to write to.
     judged : Judged, optional
@@ -62,7 +62,8 @@ def fit_report(
     InputError
         If there is no fit, or the folder cannot be written to.
     """
-    fits = (fits,) if isinstance(fits, Fit) else tuple(fits)
+    fits, learned = (fits,) if isinstance(fits, Fit) else tuple(fits), as_trajectories(training)
+    training = learned[0]
     if not fits:
         raise InputError("there is no fit to report on")
     if truth is not None:
@@ -85,12 +86,15 @@ def fit_report(
         sections.append(_delay_section(last, training))
     if last.exclusion is not None:
         sections.append(fault_section(training, last.exclusion.faults[0], last.model))
-    sources = (training,) if judged is None else (training, judged.trajectory)
+    sources = learned if judged is None else [*learned, judged.trajectory]
     sections += [*more, sources_section(*sources)]
+    duration, samples = sum(one.duration for one in learned), sum(map(len, learned))
     lead = (
-        f"{', '.join(fit.model.name for fit in fits)}: identified from {training.duration:.1f} s "
-        f"of flight, {len(training)} samples, {vehicle.n_propellers} propellers"
+        f"{', '.join(fit.model.name for fit in fits)}: identified from {duration:.1f} s of flight, "
+        f"{samples} samples, {vehicle.n_propellers} propellers"
     )
+    if len(learned) > 1:
+        lead += f", {len(learned)} recordings, of which pictures show the first"
     if last.model.delay_learned:
         lead += f", transport delay {delay_words(last.model)}"
     elif training.delay_known:
