@@ -64,12 +64,12 @@ angular_disturbance_density = 0.4
             weights=st.just(default_tuning().regulator.weights),
             limits=st.builds(
                 Limits,
-                fence_m=st.none() | st.tuples(*[st.floats(-9, 9)] * 4),
+                fence_m=st.none() | st.tuples(*[st.floats(-9, -1)] * 2, *[st.floats(0, 9)] * 2),
                 speed_m_s=st.none() | positive,
                 spin_rad_s=st.none() | positive,
-                keep_out_m=st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9), positive)).map(
-                    tuple
-                ),
+                keep_out_m=st.lists(
+                    st.tuples(st.floats(-9, 9), st.floats(-9, 9), positive), max_size=8
+                ).map(tuple),
             ),
         ),
         estimation=st.builds(
@@ -159,6 +159,37 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
             "daqp",
         ),
         ("[estimation]", "[estimates]", "estimates", "not a known key"),
+        *[
+            ("[estimation]", f"[{table}]\n{line}\n[estimation]", field, problem)
+            for table, line, field, problem in [
+                ("regulator", 'kind = "pid"', "regulator.kind", "must be 'lqr' or 'mpc'"),
+                ("regulator", "horizon_s = -0.6", "regulator.horizon_s", "equal to 0.02"),
+                ("regulator", "horizon_s = nan", "regulator.horizon_s", "finite"),
+                ("regulator", "step_s = 0.0", "regulator.step_s", "equal to 0.001"),
+                ("regulator", "block = 0", "regulator.block", "equal to 1"),
+                ("regulator", "block = 1.5", "regulator.block", "integer"),
+                ("regulator", "horizon_s = 0.03\nstep_s = 0.05", "regulator", "longer than hor"),
+                ("regulator", "horizon_s = 5.0\nstep_s = 0.001", "regulator", "5000 steps; at m"),
+                ("regulator", "penalty = 1.0", "regulator.penalty", "not a known key"),
+                ("regulator.weights", "yaw = -1.0", "regulator.weights.yaw", "equal to 0.000001"),
+                ("regulator.limits", "speed_m_s = 0", "regulator.limits.speed_m_s", "than 0"),
+                ("regulator.limits", "margin_m = -1", "regulator.limits.margin_m", "equal to 0"),
+                ("regulator.limits", "penalty = 1e300", "regulator.limits.penalty", "100000000"),
+                (
+                    "regulator.limits",
+                    "fence_m = [1.0, -0.5, -1.0, 0.5]",
+                    "regulator.limits.fence_m",
+                    "lowest x and y, then highest",
+                ),
+                ("regulator.limits", "fence_m = [1.0]", "regulator.limits.fence_m.1", "missing"),
+                (
+                    "regulator.limits",
+                    f"keep_out_m = {[[0.0, 0.0, 0.1]] * 9}",
+                    "regulator.limits.keep_out_m",
+                    "at most 8",
+                ),
+            ]
+        ],
     ],
 )
 def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, problem):

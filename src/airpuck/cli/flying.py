@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -23,6 +24,13 @@ if TYPE_CHECKING:
 PANEL = "Control and flight"
 
 
+class Law(StrEnum):
+    """Laws of the controller; Typer takes a list of these, not of literals."""
+
+    LQR = "lqr"
+    MPC = "mpc"
+
+
 @app.command(rich_help_panel=PANEL)
 def replay(
     flight: Annotated[
@@ -32,6 +40,7 @@ def replay(
     fit_gains: Annotated[
         bool, Option("--fit-gains", help="Fit the regulator's gains to the log first.")
     ] = False,
+    regulator: options.RegulatorName = None,
     tuning: options.TuningFile = None,
     span: options.Span = None,
     mapping: options.MappingFile = None,
@@ -39,9 +48,7 @@ def replay(
     json_file: options.Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with those sent."""
-    from airpuck.control.tuning import default_tuning
-
-    craft, settings = inputs.read_belief(model), inputs.read_controls(tuning) or default_tuning()
+    craft, settings = inputs.read_belief(model), inputs.read_controls(tuning, regulator)
     result = airpuck.replay(
         inputs.read_flight(flight, mapping),
         craft,
@@ -117,9 +124,20 @@ def track(
     ] = None,
     pilot: options.PilotClass = None,
     controller: Annotated[
-        Literal["paper", "full"],
-        Option(help="paper: as flown; full: compensates the delay, rejects disturbances."),
-    ] = "paper",
+        Literal["paper", "full"] | None,
+        Option(
+            help="paper: as flown; full: compensates the delay, rejects disturbances; by default "
+            "paper, and full where mpc flies."
+        ),
+    ] = None,
+    regulators: Annotated[
+        list[Law] | None,
+        Option(
+            "--regulator",
+            help="lqr, or mpc: predicts, within the limits of motors and rails; give both to "
+            "compare them. By default the tuning's.",
+        ),
+    ] = None,
     estimator: Annotated[
         Literal["kalman", "actuation"] | None,
         Option(
@@ -132,26 +150,33 @@ def track(
     output: options.PageFolder = None,
     json_file: options.Json = None,
 ) -> None:
-    """Fly set points on the twin: by default the paper's, beside the real flights."""
+    """Fly set points on the twin: by default the paper's, beside the real flights.
+
+    With --regulator lqr --regulator mpc both laws fly the same, and the page compares them.
+    """
     from airpuck.control.reference import read_setpoints
-    from airpuck.control.tuning import default_tuning
     from airpuck.flight.pilot import pilot_maker
     from airpuck.twin.tracking_study import DWELL
 
-    names = models or ["paper:M0", "paper:M4"]
+    controls = inputs.read_controls(tuning)
+    if estimator is not None:
+        controls = controls.with_estimator(estimator)
+    if pilot is not None and regulators:
+        raise InputError("is for our controller; --pilot flies yours", field="--regulator")
+    laws = [str(law) for law in dict.fromkeys(regulators or [controls.regulator.kind])]
+    predicts = "mpc" in laws and pilot is None
+    names = models or ["paper:M0", "paper:M4"][predicts:]
     if dwell is not None and flights:
         raise InputError("a flight has its own times; give one of the two", field="--dwell")
     paths: list[Path | None] = list(flights or ())
     if setpoints is not None and flights:
         raise InputError("a flight has its own set points; give one of the two", field="--flight")
     own = setpoints is not None or pilot is not None
-    if not paths and dwell is None and controller == "paper" and not own:
+    as_flown = controller == "paper" or (controller is None and not predicts)
+    if not paths and dwell is None and as_flown and not own:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
-    controls = inputs.read_controls(tuning)
-    if estimator is not None:
-        controls = (controls or default_tuning()).with_estimator(estimator)
     plant = airpuck.read_model(truth)
     tracked = airpuck.tracking_study(
         [inputs.read_belief(name) for name in names],
@@ -160,7 +185,8 @@ def track(
         set_points=None if setpoints is None else read_setpoints(setpoints),
         dwell=dwell or DWELL,
         seed=seed,
-        full_controller=controller == "full",
+        full_controller=not as_flown,
+        regulators=laws,
         settings=inputs.read_twin(twin),
         tuning=controls,
         make_pilot=None if pilot is None else pilot_maker(pilot),
@@ -222,8 +248,9 @@ def _replay_lines(replay: Replay) -> Iterator[str]:
             f"median difference {motor['median_abs']:.4f}"
         )
     yield f"{'all':16s} {'':18s}   median difference {figures['median_abs']:.4f}"
-    fitted = "fitted" if replay.fitted else "from the tuning"
-    yield f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in figures["gains"].items())
+    fitted, gains = "fitted" if replay.fitted else "from the tuning", figures["gains"]
+    if gains is not None:
+        yield f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in gains.items())
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     yield f"{figures['steps']} of {int(replay.span.sum())} steps compared; outcomes: {outcomes}"
 

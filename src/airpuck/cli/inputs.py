@@ -114,16 +114,19 @@ def model_or_nominal(
     return given or nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
 
 
-def read_controls(path: Path | None) -> Tuning | None:
-    """Read the tuning file, if one is given, and check that it gives a regulator."""
-    if path is None:
-        return None
-    from airpuck.control.lqr import regulator
+def read_controls(path: Path | None, kind: str | None = None) -> Tuning:
+    """Read a tuning file, by default the packaged one, and check that it gives a regulator.
 
-    tuning = airpuck.read_tuning(path)
-    with about(path):
-        regulator(tuning.weights, tuning.period_s)
-    return tuning
+    `kind` is the law to take, whatever the tuning says.
+    """
+    from airpuck.control.lqr import regulator
+    from airpuck.control.tuning import default_tuning
+
+    tuning = default_tuning() if path is None else airpuck.read_tuning(path)
+    if path is not None:
+        with about(path):
+            regulator(tuning.weights, tuning.period_s)
+    return tuning if kind is None else tuning.with_regulator(kind)
 
 
 def read_excitation(

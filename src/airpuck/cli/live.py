@@ -109,6 +109,7 @@ def fly(
             numbers.DISTANCE,
         ),
     ] = None,
+    regulator: options.RegulatorName = None,
     tuning: options.TuningFile = None,
     seed: Annotated[
         int | None, options.number("N", "Seed of --excite; by default 0.", numbers.SEED)
@@ -124,7 +125,6 @@ def fly(
     from airpuck.compute.process import low_latency
     from airpuck.control.excitation import Excitation
     from airpuck.control.reference import check_inside
-    from airpuck.control.tuning import default_tuning
     from airpuck.flight.pilot import Pilot, pilot_maker
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import Limits
@@ -135,8 +135,10 @@ def fly(
     if dwell is not None and not setpoints:
         raise InputError("is the time at each --setpoint; none is given", field="--dwell")
     _refuse_unless_excited(excite, seed=seed, plan=plan, amplitude=amplitude, hold=hold)
-    if excite and pilot is not None:
-        raise InputError("is for a flight to set points; --excite has its own", field="--pilot")
+    for name, given in {"pilot": pilot, "regulator": regulator}.items():
+        if excite and given is not None:
+            words = "is for a flight to set points; --excite has its own"
+            raise InputError(words, field=f"--{name}")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     experiment = inputs.read_excitation(plan, duration, amplitude, hold)
@@ -145,7 +147,7 @@ def fly(
     live = live_settings(domain, interface, mapping, duration, quiet)
     craft = inputs.model_or_nominal(model, vehicle)
     fence = _fence(geofence, craft)
-    controls = inputs.read_controls(tuning) or default_tuning()
+    controls = inputs.read_controls(tuning, regulator)
     points = _set_points(setpoints, dwell, setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)

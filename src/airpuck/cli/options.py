@@ -114,6 +114,14 @@ PilotClass = Annotated[
         help="A controller of your own: a class that is made from (model, reference).",
     ),
 ]
+RegulatorName = Annotated[
+    Literal["lqr", "mpc"] | None,
+    Option(
+        "--regulator",
+        help="lqr, or mpc: predicts, within the limits of motors and rails; by default the "
+        "tuning's.",
+    ),
+]
 Seed = Annotated[int, number("N", "Seed of everything random.", numbers.SEED)]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],

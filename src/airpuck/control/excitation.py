@@ -15,7 +15,7 @@ from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, rea
 from airpuck.control.law import Step
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning
+from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
@@ -74,7 +74,7 @@ class Excitation:
     reference : Reference, optional
         What it steers to; by default the centre of the table.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one.
+        Of the controller; by default the packaged one. Its law is the LQR, whatever it says.
     amplitude : float or sequence of float, default 1
         Largest signal, of all or of each: those of the pairs, then those of the propellers without
         a partner, each in the vehicle's order. One of several may be 0.
@@ -110,7 +110,8 @@ class Excitation:
         self.controller = controller = TrackingController(
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
             reference or SetPoint(0.0, 0.0, 0.0),
-            tuning,
+            # The signals are added to the regulator's commands, which do not foresee them.
+            (tuning or default_tuning()).with_regulator("lqr"),
             reject_disturbance=False,
             compensate_delay=False,
         )

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import all_finite
 from airpuck.control.discretization import point_mass
@@ -32,6 +33,8 @@ from airpuck.model.model_file import Model
 _FIRST = 0.3
 #: A plan is flown on without an answer of the solver for this long [s].
 _FLOWN_ON = 0.1
+#: Commands that are decided at once; many more take longer than a period.
+_MOST_COMMANDS = 200
 #: The least time to an arrival that counts [s].
 _SOON = 0.02
 
@@ -60,7 +63,8 @@ class MPC:
     Raises
     ------
     InputError
-        If a thrust curve falls somewhere, or the weights give no regulator.
+        If a thrust curve falls somewhere, the weights give no regulator, or there are more commands
+        to decide than can be in time.
     """
 
     def __init__(
@@ -79,6 +83,14 @@ class MPC:
         regulator, vehicle = tuning.regulator, model.vehicle
         limits, w = regulator.limits, regulator.weights
         self._blocks = blocks = Blocks.of(regulator)
+        decided = vehicle.n_propellers * len(blocks.lengths)
+        if decided > _MOST_COMMANDS:
+            raise InputError(
+                f"{vehicle.n_propellers} propellers and {len(blocks.lengths)} blocks are {decided} "
+                f"commands; at most {_MOST_COMMANDS} can be decided in time: give a greater block, "
+                "a longer step or a shorter horizon",
+                field="regulator.block",
+            )
         count = len(blocks.times)
         #: Where the middle of the craft may be: lowest x and y, highest x and y [m].
         self.fence = _fence(limits.fence_m, table or Table(), vehicle.radius_m + limits.margin_m)
@@ -160,7 +172,7 @@ class MPC:
         answer = self._solver.solve(formed)
         if answer is not None and all_finite(answer.change.ravel()):
             self._plan = (self._plan + answer.change).clip(*self._range)
-            self._answered, self._way = self._since, way
+            self._answered, self._way = self._since, np.asarray(way)
             status: Status = "softened" if answer.exceeded else "optimal"
             ahead = Prediction(self._blocks.times, states[:, :6], self._active(answer.binding))
             return Step(self._plan[0].copy(), status, request, estimate, ahead)

@@ -19,6 +19,10 @@ from airpuck.estimate.axis_filter import Noise
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
+#: Laws by name.
+REGULATORS = ("lqr", "mpc")
+#: Steps of a horizon, and discs: with more, a prediction takes longer than a period.
+MOST_STEPS, _MOST_DISCS = 80, 8
 
 # Beyond these the Riccati equation is out of reach of the arithmetic.
 Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
@@ -65,14 +69,25 @@ class Limits(Section):
     fence_m: tuple[float, float, float, float] | None = None
     margin_m: NonNegative = 0.003
     #: A craft that moves is to be within the fence this much later, too: commands may get lost.
-    headway_s: NonNegative = 0.03
+    headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.03
     #: Along the way that is planned.
     speed_m_s: Positive | None = None
     spin_rad_s: Positive | None = None
     #: Discs to keep out of: x and y of the middle, and how near the craft's middle may come.
-    keep_out_m: tuple[tuple[float, float, Positive], ...] = ()
+    keep_out_m: Annotated[
+        tuple[tuple[float, float, Positive], ...], pydantic.Field(max_length=_MOST_DISCS)
+    ] = ()
     #: What a metre, metre per second or radian per second beyond a limit costs.
-    penalty: Positive = 1e4
+    penalty: Annotated[float, pydantic.Field(ge=1, le=1e8)] = 1e4
+
+    @pydantic.field_validator("fence_m")
+    @classmethod
+    def _right_way_up(
+        cls, fence: tuple[float, float, float, float] | None
+    ) -> tuple[float, float, float, float] | None:
+        if fence is not None and not (fence[0] < fence[2] and fence[1] < fence[3]):
+            raise ValueError("must be lowest x and y, then highest x and y: [-1.0, -0.5, 1.0, 0.5]")
+        return fence
 
 
 class Regulator(Section):
@@ -88,6 +103,21 @@ class Regulator(Section):
     iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 500
     weights: PredictiveWeights
     limits: Limits = Limits()
+
+    @pydantic.model_validator(mode="after")
+    def _in_time(self) -> Regulator:
+        if self.step_s > self.horizon_s:
+            raise ValueError(
+                f"step_s = {self.step_s:g} is longer than horizon_s = {self.horizon_s:g}; give a "
+                "shorter step or a longer horizon"
+            )
+        steps = round(self.horizon_s / self.step_s)
+        if steps > MOST_STEPS:
+            raise ValueError(
+                f"horizon_s / step_s is {steps} steps; at most {MOST_STEPS} can be predicted in "
+                "time: give a longer step or a shorter horizon"
+            )
+        return self
 
 
 class Estimation(Section):
@@ -161,6 +191,22 @@ class Tuning(Section):
         """
         estimation = self.estimation.model_copy(update={"estimator": estimator})
         return self.model_copy(update={"estimation": estimation})
+
+    def with_regulator(self, kind: str) -> Tuning:
+        """Return the same tuning with a law.
+
+        Parameters
+        ----------
+        kind : str
+            One of `REGULATORS`.
+
+        Returns
+        -------
+        Tuning
+            A copy.
+        """
+        regulator = self.regulator.model_copy(update={"kind": kind})
+        return self.model_copy(update={"regulator": regulator})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the tuning as TOML.

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import Status, Step
+from airpuck.control.law import Prediction, Status, Step
 from airpuck.flight.link import Link, Measurement
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
+
+#: Steps from one prediction that is kept, or sent to others, to the next.
+PREDICTIONS_EVERY = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,10 @@ class FlightLog:
     status: tuple[Status, ...]
     #: Pose asked for.
     reference: Float[np.ndarray, "K 3"]
+    #: How long the pilot took for each step [s].
+    took: Float[np.ndarray, " K"]
+    #: What a predictive law expected, by the number of the step; of every tenth.
+    predictions: Mapping[int, Prediction]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +49,8 @@ class Action:
     step: Step
     #: What the craft is asked to do: x, y, yaw and their rates.
     reference: Float[np.ndarray, " 6"]
+    #: How long the pilot took for its step [s].
+    took: float
 
 
 def fly(
@@ -82,6 +92,12 @@ def fly(
         command=np.array([action.step.command for action in actions]),
         status=tuple(action.step.status for action in actions),
         reference=np.array([action.reference[:3] for action in actions]),
+        took=np.array([action.took for action in actions]),
+        predictions={
+            k: action.step.prediction
+            for k, action in enumerate(actions)
+            if k % PREDICTIONS_EVERY == 0 and action.step.prediction is not None
+        },
     )
 
 
@@ -114,14 +130,16 @@ def control(
         if not np.array_equal(asked, announced):
             link.announce(asked)
             announced = asked
+        began = time.perf_counter()
         step = checked_step(pilot, pilot.step(now))
+        took = time.perf_counter() - began
         try:
             link.send(step.command)
         except InputError as error:
             problem = f"step() at {now:.2f} s: its command {error.problem}"
             raise InputError(problem, field=f"pilot {type(pilot).__name__}") from error
         pilot.sent(now, step.command)
-        yield Action(due, now, step, asked)
+        yield Action(due, now, step, asked, took)
         k = max(k + 1, math.floor((link.now - start) / period))
 
 

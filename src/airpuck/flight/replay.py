@@ -174,6 +174,9 @@ def replay(
         If a stream is missing or cannot be used.
     """
     tuning = tuning or default_tuning()
+    if fit_gains and tuning.regulator.kind != "lqr":
+        problem = "only the LQR has gains; give --regulator lqr"
+        raise InputError(problem, field="--fit-gains")
     _, commands, aligned = clean_streams(recording, model.vehicle)
     pose = recording["pose"]
     if not 0 <= span[0] < span[1] <= 1:
@@ -280,8 +283,7 @@ def _fit_gains(
     from scipy.optimize import least_squares
 
     law = controller.law
-    if not isinstance(law, LQR):
-        raise InputError("only the LQR has gains", field="fit-gains")
+    assert isinstance(law, LQR)
     if len(sent) < 50:
         raise InputError("too few commands below saturation to fit gains to", field="fit-gains")
     linear, angular = _regression(controller, estimates, _targets(controller, times), sent)

@@ -152,7 +152,7 @@ def track(
     pose : tuple of float, default (0, 0, 0)
         Where the craft stands at first [m, m, rad].
     gain : array, shape (3, 6), optional
-        Of the regulator; by default that of the tuning's weights.
+        Of the LQR; by default that of the tuning's weights.
     compensate_delay, reject_disturbance : bool, default True
         See `TrackingController`.
     on_board : bool, default False
@@ -196,6 +196,7 @@ def track(
             model,
             reference,
             tuning,
+            table=twin.settings.table,
             gain=gain,
             compensate_delay=compensate_delay,
             reject_disturbance=reject_disturbance,

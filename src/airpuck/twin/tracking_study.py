@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.flight.loop import FlightLog
 from airpuck.flight.pilot import PilotMaker
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
@@ -30,33 +33,51 @@ _LEAD, DWELL = 0.9, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """One model's flight to the set points."""
+    """One flight to the set points."""
 
     #: Name of the model that the controller believed.
     model: str
-    #: Of the regulator; None where another pilot flew.
+    #: Law of the controller; None where another pilot flew.
+    regulator: str | None
+    #: Of the LQR; None where another law or pilot flew.
     gains: Gains | None
     #: The flight on the twin.
     twin: Track
     #: The real flight that it imitates.
     real: Track | None
-    #: How many control steps ended how.
-    outcomes: Mapping[str, int]
+    #: What the controller did on the twin.
+    log: FlightLog
     #: Of the flight on the twin.
     recording: Recording
+    #: The greatest command.
+    command_max: float
+    #: How far the middle of the craft can go from that of the table, along x and y [m].
+    reach: tuple[float, float]
+    #: What flew, for tables: the model, and the law or the pilot where there are several or own.
+    label: str
     #: A pilot of one's own that flew, by the name of its class, and what to warn of.
     pilot: str | None = None
     warnings: tuple[str, ...] = ()
 
     @property
-    def label(self) -> str:
-        """What flew, for tables: the model, and the pilot if it is one's own."""
-        return self.model if self.pilot is None else f"{self.pilot} ({self.model})"
-
-    @property
     def results(self) -> list[SetPointResult]:
         """What became of the set points on the twin, that of the start left out."""
         return self.twin.moves()
+
+    @property
+    def outcomes(self) -> Mapping[str, int]:
+        """How many control steps ended how."""
+        return dict(sorted(Counter(self.log.status).items()))
+
+    @property
+    def clearance(self) -> Float[np.ndarray, " N"]:
+        """Distance to the nearest rail at each pose [m]; less than zero by noise, in contact."""
+        return np.min(np.array(self.reach) - np.abs(self.twin.pose[:, :2]), axis=1)
+
+    @property
+    def saturated(self) -> Bool[np.ndarray, "K n"]:
+        """Which commands are the greatest that the motors take."""
+        return self.log.command >= self.command_max - 1e-6
 
     @property
     def origin(self) -> float:
@@ -79,9 +100,13 @@ class Tracked:
         figures: dict[str, Any] = {
             "model": self.model,
             "pilot": self.pilot,
+            "regulator": self.regulator,
             "gains": None if self.gains is None else vars(self.gains),
             "setpoints": [result.to_json() for result in self.results],
             "outcomes": dict(self.outcomes),
+            "saturated": float(self.saturated.mean()),
+            "clearance_m": float(self.clearance.min()),
+            "step_ms": dict(zip(("p50", "p99", "max"), step_times(self.log), strict=True)),
         }
         if self.real is not None and self.rmse is not None:
             names = ("x_m", "y_m", "yaw_rad")
@@ -95,6 +120,11 @@ class Tracked:
         return figures
 
 
+def step_times(log: FlightLog) -> list[float]:
+    """Return median, 99 % quantile and maximum of what a control step took [ms]."""
+    return (1e3 * np.quantile(log.took, [0.5, 0.99, 1.0])).tolist()
+
+
 def tracking_study(
     models: Sequence[Model],
     truth: Model,
@@ -103,16 +133,17 @@ def tracking_study(
     set_points: SetPoints | None = None,
     dwell: float = DWELL,
     seed: int = 0,
-    full_controller: bool = False,
+    full_controller: bool | None = None,
+    regulators: Sequence[str] = (),
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     make_pilot: PilotMaker | None = None,
 ) -> list[Tracked]:
-    """Fly set points, by default the paper's, on the twin with several models.
+    """Fly set points, by default the paper's, on the twin with several models, and laws.
 
     Beside a real flight the twin flies that flight's set points at its times, from where it
-    started, with the regulator's gains fitted to its log; otherwise the set points with the
-    tuning's gains.
+    started, with an LQR's gains fitted to its log; otherwise the set points with the tuning's
+    gains.
 
     Parameters
     ----------
@@ -128,9 +159,11 @@ def tracking_study(
         Time from one of the paper's set points to the next, and at the last one [s].
     seed : int, default 0
         Seed of noise and radio.
-    full_controller : bool, default False
-        Whether the controller compensates the transport delay and rejects disturbances; the
-        paper's did neither.
+    full_controller : bool, optional
+        Whether the controller compensates the transport delay and rejects disturbances, as it does
+        by default where a law is ``mpc``; the paper's did neither.
+    regulators : sequence of str, optional
+        Laws that each model flies with, ``lqr`` and ``mpc``; by default the tuning's.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -141,7 +174,7 @@ def tracking_study(
     Returns
     -------
     list of Tracked
-        One for each model.
+        For each model, one for each law.
 
     Raises
     ------
@@ -155,38 +188,78 @@ def tracking_study(
     border = settings.table.reach(truth.vehicle.radius_m)
     if set_points is not None:
         check_inside(set_points, border, "the rails")
-    plant = build_plant(truth, settings)
+    laws = regulators or (tuning.regulator.kind,)
+    fly = partial(
+        _flown,
+        truth=truth,
+        seed=seed,
+        full_controller="mpc" in laws if full_controller is None else full_controller,
+        settings=settings,
+        plant=build_plant(truth, settings),
+        make_pilot=make_pilot,
+    )
     found = []
     padded = [*flights, *[None] * (len(models) - len(flights))]
     for model, flight in zip(models, padded, strict=True):
         course = _Course.planned(set_points, dwell)
-        gains = Gains.of(regulator(tuning.weights, tuning.period_s))
         if flight is not None:
             course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
-            gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
-        recording, log = track(
-            model,
-            course.set_points,
-            course.duration,
-            truth=truth,
-            seed=seed,
-            pose=course.pose,
-            gain=gains.matrix(),
-            compensate_delay=full_controller,
-            reject_disturbance=full_controller,
-            settings=settings,
-            tuning=tuning,
-            plant=plant,
-            make_pilot=make_pilot,
-        )
-        outcomes = {status: log.status.count(status) for status in sorted(set(log.status))}
-        twin = Track.of(recording, truth.vehicle, f"{model.name}, twin")
-        flown = Tracked(model.name, gains, twin, course.real, outcomes, recording)
-        if make_pilot is not None:
-            name = getattr(make_pilot, "__name__", type(make_pilot).__name__)
-            flown = replace(flown, gains=None, pilot=name, warnings=_clipped(name, log.command))
-        found.append(flown)
+        for kind in laws:
+            label = f"{model.name}, {kind}" if "mpc" in laws else model.name
+            found.append(fly(model, flight, course, label, tuning=tuning.with_regulator(kind)))
     return found
+
+
+def _flown(
+    model: Model,
+    flight: Recording | None,
+    course: _Course,
+    label: str,
+    *,
+    truth: Model,
+    full_controller: bool,
+    settings: TwinSettings,
+    tuning: Tuning,
+    make_pilot: PilotMaker | None,
+    **options: Any,
+) -> Tracked:
+    """Fly a course on the twin with one model and one law; `options` are those of `track`."""
+    law, pilot, gains = tuning.regulator.kind, None, None
+    if make_pilot is not None:
+        pilot = getattr(make_pilot, "__name__", type(make_pilot).__name__)
+        law, label = None, f"{pilot} ({model.name})"
+    elif law == "lqr":
+        gains = Gains.of(regulator(tuning.weights, tuning.period_s))
+        if flight is not None:
+            gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
+    recording, log = track(
+        model,
+        course.set_points,
+        course.duration,
+        truth=truth,
+        pose=course.pose,
+        gain=None if gains is None else gains.matrix(),
+        compensate_delay=full_controller,
+        reject_disturbance=full_controller,
+        settings=settings,
+        tuning=tuning,
+        make_pilot=make_pilot,
+        **options,
+    )
+    return Tracked(
+        model=model.name,
+        regulator=law,
+        gains=gains,
+        twin=Track.of(recording, truth.vehicle, f"{model.name}, twin"),
+        real=course.real,
+        log=log,
+        recording=recording,
+        command_max=truth.vehicle.command_max,
+        reach=settings.table.reach(truth.vehicle.radius_m),
+        label=label,
+        pilot=pilot,
+        warnings=() if pilot is None else _clipped(pilot, log.command),
+    )
 
 
 def _clipped(name: str, command: Float[np.ndarray, "K n"]) -> tuple[str, ...]:

@@ -1,0 +1,86 @@
+"""The predictive law with other craft than the paper's, and with a motor that is dead."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studies.false_alarms import craft
+
+from airpuck.boundary.errors import InputError
+from airpuck.control.excitation import Excitation
+from airpuck.control.law import Step
+from airpuck.control.lqr import LQR
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.model.model_file import Model, published_model
+from airpuck.physics.rigid_body import Dynamics, derivative
+
+M4 = published_model("M4")
+MPC = default_tuning().with_regulator("mpc")
+GOAL = SetPoint(0.4, -0.2, 1.0)
+
+
+def flown(
+    model: Model, duration: float, tuning: Tuning = MPC, truth: Dynamics | None = None
+) -> tuple[np.ndarray, list[Step]]:
+    """Fly to the goal by Runge and Kutta's method: distances in x, y, yaw, and steps."""
+    ours = TrackingController(model, GOAL, tuning, compiled=False)
+    h, real = 1 / 200, truth or model.dynamics
+    acting = np.full(model.vehicle.n_propellers, model.vehicle.command_min)
+    z = np.concatenate([np.zeros(6), acting])
+    waiting, steps, poses = [], [], []
+    for k in range(round(duration / h)):
+        ours.pose(k * h, z[:3].copy())
+        if k % 2 == 0:
+            steps.append(ours.step(k * h))
+            ours.sent(k * h, steps[-1].command)
+            waiting.append((k * h + model.transport_delay, steps[-1].command))
+        while waiting and waiting[0][0] <= k * h + 1e-9:
+            acting = waiting.pop(0)[1]
+        k1 = derivative(np, real, z, acting)
+        k2 = derivative(np, real, z + h / 2 * k1, acting)
+        k3 = derivative(np, real, z + h / 2 * k2, acting)
+        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + derivative(np, real, z + h * k3, acting))
+        poses.append(z[:3])
+    return np.array(poses) - [GOAL.x, GOAL.y, GOAL.yaw], steps
+
+
+@pytest.mark.parametrize(("propellers", "duration"), [(4, 1.5), (8, 1.2)])
+def test_a_craft_with_other_propellers_reaches_its_set_point(propellers, duration):
+    away, steps = flown(craft(propellers), duration)
+    assert {step.status for step in steps} == {"optimal"}
+    assert all(step.command.shape == (propellers,) for step in steps)
+    assert np.abs(away[-1]).max() < 2e-3
+    # Half way there, it is where the plan of 0.2 s before expected it.
+    plan, delay = steps[20].prediction, craft(propellers).transport_delay
+    expected = plan.states[9, :3] - [GOAL.x, GOAL.y, GOAL.yaw]
+    assert plan.times[9] == pytest.approx(0.2)
+    flown_then = away[round((0.2 + delay + 0.2) * 200) - 1]
+    np.testing.assert_allclose(flown_then, expected, atol=[0.01, 0.01, 0.05])
+
+
+def test_a_dead_motor_that_is_seen_goes_into_the_prediction():
+    motor, thrust = 0, M4.dynamics.thrust.copy()
+    thrust[motor] = 0.0
+    truth = replace(M4.dynamics, thrust=thrust)
+    ends, steps = {}, {}
+    for estimator in ("kalman", "actuation"):
+        away, steps[estimator] = flown(M4, 1.8, MPC.with_estimator(estimator), truth)
+        ends[estimator] = np.sqrt(np.mean(away[-100:, :2] ** 2))
+    seen = steps["actuation"][-1].estimate.effectiveness
+    assert seen[motor] < 0.1 and np.delete(seen, motor).min() > 0.8
+    assert ends["actuation"] < 0.5 * ends["kalman"]
+
+
+def test_excitation_steers_by_the_regulator_whatever_the_tuning_says():
+    pilot = Excitation(M4, tuning=MPC)
+    assert isinstance(pilot.controller.law, LQR)
+    assert pilot.controller.tuning == default_tuning()
+
+
+def test_more_commands_than_can_be_decided_in_time_are_refused():
+    tuning = MPC.model_copy(update={"regulator": MPC.regulator.model_copy(update={"block": 1})})
+    with pytest.raises(InputError, match="240 commands; at most 200") as error:
+        TrackingController(craft(8), GOAL, tuning, compiled=False)
+    assert error.value.field == "regulator.block"
