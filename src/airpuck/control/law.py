@@ -21,6 +21,8 @@ _Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open l
 #: How a control step ended. The outcomes of allocation and prediction fly; all others idle the
 #: motors; a guard around the controller sets ``unsafe``.
 Status = Outcome | Predicted | _Refused
+#: What holds a plan back.
+Bound = Literal["nothing", "motor", "motion"]
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted), "open loop")
 
 
@@ -41,6 +43,13 @@ class Prediction:
     times: Float[np.ndarray, " N"]
     states: Float[np.ndarray, "N 6"]
     active: tuple[str, ...]
+
+    @property
+    def bound_by(self) -> Bound:
+        """What holds the plan back most: the craft's motion is limited, its motors are, nothing."""
+        if set(self.active) - {"motor"}:
+            return "motion"
+        return "motor" if self.active else "nothing"
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from airpuck.data.trajectory import runs
 from airpuck.flight.track import TOLERANCE, SetPointResult, Track
 from airpuck.report import style
+from airpuck.report.law_report import flight_colors, law_sections, predicts, summary
 from airpuck.report.page import Origin, Picture, Section, Table, write_page
 from airpuck.twin.tracking_study import Tracked
 
@@ -60,6 +62,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
         "A model that explains the craft brings it to its set points; a poor one leaves an offset, "
         "unless disturbances are rejected."
     )
+    if predicts(flights):
+        caption = "Truth, seed and set points are the same for all laws."
     blocks = [Picture("tracking", tracking_figure(flights), caption), results]
     apart = [
         [f.model, *(f"{1e3 * error:.1f}" for error in f.rmse[:2]), f"{f.rmse[2]:.3f}"]
@@ -70,10 +74,26 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[Section]:
         words = "Twin against the real flight, 0.5 to 6.5 s on the figure's axis, root mean square."
         blocks.append(Table(words, ["flight", "x [mm]", "y [mm]", "yaw [rad]"], apart))
     inputs = [
-        Picture(f"inputs_{flight.model}", input_figure(flight), f"Commands of {flight.label}.")
+        Picture(f"inputs_{_file_name(flight)}", input_figure(flight), _said(flight))
         for flight in flights
     ]
-    return [Section("tracking", "Tracking", blocks), Section("inputs", "Commands", inputs)]
+    tracking, commands = (
+        Section("tracking", "Tracking", blocks),
+        Section("inputs", "Commands", inputs),
+    )
+    if not predicts(flights):
+        return [tracking, commands]
+    return [summary(flights), tracking, *law_sections(flights), commands]
+
+
+def _file_name(flight: Tracked) -> str:
+    """Return the part of a figure's file name that tells flights apart."""
+    return flight.model if flight.regulator != "mpc" else f"{flight.model}_mpc"
+
+
+def _said(flight: Tracked) -> str:
+    """Return what stands below the commands of a flight."""
+    return f"Commands of {flight.label}. Shaded: a motor of the twin is at full command."
 
 
 def _tracks(flight: Tracked) -> dict[str, Track]:
@@ -114,8 +134,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
     for axes, values in zip(panels, poses.T, strict=True):
         axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
-    for flight in flights:
-        color = style.rung_color(flight.model)
+    for flight, color in zip(flights, flight_colors(flights), strict=True):
         for kind, track in _tracks(flight).items():
             line = _LINES[kind]
             for axes, values in zip(panels, track.pose.T, strict=True):
@@ -136,6 +155,10 @@ def input_figure(flight: Tracked) -> Figure:
         for kind, track in tracks.items():
             time = track.command_time - flight.origin
             axes.step(time, track.command[:, i], where="post", **_COMMANDS[kind])
+        for first, last in runs(flight.saturated[:, i]):
+            span = flight.log.time[[first, min(last, len(flight.log.time) - 1)]]
+            start, stop = (span - flight.log.time[0] - flight.origin).tolist()
+            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, zorder=1)
         axes.set_xlim(0.0, float(flight.twin.time[-1]) - flight.origin)
     style.top_legend(figure, [style.key(kind, **_COMMANDS[kind]) for kind in tracks])
     return figure

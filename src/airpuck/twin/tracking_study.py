@@ -15,6 +15,8 @@ from airpuck.boundary import numbers
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.craft.table import Table
+from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import FlightLog
 from airpuck.flight.pilot import PilotMaker
 from airpuck.flight.replay import Gains, replay
@@ -49,10 +51,9 @@ class Tracked:
     log: FlightLog
     #: Of the flight on the twin.
     recording: Recording
-    #: The greatest command.
-    command_max: float
-    #: How far the middle of the craft can go from that of the table, along x and y [m].
-    reach: tuple[float, float]
+    #: The craft and its table.
+    vehicle: Vehicle
+    table: Table
     #: What flew, for tables: the model, and the law or the pilot where there are several or own.
     label: str
     #: A pilot of one's own that flew, by the name of its class, and what to warn of.
@@ -71,13 +72,19 @@ class Tracked:
 
     @property
     def clearance(self) -> Float[np.ndarray, " N"]:
-        """Distance to the nearest rail at each pose [m]; less than zero by noise, in contact."""
-        return np.min(np.array(self.reach) - np.abs(self.twin.pose[:, :2]), axis=1)
+        """Distance of the craft's edge to the nearest rail at each pose of the twin [m]."""
+        reach = np.array(self.table.reach(self.vehicle.radius_m))
+        return np.min(reach - np.abs(self.twin.pose[:, :2]), axis=1)
 
     @property
     def saturated(self) -> Bool[np.ndarray, "K n"]:
         """Which commands are the greatest that the motors take."""
-        return self.log.command >= self.command_max - 1e-6
+        return self.log.command >= self.vehicle.command_max - 1e-6
+
+    @property
+    def step_times(self) -> list[float]:
+        """Median, 99 % quantile and maximum of what a control step took [ms]."""
+        return (1e3 * np.quantile(self.log.took, [0.5, 0.99, 1.0])).tolist()
 
     @property
     def origin(self) -> float:
@@ -106,7 +113,7 @@ class Tracked:
             "outcomes": dict(self.outcomes),
             "saturated": float(self.saturated.mean()),
             "clearance_m": float(self.clearance.min()),
-            "step_ms": dict(zip(("p50", "p99", "max"), step_times(self.log), strict=True)),
+            "step_ms": dict(zip(("p50", "p99", "max"), self.step_times, strict=True)),
         }
         if self.real is not None and self.rmse is not None:
             names = ("x_m", "y_m", "yaw_rad")
@@ -118,11 +125,6 @@ class Tracked:
             }
             figures["flight_setpoints"] = [result.to_json() for result in self.real.moves()]
         return figures
-
-
-def step_times(log: FlightLog) -> list[float]:
-    """Return median, 99 % quantile and maximum of what a control step took [ms]."""
-    return (1e3 * np.quantile(log.took, [0.5, 0.99, 1.0])).tolist()
 
 
 def tracking_study(
@@ -205,7 +207,7 @@ def tracking_study(
         if flight is not None:
             course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
-            label = f"{model.name}, {kind}" if "mpc" in laws else model.name
+            label = f"{model.name} {kind}" if "mpc" in laws else model.name
             found.append(fly(model, flight, course, label, tuning=tuning.with_regulator(kind)))
     return found
 
@@ -254,8 +256,8 @@ def _flown(
         real=course.real,
         log=log,
         recording=recording,
-        command_max=truth.vehicle.command_max,
-        reach=settings.table.reach(truth.vehicle.radius_m),
+        vehicle=truth.vehicle,
+        table=settings.table,
         label=label,
         pilot=pilot,
         warnings=() if pilot is None else _clipped(pilot, log.command),
