@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.boundary.errors import InputError as InputError
     from airpuck.campaigns.campaign import campaign as campaign
     from airpuck.control.reference import (
+        Rendezvous as Rendezvous,
         SetPoint as SetPoint,
         SetPoints as SetPoints,
         TimedPath as TimedPath,
@@ -103,8 +104,9 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
 _NAMES = {
     "boundary.errors": "InputError",
     "campaigns.campaign": "campaign",
-    "control.reference": "SetPoint SetPoints TimedPath",
-    "control.tracking": "Step TrackingController",
+    "control.law": "Step",
+    "control.reference": "Rendezvous SetPoint SetPoints TimedPath",
+    "control.tracking": "TrackingController",
     "control.tuning": "Tuning read_tuning",
     "craft.vehicle": "Vehicle default_vehicle read_vehicle",
     "data.trajectory": "Span Trajectory",
