@@ -209,7 +209,7 @@ class Rendezvous:
         self.then = then or SetPoint(*self.state[:3].tolist())
 
     def at(self, now: float, ahead: float) -> Target:
-        """Return the state on its way through the rendezvous; afterwards, what follows."""
+        """Return a state on the way through it, or what follows; see `Reference.at`."""
         if self.time < now + ahead:
             return self.then.at(now, ahead)
         wanted = self.over(now, np.array([ahead]))
