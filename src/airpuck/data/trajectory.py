@@ -329,8 +329,8 @@ def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
 
 def as_trajectories(given: Any) -> list[Trajectory]:
     """Return one or several trajectories as a list; refuse a path or recording with what to do."""
-    single = isinstance(given, Trajectory | str) or not isinstance(given, Iterable)
-    listed: list[Any] = [given] if single else list(given)
+    several = isinstance(given, Iterable) and not isinstance(given, str)
+    listed: list[Any] = list(given) if several else [given]
     for one in listed:
         if not isinstance(one, Trajectory):
             raise InputError(
