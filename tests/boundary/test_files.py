@@ -7,13 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.files import Fraction, Section, read_toml, write_toml
 from airpuck.boundary.outputs import replacing
 
 
 class Example(Section):
     mass_kg: float
     rows: tuple[tuple[float, ...], ...] = ()
+    share: Fraction | tuple[Fraction, ...] = 1.0
     either: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
 
 
@@ -32,6 +33,8 @@ def test_missing_file(tmp_path):
         ("mass_kg = 1.0\nmas = 2", "mas: is not a known key"),
         ("mas_kg = 1.0", "mas_kg: is not a known key"),
         ("mass_kg = 1.0\nrows = 2.0", r"rows: must be a list in brackets, \[ \]"),
+        ("mass_kg = 1.0\nshare = 2.0", "toml: share: must be less than or equal to 1"),
+        ("mass_kg = 1.0\nshare = 'a'", "toml: share: must be a valid number"),
         ("mass_kg = 1.0\neither = 2.0", "toml: either: must be a list in brackets"),
         ("mass_kg = 1.0\nrows = [[1.0], ['x']]", r"rows\.1\.0"),
     ],

@@ -23,6 +23,10 @@ NonNegative = Annotated[float, pydantic.Field(ge=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 
 
+#: How pydantic names validators and the types of a union.
+_OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool)$")
+
+
 class Section(pydantic.BaseModel):
     """Base of every table in our TOML files: immutable, and an unknown key is an error."""
 
@@ -69,11 +73,7 @@ def checked(
         found = error.errors()
         first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
         # Names of validator functions and of Python's types are of no use to a user.
-        field = ".".join(
-            part
-            for part in map(str, first["loc"])
-            if not part.startswith("function-") and "[" not in part
-        )
+        field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
         problem = first["msg"].removeprefix("Value error, ").rstrip(".")
         problem = problem.replace("Input should be", "must be")
         problem = problem.replace("a valid array", "a list in brackets, [ ]")
