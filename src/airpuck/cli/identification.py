@@ -15,7 +15,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.inputs import load, read_craft
+from airpuck.cli.inputs import load, mapping_in, read_craft, refuse_others
 from airpuck.cli.output import (
     error_table,
     is_stdout,
@@ -42,6 +42,18 @@ if TYPE_CHECKING:
     from airpuck.model.model_file import Model
     from airpuck.model.rungs import Rung
 
+MODEL_FILE = Path("model.toml")
+#: Options that go with --puck.
+_OF_PUCK = [
+    "recordings",
+    "output",
+    "vehicle",
+    "mapping",
+    "puck",
+    "table_file",
+    "json_file",
+    "quiet",
+]
 PANEL = "From a recording to a validated model"
 
 
@@ -104,7 +116,7 @@ def identify(
             "that predicts held-out parts of the recordings as well as any.",
         ),
     ] = "M3",
-    output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
+    output: Annotated[Path, options.output("FILE", "Model file to write.")] = MODEL_FILE,
     span: options.Span = None,
     vehicle: options.VehicleFile = None,
     mapping: options.MappingFile = None,
@@ -165,11 +177,24 @@ def identify(
         options.number("N", "Fit to N resamplings, too, for their intervals.", numbers.REPLICATES),
     ] = None,
     seed: options.Seed = 0,
+    puck: Annotated[
+        bool,
+        Option("--puck", help="Identify the puck instead: drag, bounces; writes a table file."),
+    ] = False,
+    table_file: options.TableFile = None,
     verbose: options.Verbose = False,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Identify a model from recordings and write it as TOML."""
+    """Identify a model, or a puck, from recordings and write it as TOML."""
+    if puck:
+        others = {name: value for name, value in locals().items() if name not in _OF_PUCK}
+        refuse_others(identify, "--puck", others)
+        written = None if output == MODEL_FILE else output
+        _identify_puck(recordings, written, vehicle, mapping, table_file, json_file, quiet)
+        return
+    if table_file is not None:
+        raise InputError("is of the puck only; add --puck", field="--table")
     from airpuck.identification.bootstrap import bootstrap as resample
     from airpuck.identification.problem import Loss, Preparation
     from airpuck.identification.selection import LADDER
@@ -181,14 +206,10 @@ def identify(
         raise InputError("is of adam only; add --method adam", field="--epochs")
     if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
-    if delay == "fit" and method != "lm":
-        raise InputError("fit is of lm only", field="--delay")
     automatic, resampled = model == "auto", bootstrap is not None
     of_lm = (("--model auto", automatic), ("--robust", robust), ("--bootstrap", resampled))
-    for option, given in of_lm:
-        if given and method != "lm":
-            raise InputError("is of lm only", field=option)
-    if seed and bootstrap is None:
+    _check_method(method, delay, of_lm)
+    if seed and not resampled:
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     craft = read_craft(vehicle)
     trajectories = [load(path, craft, mapping, span=span, quiet=quiet) for path in recordings]
@@ -229,6 +250,59 @@ def identify(
         judged = error_table([fit.model.name], [found])
     summary = _fit_summary(fit, verbose)
     report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
+
+
+def _check_method(method: str, delay: str | None, of_lm: Sequence[tuple[str, bool]]) -> None:
+    """Refuse what only Levenberg-Marquardt can do of another method."""
+    if method == "lm":
+        return
+    if delay == "fit":
+        raise InputError("fit is of lm only", field="--delay")
+    for option, given in of_lm:
+        if given:
+            raise InputError("is of lm only", field=option)
+
+
+def _identify_puck(
+    recordings: list[Path],
+    output: Path | None,
+    vehicle: Path | None,
+    mapping: Path | None,
+    table_file: Path | None,
+    json_file: Path | None,
+    quiet: bool,
+) -> None:
+    """Identify a puck and write it into a table file."""
+    from airpuck.craft.table import read_table
+    from airpuck.identification.puck import identify_puck, value_of
+
+    names = mapping_in(mapping)
+    seen = [airpuck.read_recording(path, mapping=names, needs=("puck",)) for path in recordings]
+    for recording in seen:
+        warn(recording.warnings, quiet)
+    play = None if table_file is None else read_table(table_file)
+    fit = identify_puck(seen, play, read_craft(vehicle))
+    if output is not None:
+        fit.play.save(output)
+    warn(fit.notes, quiet)
+    puck = fit.play.puck
+    rows = [
+        [name, f"{value_of(puck, name):.4g}", f"{error:.2g}"]
+        for name, error in puck.standard_error.items()
+    ]
+    used = ", ".join(f"{count} off the {name}" for name, count in fit.bounces.items() if count)
+    summary = f"{fit.flights} flights ({fit.seconds:.1f} s), bounces: {used or 'none'}"
+    along = f"a puck without spin keeps {puck.kept_along_rail:.2f} of its speed along a rail"
+    found = table(("puck", "value", "standard error"), rows, title="identified on this table")
+    report(
+        fit.to_json(),
+        json_file,
+        found,
+        summary,
+        along,
+        output or "add -o table.toml to keep it",
+        quiet=quiet,
+    )
 
 
 def _fitted(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import airpuck
 from airpuck.boundary import numbers
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
 def read_craft(path: Path | None) -> Vehicle | None:
     """Read the vehicle file, if one is given."""
     return None if path is None else airpuck.read_vehicle(path)
+
+
+def refuse_others(command: Callable[..., Any], option: str, values: Mapping[str, Any]) -> None:
+    """Refuse options of a command that do not go with one, if they are given."""
+    for name, parameter in signature(command, eval_str=True).parameters.items():
+        if name in values and values[name] != parameter.default:
+            spelt = parameter.annotation.__metadata__[-1].param_decls
+            field = spelt[0] if spelt else f"--{name.replace('_', '-')}"
+            raise InputError(f"does not go with {option}", field=field)
 
 
 def read_twin(path: Path | None) -> TwinSettings | None:

@@ -92,6 +92,10 @@ TwinFile = Annotated[
         "--twin", metavar="FILE", help="Table, sensors, radio, faults; by default the packaged."
     ),
 ]
+TableFile = Annotated[
+    Path | None,
+    Option("--table", metavar="FILE", help="Table file: sizes, goals, puck; by default the usual."),
+]
 SetPointsFile = Annotated[
     Path | None,
     Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),

@@ -1,0 +1,394 @@
+"""A puck from its recording: drag, and how it bounces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey, Contact, Puck
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.identification.puck_flights import (
+    Line,
+    find_flights,
+    fit_flights,
+    noise_of,
+)
+from airpuck.physics.puck import Disc, strike
+from airpuck.recording.conversion import SECOND_NS
+from airpuck.recording.stream import Recording
+
+#: A contact is where paths before and after it meet, so near to a rail or a body [m].
+_NEAR = 0.012
+#: Longest time between two flights that a contact parts [s].
+_BETWEEN = 0.1
+#: Poses of a body so near to a contact tell its velocity [s].
+_AROUND = 0.03
+#: Slower bounces tell little [m/s].
+_SLOWEST = 0.1
+#: Velocities after a bounce scatter by this share of the speed, if by nothing else.
+_SCATTER = 0.005
+#: Numbers are identified by at least so many bounces.
+_FEWEST = 3
+#: Bounces that are off by more robust standard deviations than this are left out.
+_OUTLIER = 4.0
+#: Which bounces tell what.
+_TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "are there"}
+#: Worst standard errors with which a number counts as identified.
+_WORST = {"grip": 0.2, "friction": 0.15}
+
+
+@dataclass(frozen=True, eq=False)
+class Bounce:
+    """One bounce off a rail: velocities along normal and tangent [m/s], spins [rad/s]."""
+
+    before: Float[np.ndarray, " 3"]
+    after: Float[np.ndarray, " 3"]
+    #: Standard deviation of the velocities after it [m/s].
+    deviation: float
+    #: By how much it happened farther out than the rail should be [m].
+    beyond: float
+
+
+@dataclass(frozen=True, eq=False)
+class PuckFit:
+    """An identified puck.
+
+    Attributes
+    ----------
+    play : AirHockey
+        Table and puck, with standard errors of what was identified.
+    flights, seconds : int, float
+        Flights used, and their length [s].
+    bounces : dict of str to int
+        Bounces used, off rails, mallet and craft.
+    noise_m : float
+        Standard deviation of a measured position [m].
+    notes : tuple of str
+        What was not identified, and what is odd.
+    """
+
+    play: AirHockey
+    flights: int
+    seconds: float
+    bounces: dict[str, int]
+    noise_m: float
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            Numbers of the puck with their standard errors (None: assumed), and what they rest on.
+        """
+        puck, errors = self.play.puck, self.play.puck.standard_error
+        return {
+            "puck": {
+                name: {"value": value_of(puck, name), "standard_error": errors.get(name)}
+                for name in (*errors, *puck.assumed)
+            },
+            "kept_along_rail": puck.kept_along_rail,
+            "flights": self.flights,
+            "flights_s": self.seconds,
+            "bounces": dict(self.bounces),
+            "noise_m": self.noise_m,
+            "notes": list(self.notes),
+        }
+
+
+def value_of(puck: Puck, name: str) -> float:
+    """Return a number of a puck by its name, such as ``rail.restitution``."""
+    section, _, key = name.rpartition(".")
+    if name == "inertia_kg_m2":
+        return puck.inertia
+    return getattr(getattr(puck, section) if section else puck, key)
+
+
+def identify_puck(
+    recordings: Recording | Sequence[Recording],
+    play: AirHockey | None = None,
+    vehicle: Vehicle | None = None,
+) -> PuckFit:
+    """Identify drag and bounces of a puck from recordings of it.
+
+    Flights between contacts are fitted together with one drag, bounces with the law of contact that
+    the twin has. Where craft (``pose``) or mallet were recorded, their restitution is found, too.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        With a stream ``puck``.
+    play : AirHockey, optional
+        Sizes of table and puck, and what cannot be identified; by default the usual ones.
+    vehicle : Vehicle, optional
+        The craft, where it was recorded; by default the paper's.
+
+    Returns
+    -------
+    PuckFit
+        The puck, with standard errors.
+
+    Raises
+    ------
+    InputError
+        If a recording has no puck, or it hardly moves.
+    """
+    play = play or AirHockey()
+    listed = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    rates = np.array([play.puck.drag_1_s, play.puck.drag_1_s, play.puck.spin_drag_1_s])
+    flights, parts, noises = [], [], []
+    for recording in listed:
+        time, pose = _poses(recording, "puck")
+        noise = np.maximum(noise_of(time, pose), 1e-9)
+        if np.isnan(noise).any():
+            raise InputError("the puck stream is too short", file=recording.source)
+        found = find_flights(time, pose, noise, max(float(rates[0]), 0.01))
+        moving = [f for f in found if np.ptp(f.pose[:, :2], axis=0).max() > 20 * noise[0]]
+        parts.append(len(moving))
+        flights += moving
+        noises.append(noise)
+    if len(flights) < 2:
+        raise InputError(
+            "the puck hardly moves; record some seconds of shots and bounces", file=listed[0].source
+        )
+    noise = np.median(noises, axis=0)
+    lines, drag, error, used = fit_flights(flights, noise, rates)
+    errors: dict[str, float] = {"drag_1_s": float(error[0])}
+    puck = play.puck.model_copy(update={"drag_1_s": float(drag[0])})
+    notes = []
+    if np.isfinite(error[2]) and error[2] < 0.2:
+        puck = puck.model_copy(update={"spin_drag_1_s": float(drag[2])})
+        errors["spin_drag_1_s"] = float(error[2])
+    else:
+        notes.append("the puck hardly spins: the drag of its spin is assumed")
+    pairs = _pairs(lines, used, parts)
+    bounces = [b for b in (_rail_bounce(play, *pair) for pair, _ in pairs) if b is not None]
+    rail, rail_errors, n_rail, said = _fit_rail(puck, bounces)
+    puck = puck.model_copy(update={"rail": rail})
+    errors |= {f"rail.{name}": value for name, value in rail_errors.items()}
+    notes += said
+    counts = {"rail": n_rail, "mallet": 0, "craft": 0}
+    craft = (vehicle or default_vehicle()).radius_m
+    bodies = (("mallet", "mallet", play.mallet.radius_m), ("craft", "pose", craft))
+    for name, stream, radius in bodies:
+        closing = [
+            both
+            for (pair, part) in pairs
+            if (both := _closing(listed[part], stream, pair, radius + puck.radius_m)) is not None
+        ]
+        counts[name] = len(closing)
+        if len(closing) >= _FEWEST:
+            restitution, off = _ratio(np.array(closing))
+            law = getattr(puck, name).model_copy(update={"restitution": restitution})
+            puck = puck.model_copy(update={name: law})
+            errors[f"{name}.restitution"] = off
+    puck = puck.model_copy(update={"standard_error": errors})
+    seconds = sum(line.end - line.start for line, good in zip(lines, used, strict=True) if good)
+    left_out = int((~used).sum())
+    if left_out:
+        notes.append(f"{left_out} of {len(lines)} flights are bent by more than drag: left out")
+    found = play.model_copy(update={"puck": puck})
+    return PuckFit(found, int(used.sum()), seconds, counts, float(noise[0]), tuple(notes))
+
+
+def _poses(
+    recording: Recording, stream: str
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """Return times [s] and poses in order, the yaw continuous."""
+    logged = recording[stream]
+    first = recording["puck"].stamp_ns[0]
+    time = (logged.stamp_ns - first) / SECOND_NS
+    kept = np.isfinite(logged.values).all(axis=1)
+    time, index = np.unique(time[kept], return_index=True)
+    pose = logged.values[kept][index].copy()
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    return time, pose
+
+
+def _pairs(
+    lines: list[Line], used: np.ndarray, parts: list[int]
+) -> list[tuple[tuple[Line, Line], int]]:
+    """Return flights that follow each other, and the number of their recording."""
+    part = np.repeat(np.arange(len(parts)), parts)
+    return [
+        ((lines[i], lines[j]), int(part[i]))
+        for i, j in pairwise(range(len(lines)))
+        if part[i] == part[j]
+        and used[i]
+        and used[j]
+        and 0 <= lines[j].start - lines[i].end < _BETWEEN
+    ]
+
+
+def _meeting(before: Line, after: Line, axis: Float[np.ndarray, " 2"]) -> float | None:
+    """Return when the paths before and after a contact meet along an axis [s]."""
+    time = (before.end + after.start) / 2
+    for _ in range(3):
+        (here, speed), (there, other) = before.at(time), after.at(time)
+        closing = axis @ (speed - other)[:2]
+        if abs(closing) < _SLOWEST:
+            return None
+        time += float(axis @ (there - here)[:2] / closing)
+    slack = 0.01
+    return time if before.end - slack < time < after.start + slack else None
+
+
+def _rail_bounce(play: AirHockey, before: Line, after: Line) -> Bounce | None:
+    """Return the bounce between two flights, if it was off one rail."""
+    for axis, reach in enumerate(play.table.reach(play.puck.radius_m)):
+        normal = np.eye(2)[axis]
+        time = _meeting(before, after, normal)
+        if time is None:
+            continue
+        (pose, old), (_, new) = before.at(time), after.at(time)
+        side = np.sign(pose[axis])
+        beyond = float(abs(pose[axis]) - reach)
+        other = pose[1 - axis]
+        mouth = axis == 0 and abs(other) < play.table.goal_width_m / 2 + play.puck.radius_m
+        if abs(beyond) > _NEAR or mouth or side * old[axis] < _SLOWEST or side * new[axis] > 0:
+            continue
+        # The normal leads into the table; the tangent is the normal turned by 90°.
+        nx, ny = -side * normal
+        turn = np.array([[nx, ny, 0], [-ny, nx, 0], [0, 0, 1]])
+        deviation = float(np.hypot(before.deviation[0], after.deviation[0]))
+        return Bounce(turn @ old, turn @ new, deviation, beyond)
+    return None
+
+
+def _fit_rail(
+    puck: Puck, bounces: list[Bounce]
+) -> tuple[Contact, dict[str, float], int, list[str]]:
+    """Fit restitution, grip and friction to bounces by the law of contact."""
+    from scipy.optimize import least_squares
+
+    law, notes = puck.rail, list[str]()
+    if len(bounces) < _FEWEST:
+        notes.append(f"{len(bounces)} bounces off rails: how it bounces there is assumed")
+        return law, {}, len(bounces), notes
+
+    def residuals(values: Float[np.ndarray, " 3"], among: list[Bounce]) -> Float[np.ndarray, " n"]:
+        restitution, grip, friction = values.tolist()
+        rail = Contact.model_construct(restitution=restitution, grip=grip, friction=friction)
+        return np.concatenate([_off(puck, rail, bounce) for bounce in among])
+
+    bounds = ([0.0, 0.0, 0.0], [1.0, 1.0, 5.0])
+    options: dict[str, Any] = {"bounds": bounds, "diff_step": 1e-4}
+    # Cone and grip make valleys of their own; the assumed ones come first.
+    starts = [(law.grip, law.friction), *product((0.3, 0.8), (0.05, 0.15, 0.5))]
+    tried = [
+        least_squares(
+            residuals,
+            np.clip([law.restitution, *start], 1e-3, 0.999),
+            args=(bounces,),
+            loss="soft_l1",
+            **options,
+        )
+        for start in starts
+    ]
+    robust = min(tried, key=lambda fit: fit.cost).x
+    size = np.abs(residuals(robust, bounces).reshape(-1, 2)).max(axis=1)
+    limit = _OUTLIER * max(1.5 * float(np.median(size)), 1.0)
+    used = [b for b, s in zip(bounces, size, strict=True) if s <= limit]
+    fit = least_squares(residuals, robust, args=(used,), **options)
+    error = _clustered_errors(fit.jac, fit.fun)
+    values, errors = law.model_dump(), {}
+    for name, value, off in zip(("restitution", "grip", "friction"), fit.x, error, strict=True):
+        values[name] = float(value)
+        if off < _WORST.get(name, np.inf):
+            errors[name] = float(off)
+        else:
+            notes.append(f"too few bounces {_TELL[name]}: rail.{name} is assumed")
+    beyond = float(np.median([b.beyond for b in used]))
+    if abs(beyond) > 3e-3:
+        notes.append(
+            f"rails are {1e3 * abs(beyond):.0f} mm {'farther out' if beyond > 0 else 'nearer'} "
+            "than the table file says"
+        )
+    return Contact(**values), errors, len(used), notes
+
+
+def _clustered_errors(
+    jacobian: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " 3"]:
+    """Return standard errors; each bounce is a cluster, since it scatters as it likes."""
+    normal = jacobian.T @ jacobian
+    # A number that no bounce depends on has no error.
+    known = np.diag(normal) > 1e-9
+    error = np.full(3, np.inf)
+    if not known.any():
+        return error
+    scores = (jacobian * residual[:, None])[:, known].reshape(-1, 2, known.sum()).sum(axis=1)
+    n, free = len(scores), int(known.sum())
+    inverse = np.linalg.pinv(normal[np.ix_(known, known)])
+    covariance = inverse @ (scores.T @ scores) @ inverse * n / max(n - free, 1)
+    error[known] = np.sqrt(np.diag(covariance))
+    return error
+
+
+def _off(puck: Puck, law: Contact, bounce: Bounce) -> Float[np.ndarray, " 2"]:
+    """Return by how many standard deviations velocities after a bounce are off the law's."""
+    normal, along, spin = bounce.before.tolist()
+    # The normal is x here: a rail on the left.
+    disc = Disc(0.0, 0.0, normal, along, spin, puck.radius_m, puck.mass_kg, puck.inertia)
+    strike(disc, Disc(0.0, 0.0), 1.0, 0.0, law)
+    speed = float(np.hypot(normal, along))
+    deviation = np.hypot(bounce.deviation, _SCATTER * speed)
+    return (bounce.after[:2] - np.array([disc.vx, disc.vy])) / deviation
+
+
+def _closing(
+    recording: Recording, stream: str, pair: tuple[Line, Line], apart: float
+) -> tuple[float, float] | None:
+    """Return the speeds along the normal before and after a puck met a body, if it did."""
+    if stream not in recording.streams or not len(recording[stream]):
+        return None
+    before, after = pair
+    change = (after.velocity - before.velocity)[:2]
+    if np.hypot(*change) < _SLOWEST:
+        return None
+    when = _meeting(before, after, change / np.hypot(*change))
+    if when is None:
+        return None
+    time, pose = _poses(recording, stream)
+    # No puck changes a hand's velocity, but the hand may after the contact.
+    sides = (-1, -1) if stream == "mallet" else (-1, 1)
+    old, new = (_local(time, pose, when, side) for side in sides)
+    if old is None or new is None:
+        return None
+    (here, speed), (_, later) = before.at(when), after.at(when)
+    gap = here[:2] - old[0]
+    distance = float(np.hypot(*gap))
+    if abs(distance - apart) > _NEAR:
+        return None
+    normal = gap / distance
+    speeds = float(normal @ (speed[:2] - old[1])), float(normal @ (later[:2] - new[1]))
+    return speeds if speeds[0] < -_SLOWEST else None
+
+
+def _local(
+    time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"], when: float, side: int
+) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]] | None:
+    """Return place and velocity of a body just before (-1) or after (1) a moment."""
+    near = (side * (time - when) > 0) & (np.abs(time - when) < _AROUND)
+    if near.sum() < 5:
+        return None
+    _, slope, level = np.polyfit(time[near] - when, pose[near, :2], 2)
+    return level, slope
+
+
+def _ratio(speeds: Float[np.ndarray, "n 2"]) -> tuple[float, float]:
+    """Return the restitution, and its standard error, from speeds before and after."""
+    before, after = -speeds[:, 0], speeds[:, 1]
+    weight = 1 / np.maximum(before, 0.2) ** 2
+    square = (weight * before**2).sum()
+    found = float((weight * before * after).sum() / square)
+    off = after - found * before
+    error = np.sqrt((weight * off**2).sum() / max(len(before) - 1, 1) / square)
+    return min(max(found, 0.0), 1.0), float(error)
