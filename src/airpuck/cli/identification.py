@@ -202,13 +202,11 @@ def identify(
 
     names = LADDER if model == "auto" else (model,)
     rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
-    if epochs is not None and method != "adam":
-        raise InputError("is of adam only; add --method adam", field="--epochs")
     if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
     automatic, resampled = model == "auto", bootstrap is not None
     of_lm = (("--model auto", automatic), ("--robust", robust), ("--bootstrap", resampled))
-    _check_method(method, delay, of_lm)
+    _check_method(method, epochs, delay, of_lm)
     if seed and not resampled:
         raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
     craft = read_craft(vehicle)
@@ -252,9 +250,13 @@ def identify(
     report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
 
 
-def _check_method(method: str, delay: str | None, of_lm: Sequence[tuple[str, bool]]) -> None:
-    """Refuse what only Levenberg-Marquardt can do of another method."""
+def _check_method(
+    method: str, epochs: int | None, delay: str | None, of_lm: Sequence[tuple[str, bool]]
+) -> None:
+    """Refuse what only the other method can do."""
     if method == "lm":
+        if epochs is not None:
+            raise InputError("is of adam only; add --method adam", field="--epochs")
         return
     if delay == "fit":
         raise InputError("fit is of lm only", field="--delay")
