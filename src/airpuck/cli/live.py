@@ -55,6 +55,12 @@ def twin(
             "X Y YAW", r"Where the craft stands at first \[m, m, rad].", numbers.COORDINATE
         ),
     ] = (0.0, 0.0, 0.0),
+    puck: Annotated[
+        tuple[float, float, float, float] | None,
+        options.number(
+            "X Y VX VY", r"A puck, and how it moves at first \[m, m/s].", numbers.COORDINATE
+        ),
+    ] = None,
     seed: options.Seed = 0,
     domain: Domain = None,
     interface: Interface = None,
@@ -65,10 +71,13 @@ def twin(
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
+    from airpuck.physics.puck import PuckState
 
     live = live_settings(domain, interface, mapping, duration, quiet)
     truth = airpuck.read_model(model)
-    figures = serve_twin(truth, live, inputs.read_twin(settings), seed=seed, pose=pose)
+    start = None if puck is None else PuckState(*puck[:2], 0.0, *puck[2:])
+    table = inputs.read_twin(settings)
+    figures = serve_twin(truth, live, table, seed=seed, pose=pose, puck=start)
     report(
         figures,
         json_file,

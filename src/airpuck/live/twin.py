@@ -6,6 +6,7 @@ from typing import Any
 
 from airpuck.live.process import Inbox, LiveSettings, Outbox, Process, prioritize
 from airpuck.model.model_file import Model
+from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
@@ -23,6 +24,7 @@ def serve_twin(
     *,
     seed: int = 0,
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    puck: PuckState | None = None,
 ) -> dict[str, Any]:
     """Put a simulated table on the graph, until its time is over, SIGINT or SIGTERM.
 
@@ -38,6 +40,8 @@ def serve_twin(
         Seed of everything random.
     pose : tuple of float, default (0, 0, 0)
         Where the craft stands at first: x, y [m], yaw [rad].
+    puck : PuckState, optional
+        A puck, which comes back there out of a goal; by default there is none.
 
     Returns
     -------
@@ -49,13 +53,16 @@ def serve_twin(
     InputError
         If the graph cannot be joined, or another process publishes poses.
     """
-    warm = Twin(model, twin_settings, seed=seed, pose=pose)
+    warm = Twin(model, twin_settings, seed=seed, pose=pose, puck=puck)
     warm.wait_until(_WARM_UP)
-    twin = Twin(model, twin_settings, seed=seed, pose=pose, plant=warm.plant, logs=False)
+    start: dict[str, Any] = {"seed": seed, "pose": pose, "puck": puck, "plant": warm.plant}
+    twin = Twin(model, twin_settings, **start, logs=False)
     prioritize(first=True)
     with Process(NAME, settings or LiveSettings()) as process:
         process.refuse_second("pose", (), "motion capture")
-        table = _Table(twin, process)
+        if puck is not None:
+            process.refuse_second("puck", (), "motion capture of a puck")
+        table = _Table(twin, process, puck)
         while process.goes_on:
             table.turn()
         return table.to_json()
@@ -64,9 +71,10 @@ def serve_twin(
 class _Table:
     """A twin, and the streams it lives on."""
 
-    def __init__(self, twin: Twin, process: Process) -> None:
-        self._twin, self._process = twin, process
-        self._sensors = {kind: Outbox(process, kind) for kind in ("pose", "imu", "mouse")}
+    def __init__(self, twin: Twin, process: Process, puck: PuckState | None) -> None:
+        self._twin, self._process, self._puck = twin, process, puck
+        kinds = ("pose", "imu", "mouse") if puck is None else ("pose", "imu", "mouse", "puck")
+        self._sensors = {kind: Outbox(process, kind) for kind in kinds}
         motors = twin.model.vehicle.propeller_names
         self._commands = Inbox(process, "command", motors, wakes=True)
         self._poses = self._stops = 0
@@ -91,6 +99,7 @@ class _Table:
         for command in commands:
             self._twin.send(command)
         self._report_contact()
+        self._serve()
         if process.beat.begins(now):
             self._commands.report_strangers()
             speeds = " ".join(f"{speed:.3f}" for speed in self._twin.state[6:].tolist())
@@ -109,6 +118,14 @@ class _Table:
             "stops": self._stops,
             "duration_s": self._process.clock.now,
         }
+
+    def _serve(self) -> None:
+        """Put a puck that is in a goal back into play."""
+        play = self._twin.play
+        if play is not None and self._puck is not None and play.puck.goal:
+            side = "right" if play.puck.goal > 0 else "left"
+            self._process.events.log("info", f"the puck is in the {side} goal, and comes back")
+            play.puck.place(self._puck)
 
     def _report_contact(self) -> None:
         """Log when commands begin and stop to reach the motors."""
