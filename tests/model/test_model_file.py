@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.tuning import read_tuning
+from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.model.model_file import nominal_model, published_model, read_model
+from airpuck.recording.mapping import read_mapping
 
 #: As written before the transport delay was among the parameters.
 OLDER = """
@@ -162,6 +165,19 @@ def test_a_bare_name_is_told_how_published_parameters_are_called(tmp_path, monke
         read_model("M9")
     with pytest.raises(InputError, match="is a folder, and a file is wanted"):
         read_model(tmp_path)
+
+
+def test_a_file_of_another_kind_is_told_what_it_is(tmp_path):
+    default_vehicle().save(tmp_path / "craft.toml")
+    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
+        read_model(tmp_path / "craft.toml")
+    published_model("M3").save(tmp_path / "model.toml")
+    with pytest.raises(InputError, match=r"model.toml: is a model; another kind of file"):
+        read_vehicle(tmp_path / "model.toml")
+    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
+        read_mapping(tmp_path / "craft.toml")
+    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
+        read_tuning(tmp_path / "craft.toml")
 
 
 def test_a_model_of_a_matrix_needs_three_rows(tmp_path):

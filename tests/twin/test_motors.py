@@ -93,6 +93,7 @@ def test_a_stall_of_an_unknown_motor_is_refused():
     with pytest.raises(InputError, match="middle") as caught:
         unit(stalls=(Stall(motor="middle", start_s=0.0, stop_s=1.0),))
     assert caught.value.field == "motors.stalls"
+    assert "(there are left, right)" in str(caught.value)
 
 
 @settings(max_examples=100)

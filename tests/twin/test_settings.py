@@ -131,6 +131,7 @@ def test_the_delay_is_that_of_the_model_unless_the_radio_has_its_own():
         ("[weather]\nwind = 1.0", "weather"),
         ('[table]\nlength_m = "long"', "table.length_m"),
         ("[table]\nlength_m = -2.2", "table.length_m"),
+        ("[table]\nlength_m = 2200.0", "table.length_m"),
         ("[table]\nwidth_m = 0.0", "table.width_m"),
         ("[table]\nrestitution = 1.1", "table.restitution"),
         ("[table]\nfriction = -0.1", "table.friction"),

@@ -27,6 +27,17 @@ Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 _OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool)$")
 
 
+#: What a file is, by a table or key that no other kind has.
+_KINDS = {
+    "format": "a model",
+    "propellers": "a vehicle",
+    "setpoints": "a list of set points",
+    "pose": "a mapping of recordings",
+    "radio": "settings of the twin",
+    "estimation": "a controller tuning",
+}
+
+
 class Section(pydantic.BaseModel):
     """Base of every table in our TOML files: immutable, and an unknown key is an error."""
 
@@ -77,7 +88,10 @@ def checked(
         problem = first["msg"].removeprefix("Value error, ").rstrip(".")
         problem = problem.replace("Input should be", "must be")
         problem = problem.replace("a valid array", "a list in brackets, [ ]")
-        if first["type"] == "extra_forbidden":
+        kind = next((k for k in _KINDS if k in content and k not in schema.model_fields), None)
+        if first["type"] == "extra_forbidden" and kind:
+            field, problem = "", f"is {_KINDS[kind]}; another kind of file is wanted"
+        elif first["type"] == "extra_forbidden":
             problem = "is not a known key; check its spelling"
         elif first["type"] == "missing":
             problem = "is required but missing"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from typing import Annotated
 
 import pydantic
 
@@ -15,6 +16,9 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
+
+#: Of a table or a hall; one in millimetres is longer [m].
+Side = Annotated[float, pydantic.Field(gt=0, le=1000)]
 
 
 class Table(Section):
@@ -33,8 +37,8 @@ class Table(Section):
         puck fits through.
     """
 
-    length_m: Positive = 2.2
-    width_m: Positive = 1.1
+    length_m: Side = 2.2
+    width_m: Side = 1.1
     restitution: Fraction = 0.7
     friction: NonNegative = 0.1
     goal_width_m: Positive = 0.40

@@ -232,7 +232,10 @@ def _meanings(models: Sequence[Model]) -> str:
 
 def selection_section(selection: Selection) -> Section:
     """Show how well every rung predicted what was held out, and which was taken."""
-    title = f"{selection_title(selection)}, root mean square. {selection_words(selection)}."
+    title = (
+        f"{selection_title(selection)}, root mean square. The last column is the change of all "
+        f"three channels together, weighted as in the loss. {selection_words(selection)}."
+    )
     table = Table(title, SELECTION_HEADINGS, selection_rows(selection))
     return Section("selection", "Which terms help", (table,))
 

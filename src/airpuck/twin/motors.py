@@ -19,7 +19,8 @@ class MotorUnit:
             for fault in faults:
                 if fault.motor not in names:
                     raise InputError(
-                        f"there is no motor called {fault.motor!r}", field=f"motors.{field}"
+                        f"there is no motor called {fault.motor!r} (there are {', '.join(names)})",
+                        field=f"motors.{field}",
                     )
         self._settings = settings
         self._stalls = [(names.index(s.motor), s.start_s, s.stop_s) for s in settings.stalls]
