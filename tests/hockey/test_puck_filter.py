@@ -7,7 +7,12 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey, Puck
-from airpuck.hockey.prediction import PuckBelief, PuckModel, predict_puck
+from airpuck.hockey.prediction import (
+    PuckBelief,
+    PuckModel,
+    predict_crossing,
+    predict_puck,
+)
 from airpuck.hockey.puck_filter import GATE, PuckFilter, PuckNoise
 from airpuck.physics.puck import PuckState
 from airpuck.twin.puck import PuckOnTable
@@ -174,3 +179,37 @@ def test_the_gate_lets_noise_pass():
     rejected = found.outliers + sum(e.kind == "hit" for e in found.events)
     assert rejected == 0
     assert GATE > 30
+
+
+def test_a_crossing_is_where_the_path_is_straight():
+    # Along x at 2 m/s with a drag of 0.2 1/s; then after a bounce off the right rail.
+    belief = PuckBelief(1.0, np.array([0.0, 0.3, 0, 2.0, 0.5, 0]), np.zeros((6, 6)))
+    found = predict_crossing(KNOWN, belief, 0.4)
+    assert found is not None
+    assert found.time == pytest.approx(1.0 - math.log(1 - 0.2 * 0.4 / 2.0) / 0.2)
+    assert (found.state.x, found.state.y) == pytest.approx((0.4, 0.3 + 0.5 * 0.2))
+    back = predict_crossing(KNOWN, belief, -0.2, 3.0)
+    assert back is not None
+    puck = PuckOnTable(KNOWN, PuckState(*belief.mean.tolist()), 1.0)
+    puck.run(back.time)
+    assert puck.state.vx < 0
+    np.testing.assert_allclose(back.state, puck.state, atol=1e-7)
+    assert predict_crossing(KNOWN, belief, -0.2, 0.5) is None
+
+
+def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():
+    rng = np.random.default_rng(8)
+    mean = np.array([0.0, 0.0, 0, 2.0, 1.5, 0])
+    deviation = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.5])
+    belief = PuckBelief(0.0, mean, np.diag(deviation**2))
+    found = predict_crossing(KNOWN, belief, 0.8)
+    assert found is not None
+    drawn = []
+    for _ in range(400):
+        one = PuckBelief(0.0, mean + deviation * rng.normal(size=6), np.zeros((6, 6)))
+        other = predict_crossing(KNOWN, one, 0.8)
+        assert other is not None
+        drawn.append((other.time, other.state.y))
+    # One bounce is on the way.
+    assert found.state.vy < 0
+    np.testing.assert_allclose(found.covariance, np.cov(np.transpose(drawn)), rtol=0.3, atol=1e-6)

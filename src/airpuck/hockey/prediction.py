@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.craft.table import AirHockey, Puck
-from airpuck.physics.puck import PuckState
+from airpuck.physics.puck import PuckState, coast, time_of
 from airpuck.twin.puck import PuckOnTable, Touch
 
 #: What is not known of numbers that were not identified on this table; and from bounce to bounce.
@@ -127,20 +129,101 @@ def predict_puck(
     """
     model = model if isinstance(model, PuckModel) else PuckModel(model)
     mean, touches, goal = _path(model.play, belief, belief.mean, times)
-    variance, axes = np.linalg.eigh(belief.covariance)
-    steps = axes * np.sqrt(np.maximum(variance, 0.0))
     columns = []
-    for step in steps.T[variance > 0]:
-        high, low = (_path(model.play, belief, belief.mean + s * step, times)[0] for s in (1, -1))
-        columns.append((high - low) / 2)
-    for upper, lower in model.variants:
-        high, low = (_path(play, belief, belief.mean, times)[0] for play in (upper, lower))
+    for above, below in _both_sides(model, belief):
+        high, low = (_path(play, belief, state, times)[0] for play, state in (above, below))
         columns.append((high - low) / 2)
     deviation = np.array(columns)
     covariance = np.einsum("kti,ktj->tij", deviation, deviation)
     ahead = np.array(times, dtype=float) - belief.time
     covariance += process_noise(ahead, ACCELERATION_DENSITY)
     return PuckPrediction(np.array(times, dtype=float), mean, covariance, touches, goal)
+
+
+@dataclass(frozen=True, eq=False)
+class PuckCrossing:
+    """Where a puck will cross a line across the table.
+
+    Attributes
+    ----------
+    time : float
+        When its middle is there [s].
+    state : PuckState
+        Where, and how it moves.
+    covariance : array, shape (2, 2)
+        Of time and y.
+    """
+
+    time: float
+    state: PuckState
+    covariance: Float[np.ndarray, "2 2"]
+
+
+def predict_crossing(
+    model: PuckModel | AirHockey, belief: PuckBelief, x: float, horizon: float = 2.0
+) -> PuckCrossing | None:
+    """Predict when and where a puck that nobody hits will first cross a line across the table.
+
+    Parameters
+    ----------
+    model : PuckModel or AirHockey
+        The table; a `PuckModel` is prepared once.
+    belief : PuckBelief
+        What is known now.
+    x : float
+        Where the line is [m].
+    horizon : float, default 2
+        How far to look ahead [s].
+
+    Returns
+    -------
+    PuckCrossing or None
+        The crossing; None if there is none in time.
+    """
+    model = model if isinstance(model, PuckModel) else PuckModel(model)
+    end = belief.time + horizon
+    middle = _crossing(model.play, belief, belief.mean, x, end)
+    if middle is None:
+        return None
+    centre = np.array([middle[0], middle[1].y])
+    columns = []
+    for (high, above), (low, below) in _both_sides(model, belief):
+        found = [_crossing(high, belief, above, x, end), _crossing(low, belief, below, x, end)]
+        # A side that does not cross in time is taken to be the mirror image of the other.
+        ends = [np.array([time, state.y]) - centre for time, state in filter(None, found)]
+        if found[1] is not None:
+            ends[-1] = -ends[-1]
+        columns.append(np.mean(ends, axis=0) if ends else np.zeros(2))
+    deviation = np.array(columns)
+    return PuckCrossing(*middle, deviation.T @ deviation)
+
+
+def _both_sides(
+    model: PuckModel, belief: PuckBelief
+) -> Iterator[tuple[tuple[AirHockey, Float[np.ndarray, "6"]], tuple[AirHockey, Any]]]:
+    """Yield table and state a standard deviation to both sides: of the belief, of the numbers."""
+    variance, axes = np.linalg.eigh(belief.covariance)
+    for step in (axes * np.sqrt(np.maximum(variance, 0.0))).T[variance > 0]:
+        yield (model.play, belief.mean + step), (model.play, belief.mean - step)
+    for upper, lower in model.variants:
+        yield (upper, belief.mean), (lower, belief.mean)
+
+
+def _crossing(
+    play: AirHockey, belief: PuckBelief, state: Float[np.ndarray, " 6"], x: float, end: float
+) -> tuple[float, PuckState] | None:
+    """Return when a puck crosses a line, and its state there: free paths are straight in σ."""
+    puck = PuckOnTable(play, PuckState(*state.tolist()), belief.time, logs=False)
+    while puck.time < end and not puck.goal:
+        now, start = puck.time, puck.state
+        # Just beyond the next bounce.
+        until = min(puck.next_meeting + 1e-8, end)
+        sigma = (x - start.x) / start.vx if start.vx else -1.0
+        after = time_of(play.puck.drag_1_s, sigma) if sigma >= 0 else math.inf
+        if now + after <= until:
+            return now + after, coast(play.puck, start, after)
+        puck.run(until)
+    return None
 
 
 def process_noise(duration: Float[np.ndarray, " T"], density: float) -> Float[np.ndarray, "T 6 6"]:

@@ -15,8 +15,10 @@ from airpuck.craft.table import AirHockey
 from airpuck.hockey.prediction import (
     ACCELERATION_DENSITY,
     PuckBelief,
+    PuckCrossing,
     PuckModel,
     PuckPrediction,
+    predict_crossing,
     predict_puck,
     process_noise,
 )
@@ -138,6 +140,23 @@ class PuckFilter:
             ahead = numbers.Range(0, 60, "a puck is predicted ahead, not for longer", "s")
             ahead.check(time - self.belief.time, "times")
         return predict_puck(self.model, self.belief, times)
+
+    def crossing(self, x: float, horizon: float = 2.0) -> PuckCrossing | None:
+        """Predict where a puck that nobody hits will cross a line; see `predict_crossing`.
+
+        Parameters
+        ----------
+        x : float
+            Where the line is [m].
+        horizon : float, default 2
+            How far to look ahead [s].
+
+        Returns
+        -------
+        PuckCrossing or None
+            The crossing; None if there is none in time, or no pose has come.
+        """
+        return self.belief and predict_crossing(self.model, self.belief, x, horizon)
 
     def _begin(
         self, time: float, pose: Float[np.ndarray, " 3"], kind: Literal["seen"] | None

@@ -115,6 +115,11 @@ class PuckOnTable:
         self._contacts, self._counted_from = 0, self.time
         self._move_on(state._replace(x=x, y=y))
 
+    @property
+    def next_meeting(self) -> float:
+        """When the puck will meet the table next, if no disc is in its way; to a nanosecond [s]."""
+        return self._wall_time
+
     def run(self, end: float, discs: Sequence[Moving] = ()) -> Moving | None:
         """Let time pass until `end`, or until the puck has hit a disc that gives way.
 
