@@ -11,6 +11,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import point_mass
 from airpuck.control.lqr import regulator
 from airpuck.control.tuning import (
+    REGULATORS,
     Allocation,
     Estimation,
     Limits,
@@ -201,6 +202,12 @@ def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, probl
     assert error.value.file == str(path)
     assert error.value.field == field
     assert str(error.value).startswith(f"{path}: {field}: ")
+
+
+def test_a_law_is_chosen_by_name_and_nothing_else_changes():
+    tuning = default_tuning()
+    assert [tuning.with_regulator(kind).regulator.kind for kind in REGULATORS] == ["lqr", "mpc"]
+    assert tuning.with_regulator("mpc").with_regulator("lqr") == tuning
 
 
 def test_a_missing_file_and_broken_toml_are_named(tmp_path):

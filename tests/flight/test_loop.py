@@ -1,11 +1,13 @@
 """The flight loop, with a link and a pilot made up for it."""
 
+from dataclasses import replace
+from time import sleep
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from airpuck.control.law import FLYING, Step
+from airpuck.control.law import FLYING, Prediction, Step
 from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.flight.link import Measurement
@@ -90,6 +92,20 @@ def test_a_command_is_sent_every_period():
     np.testing.assert_allclose([time for time, _ in link.sent], 0.01 * np.arange(100), atol=1e-12)
     np.testing.assert_allclose(log.time, 0.01 * np.arange(100), atol=1e-12)
     assert link.now == pytest.approx(1.0)
+
+
+def test_every_tenth_prediction_is_kept_and_what_each_step_took():
+    plan = Prediction(np.array([0.1]), np.zeros((1, 6)), ())
+
+    class Predicts(FakePilot):
+        def step(self, time):
+            sleep(1e-3)
+            known = time > 0.05  # the first steps have none
+            return replace(super().step(time), prediction=plan if known else None)
+
+    log = fly(Predicts(), FakeLink(), 0.35)
+    assert list(log.predictions) == [10, 20, 30]
+    assert log.took.shape == (35,) and (log.took >= 1e-3).all()
 
 
 def test_the_period_does_not_drift_though_the_link_is_late():

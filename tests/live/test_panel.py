@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.flight.health import Deviations, Health
-from airpuck.live.panel import Gauge, gauges_html, health_html, timing_gauges
+from airpuck.live.panel import Gauge, gauges_html, health_html, plan_gauges, timing_gauges
 
 
 class Balanced(HTMLParser):
@@ -45,6 +45,14 @@ def test_times_are_compared_with_their_limits():
     assert (jitter.value, jitter.share) == ("4.00 of 2 ms", pytest.approx(2.0))
     assert missed == Gauge("missed deadlines", "3")
     assert timing_gauges({"pose_age_ms": "what"}) == []
+
+
+def test_the_plan_is_shown_while_it_is_news():
+    figures = {"limits": "motor, rail", "bound by": "motion"}
+    shown = plan_gauges(10.0, "softened", figures, 11.0)
+    assert shown == [Gauge("plan", "softened"), Gauge("limits ahead", "motor, rail")]
+    assert plan_gauges(10.0, "optimal", {"limits": ""}, 11.0)[1].value == "none"
+    assert plan_gauges(10.0, "softened", figures, 13.0) == []
 
 
 def test_each_channel_and_each_motor_has_a_gauge():

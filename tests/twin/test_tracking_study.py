@@ -66,6 +66,29 @@ def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path):
     assert table.rows[0][4] == "no poses"
 
 
+def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
+    points = SetPoints([0.0, 0.3], [(0.0, 0.0, 0.0), (0.5, 0.2, 1.0)])
+    lqr, mpc = tracking_study(
+        [M4], M4, set_points=points, dwell=1.4, seed=2, regulators=("lqr", "mpc")
+    )
+    assert [flight.label for flight in (lqr, mpc)] == ["M4 lqr", "M4 mpc"]
+    assert lqr.gains is not None and mpc.gains is None
+    # The same truth and noise: until the first command acts, both see the same.
+    first = lqr.twin.time < 0.005
+    np.testing.assert_array_equal(lqr.twin.pose[first], mpc.twin.pose[: first.sum()])
+    ((slow,), (fast,)) = lqr.results, mpc.results
+    assert fast.settling_time < 0.8 * (slow.settling_time or np.inf)
+    assert set(mpc.outcomes) <= {"no pose", "optimal"} and "optimal" not in lqr.outcomes
+    assert mpc.saturated.mean() > lqr.saturated.mean()
+    plan = mpc.log.predictions[40]
+    then = np.argmin(np.abs(mpc.twin.time - (mpc.log.time[40] + M4.transport_delay + 0.3)))
+    np.testing.assert_allclose(plan.states[14, :2], mpc.twin.pose[then, :2], atol=0.03)
+    assert not lqr.log.predictions
+    content = mpc.to_json()
+    assert (content["regulator"], content["gains"]) == ("mpc", None)
+    assert 0 < content["step_ms"]["p50"] <= content["step_ms"]["p99"]
+
+
 def test_json_has_null_for_what_is_no_number(capsys):
     from pathlib import Path
 

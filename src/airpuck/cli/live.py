@@ -18,6 +18,7 @@ from airpuck.cli.output import is_stdout, report, show, write_json
 
 if TYPE_CHECKING:
     from airpuck.control.reference import SetPoints
+    from airpuck.craft.table import Table
     from airpuck.live.process import LiveSettings
     from airpuck.model.model_file import Model
 
@@ -172,7 +173,8 @@ def fly(
             return excitation(craft)
         if make_own is not None:
             return make_own(craft, reference)
-        return airpuck.TrackingController(craft, reference, controls)
+        rails = _rails(geofence, craft)
+        return airpuck.TrackingController(craft, reference, controls, table=rails)
 
     limits = Limits(geofence=fence)
     figures = fly_live(make_pilot, craft.vehicle, limits, live, period=controls.period_s)
@@ -328,6 +330,16 @@ def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None)
     words = "give three numbers: x [m], y [m], yaw [rad]"
     poses = inputs.rows(texts or ["0 0 0"], 3, SETPOINT, words)
     return SetPoints([k * dwell for k in range(len(poses))], poses)
+
+
+def _rails(geofence: tuple[float, float] | None, craft: Model) -> Table:
+    """Return the table that a predictive law stays on: within the geofence, if one is given."""
+    from airpuck.craft.table import Table
+
+    if geofence is None:
+        return Table()
+    x, y = (2 * (side + craft.vehicle.radius_m) for side in geofence)
+    return Table().model_copy(update={"length_m": x, "width_m": y})
 
 
 def _fence(given: tuple[float, float] | None, craft: Model) -> tuple[float, float]:

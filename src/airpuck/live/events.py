@@ -70,10 +70,17 @@ class EventLog:
     def heartbeat(self, level: Level, text: str, values: Mapping[str, object]) -> None:
         """Publish that the process is alive, its state, and some figures; once a second."""
         self.flush()
+        self.state(level, text, values)
+
+    def state(
+        self, level: Level, text: str, values: Mapping[str, object], *, name: str = ""
+    ) -> None:
+        """Publish a state and some figures; `name` is that of a part of the process."""
         message = self._heartbeat.message()
-        _set_to_now(message.header.stamp)
+        set_stamp(message.header.stamp, time.time_ns())
         status = self._heartbeat.message("diagnostic_msgs/msg/DiagnosticStatus")
-        status.level, status.name, status.message = _HEARTBEAT_LEVELS[level], self._name, text
+        status.level, status.message = _HEARTBEAT_LEVELS[level], text
+        status.name = name or self._name
         status.values = [
             self._heartbeat.message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
             for key, value in values.items()
@@ -87,13 +94,13 @@ class EventLog:
         self._published = {k: t for k, t in self._published.items() if now - t < _REPEATS}
         self._published[kind] = now
         event = self._event.message()
-        _set_to_now(event.stamp)
+        set_stamp(event.stamp, time.time_ns())
         event.level, event.name, event.msg = EVENT_LEVELS[level], self._name, text
         self._events.send(self._event.encode(event))
         if not self._quiet:
             print(f"{self._name}: {escaped(text)}", file=sys.stderr, flush=True)
 
 
-def _set_to_now(stamp: Any) -> None:
-    """Set a message's stamp to the system's time."""
-    stamp.sec, stamp.nanosec = divmod(time.time_ns(), SECOND_NS)
+def set_stamp(stamp: Any, time_ns: int) -> None:
+    """Set a message's stamp to a time [ns since the epoch]."""
+    stamp.sec, stamp.nanosec = divmod(time_ns, SECOND_NS)

@@ -18,11 +18,12 @@ from jaxtyping import Float
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.link import Measurement
-from airpuck.flight.loop import Action, control
+from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.clock import LoopTiming
+from airpuck.live.plan import PlanOutbox
 from airpuck.live.process import Inbox, LiveSettings, Outbox, Process, prioritize
 from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
@@ -174,7 +175,8 @@ class _Flight:
         self._wishes = Inbox(process, "reference") if follows else None
         self._link = GraphLink(process, vehicle.propeller_names, announces=not follows)
         self._inboxes = [self._link.poses] + ([self._wishes] if self._wishes else [])
-        self._estimates = Outbox(process, "estimate")
+        self._estimates, self._plans = Outbox(process, "estimate"), PlanOutbox(process)
+        self._until_plan = 0
         self._guard = Guard(limits)
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
         self._pilot = GuardedPilot(pilot, self._guard, self._idle, process.events.log)
@@ -223,6 +225,10 @@ class _Flight:
         self._outcomes[step.status] += 1
         if step.estimate is not None:
             self._estimates.send(step.estimate.state)
+        if step.prediction is not None:
+            self._until_plan = (self._until_plan or PREDICTIONS_EVERY) - 1
+            if not self._until_plan:
+                self._plans.send(step)
         if isinstance(self._reference, PlannedSetPoints) and step.flies:
             self._reference.begin(action.time)
         self._follow_wishes()

@@ -14,6 +14,7 @@ from airpuck.flight.health import HORIZON, Health
 from airpuck.live.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
+from airpuck.live.plan import NAME as PLAN
 from airpuck.live.scene import Wish
 from airpuck.live.watch import Observer
 
@@ -86,6 +87,7 @@ class Panel:
         came, status, figures = observer.beats.get(FLY, (-math.inf, "", {}))
         if now - came < _GONE:
             gauges += [Gauge("controller", status), *timing_gauges(figures)]
+            gauges += plan_gauges(*observer.beats.get(PLAN, (-math.inf, "", {})), now)
         else:
             gauges.append(Gauge("controller", "none"))
         self._flight.content = gauges_html(gauges)
@@ -136,6 +138,13 @@ def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
     if "missed_deadlines" in figures:
         gauges.append(Gauge("missed deadlines", figures["missed_deadlines"]))
     return gauges
+
+
+def plan_gauges(came: float, status: str, figures: Mapping[str, str], now: float) -> list[Gauge]:
+    """Return what a predictive law said last of its plan: how it ended, and its active limits."""
+    if now - came >= _GONE:
+        return []
+    return [Gauge("plan", status), Gauge("limits ahead", figures.get("limits") or "none")]
 
 
 def health_html(health: Health) -> str:

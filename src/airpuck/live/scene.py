@@ -25,6 +25,8 @@ _PAIRS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159
 _TABLE, _RAIL = (236, 239, 241), (84, 98, 111)
 _CRAFT, _NOSE, _TRAIL = (120, 130, 140), (40, 40, 40), (20, 110, 190)
 _SET_POINT, _SET_POINT_EDGE = (240, 200, 20), (150, 115, 0)
+#: Colours of a plan by what holds it back.
+_BOUND = {"nothing": (0, 158, 115), "motor": (230, 159, 0), "motion": (213, 94, 0)}
 #: The camera at first: where it is, what it looks at [m], and its vertical field of view [rad].
 EYE, LOOKS_AT, FIELD_OF_VIEW = (0.0, -1.75, 2.25), (0.0, -0.03, 0.0), math.radians(40)
 #: Thickness of table and craft, rails, and propellers [m].
@@ -33,6 +35,8 @@ _THICK, _RAIL_HEIGHT, _RAIL_WIDTH, _PROPELLER, _PROPELLER_HEIGHT = 0.02, 0.03, 0
 _PER_NEWTON = 0.8
 #: Points of the trail, the least distance between them, and their height [m].
 _TRAIL_POINTS, _TRAIL_STEP, _TRAIL_HEIGHT = 200, 0.005, 0.004
+#: Above the craft, which would hide it.
+_PLAN_HEIGHT = 0.045
 #: Radius of the set point's ring and distance of its knob, in radii of the craft: both show around
 #: a craft that has arrived. Then the ring's height, and the knob's radius [m].
 _RING, _KNOB, _RING_HEIGHT, _BALL = 1.45, 1.95, 0.004, 0.018
@@ -70,6 +74,11 @@ class Scene:
         fade = np.linspace(_TABLE, _TRAIL, _TRAIL_POINTS).astype(np.uint8)
         start = np.zeros((_TRAIL_POINTS, 3))
         self._line = _add_line(scene, "/trail", start, _segments(fade), thickness=3.0)
+        self._plans = {
+            bound: _add_line(scene, f"/plan/{bound}", start[:2], color, thickness=5.0)
+            for bound, color in _BOUND.items()
+        }
+        self.show_plan(None, "")
         self._marker = _SetPointMarker(scene, model.vehicle.radius_m, wish)
 
     def add_pose(self, pose: Float[np.ndarray, " 3"]) -> None:
@@ -109,6 +118,24 @@ class Scene:
             trail = np.array(self._trail)
             missing = np.repeat(trail[:1], _TRAIL_POINTS - len(trail), axis=0)
             self._line.points = _segments(np.vstack([missing, trail]))
+
+    def show_plan(self, points: Float[np.ndarray, "N 2"] | None, bound: str) -> None:
+        """Draw where the controller expects the craft to go.
+
+        Parameters
+        ----------
+        points : array, shape (N, 2), optional
+            x, y [m]; None draws nothing.
+        bound : str
+            What holds the plan back (`airpuck.control.law.Bound`), which gives its colour.
+        """
+        # Another controller's path comes without a reason.
+        bound = bound if bound in self._plans else "nothing"
+        for kind, line in self._plans.items():
+            line.visible = points is not None and kind == bound
+            if points is not None and kind == bound:
+                height = np.full(len(points), _PLAN_HEIGHT)
+                line.points = _segments(np.column_stack([points, height])).astype(np.float32)
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
         """Move the set point.

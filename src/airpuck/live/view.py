@@ -18,6 +18,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.live.clock import Every
 from airpuck.live.panel import Panel
+from airpuck.live.plan import NAME as PLAN
 from airpuck.live.process import LiveSettings, Outbox, Process
 from airpuck.live.same_origin import same_origin_only
 from airpuck.live.scene import Scene
@@ -29,6 +30,8 @@ NAME = "airpuck view"
 _PICTURE, _GAUGES = 0.04, 0.5
 #: Thrusts are drawn while commands are no older than this [s].
 _COMMANDED = 0.5
+#: A plan is drawn for so long [s].
+_PLANNED_LAST = 0.5
 #: The controller's process comes first.
 _NICE = 5
 #: How to move the set point, or why that has no effect.
@@ -138,6 +141,9 @@ class _Page:
                 self._scene.show(pose, newest.get("command") if commanded else None)
             if wanted is not None:
                 self._scene.show_set_point(wanted)
+            fresh = self._observer.age("plan") < _PLANNED_LAST
+            bound = self._observer.beats.get(PLAN, (0.0, "", {}))[2].get("bound by", "")
+            self._scene.show_plan(self._observer.plan if fresh else None, bound)
             # Not more often: a slow browser would write over what is being entered.
             if self._gauges.begins(now):
                 if wanted is not None:

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from airpuck.flight.health import Health, HealthMonitor
 from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
-from airpuck.live.graph import LOG, STATE, Quality
+from airpuck.live.graph import LOG, SENSOR, STATE, Quality
+from airpuck.live.plan import PLAN, PLAN_TYPE, positions
 from airpuck.live.process import Inbox, LiveSettings, Process
 from airpuck.model.model_file import Model
 from airpuck.recording.message import MessageCodec, definitions
@@ -49,6 +50,9 @@ class Observer:
         self.events: deque[tuple[float, Any]] = deque(maxlen=_EVENTS)
         self._take_events = _messages(process, EVENTS, EVENT_TYPE, LOG)
         self._take_beats = _messages(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
+        #: Where the controller's newest plan leads [m]; `beats` say by `plan.NAME` what limits it.
+        self.plan: Float[np.ndarray, "N 2"] | None = None
+        self._take_plans = _messages(process, PLAN, PLAN_TYPE, SENSOR)
         self._counts: Counter[str] = Counter()
         self._counted = 0.0
 
@@ -76,6 +80,8 @@ class Observer:
                 self.newest[stream], self.heard[stream] = values, now
                 self._counts[stream] += 1
         self.events.extend((now, event) for event in self._take_events())
+        for path in self._take_plans():
+            self.plan, self.heard["plan"] = positions(path), now
         for message in self._take_beats():
             for status in message.status:
                 figures = {pair.key: pair.value for pair in status.values}

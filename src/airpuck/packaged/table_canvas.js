@@ -5,6 +5,7 @@
 //   table.resize();                           // at first, and when the canvas has a new size
 //   table.clear();                            // the empty table, to draw a frame on:
 //   table.drawTrail([[x, y, age], ...]);      // age 0 (now) … 1 (oldest); null breaks the line
+//   table.drawPlan([x, ...], [y, ...], color);
 //   table.drawSetPoint([x, y, yaw]);
 //   table.drawCraft([x, y, yaw], known);      // known false: grey, dashed, "no pose"
 //   table.drawThrusts([x, y, yaw], thrustsOf(craft, commands));
@@ -185,6 +186,17 @@ class TableCanvas extends Board {
         3.2 - 2 * age);
     }
     this.pen.lineCap = "butt";
+  }
+  drawPlan(x, y, color) {
+    const { pen } = this;
+    pen.strokeStyle = color;
+    pen.lineWidth = 3;
+    pen.lineJoin = pen.lineCap = "round";
+    pen.beginPath();
+    x.forEach((at, k) => pen.lineTo(...this.toPixels(at, y[k])));
+    pen.stroke();
+    pen.lineCap = "butt";
+    dot(pen, ...this.toPixels(x[x.length - 1], y[y.length - 1]), 4, color);
   }
   drawSetPoint(pose) {
     const { pen, craft } = this;

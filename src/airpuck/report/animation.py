@@ -9,6 +9,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
 from airpuck.report.animation_frames import TABLE, read_scene
 
@@ -25,6 +26,7 @@ def animate(
     speed: float = 1.0,
     frames_per_second: float = 25.0,
     table: tuple[float, float] = TABLE,
+    log: FlightLog | None = None,
 ) -> Path:
     """Show a flight from above: the craft on its table, its thrusts, its set point.
 
@@ -45,6 +47,8 @@ def animate(
     table : (float, float), default (2.2, 1.1)
         Length and width of the table around the origin [m]. It is not drawn if the flight leaves
         it.
+    log : FlightLog, optional
+        Of the same flight, for the plans ahead of a predictive law.
 
     Returns
     -------
@@ -70,7 +74,7 @@ def animate(
     numbers.FRAME_RATE.check(frames_per_second, "frames per second")
     for side in table:
         numbers.TABLE_SIDE.check(side, "table")
-    scene = read_scene(recording, vehicle or default_vehicle(), span, table)
+    scene = read_scene(recording, vehicle or default_vehicle(), span, table, log)
     n_frames = (scene.stop - scene.start) / speed * frames_per_second
     if suffix == ".gif" and n_frames > _MOST_FRAMES:
         raise InputError(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.law import Bound
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle, match_columns
+from airpuck.flight.loop import FlightLog
 from airpuck.physics.angle import wrapped
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.clock import align_clocks
@@ -31,6 +34,8 @@ _LONGEST_ARROW = 4.5
 #: Half width of an arrow's shaft, half width and length of its head, in radii of the craft.
 SHAFT, HEAD_WIDTH, HEAD_LENGTH = 0.07, 0.21, 0.42
 
+#: A plan is shown for so long, or until the next [s].
+PLAN_LASTS = 0.15
 #: How far back the trail reaches [s].
 TRAIL = 2.5
 #: Poses farther apart in time than this are not connected [s].
@@ -39,6 +44,17 @@ _LONGEST_PAUSE = 0.05
 _BEYOND_RAILS = 0.05
 #: Room around a flight that is not shown with its table [m].
 _MARGIN = 0.15
+
+
+class Plan(NamedTuple):
+    """Where a predictive law expected the craft to go."""
+
+    #: When [s].
+    time: float
+    #: Positions [m].
+    points: Float[np.ndarray, "N 2"]
+    #: What held it back.
+    bound: Bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +88,8 @@ class Scene:
     table: tuple[float, float] | None
     #: What to show: least and largest x, least and largest y [m].
     view: tuple[float, float, float, float]
+    #: In the order of their times.
+    plans: tuple[Plan, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +113,7 @@ def read_scene(
     vehicle: Vehicle,
     span: tuple[float, float] = (0.0, 1.0),
     table: tuple[float, float] = TABLE,
+    log: FlightLog | None = None,
 ) -> Scene:
     """Take from a recording what an animation shows.
 
@@ -139,7 +158,24 @@ def read_scene(
         reference=reference[asked],
         table=rails,
         view=view,
+        plans=() if log is None else _plans(log, float(aligned.command_time[0]), start, stop),
     )
+
+
+def _plans(log: FlightLog, begin: float, start: float, stop: float) -> tuple[Plan, ...]:
+    """Return the plans of a span; the first command was sent at `begin` [s]."""
+    since = begin - float(log.time[0])
+    found = [
+        Plan(float(log.time[k]) + since, plan.states[:, :2], plan.bound_by)
+        for k, plan in log.predictions.items()
+    ]
+    return tuple(plan for plan in found if start <= plan.time <= stop)
+
+
+def plan_at(scene: Scene, time: float) -> Plan | None:
+    """Return the newest plan at a moment [s], while it lasts."""
+    made = [plan for plan in scene.plans if time - PLAN_LASTS < plan.time <= time]
+    return made[-1] if made else None
 
 
 def _poses(

@@ -98,6 +98,7 @@ class _Stage:
     def __init__(self, scene: Scene, frames: Frames, speed: float) -> None:
         self.scene, self.frames = scene, frames
         self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
+        self.colors += [style.BOUND_COLORS[plan.bound] for plan in scene.plans[:1]]
         self.figure = _scenery(scene, speed)
         self.arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
         canvas = self.figure.canvas
@@ -146,6 +147,11 @@ def _moving_on_table(
     yield LineCollection(list(lines), colors=colors, linewidths=widths, capstyle="round")
     if np.isfinite(frames.reference[k]).all():
         yield from _craft(vehicle, frames.reference[k], style.ASKED, ls=(0, (3, 1.6)))
+    plan = moments.plan_at(scene, float(frames.time[k]))
+    if plan is not None:
+        color = style.BOUND_COLORS[plan.bound]
+        yield LineCollection([plan.points], colors=color, linewidths=2.2, capstyle="round")
+        yield Circle(tuple(plan.points[-1]), 0.1 * vehicle.radius_m, fc=color, ec="none")
     if not frames.known[k]:  # nobody knows where its propellers push
         yield from _craft(vehicle, pose, style.GREY, ls=(0, (2, 2)))
         above = pose[1] + 1.15 * vehicle.radius_m
@@ -312,3 +318,10 @@ def _draw_legend(axes: Axes, scene: Scene, scale: float) -> None:
     (shape,) = moments.arrow_shapes(arrow, scale * scene.vehicle.radius_m)
     axes.add_patch(Polygon(shape, color=style.GREY, lw=0))
     axes.text(start + length + 0.07, 0, f"commanded thrust of {key:g} N", **words)
+    if not scene.plans:
+        return
+    begin = start + length + 2.3
+    for color in style.BOUND_COLORS.values():
+        axes.plot([begin, begin + 0.15], [0, 0], color=color, lw=2.2)
+        begin += 0.17
+    axes.text(begin + 0.05, 0, "plan: free, motor, rail", **words)

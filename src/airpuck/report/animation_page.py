@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from airpuck.craft.vehicle import Vehicle
 from airpuck.report import animation_frames as moments
 from airpuck.report import style
-from airpuck.report.animation_frames import Scene
+from airpuck.report.animation_frames import Plan, Scene
 from airpuck.report.page import packaged_text, render
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
@@ -41,6 +41,9 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         trail=moments.TRAIL,
         key=moments.round_thrust(scene.vehicle),
         has_reference=len(scene.reference) > 0,
+        plans={style.BOUND_WORDS[k]: style.BOUND_COLORS[k] for k in style.BOUND_WORDS}
+        if scene.plans
+        else {},
         states=style.POSE,
         table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
         # Within a script only "<" could end it; in a string of JSON this is the same letter.
@@ -77,6 +80,8 @@ def flight_data(scene: Scene) -> dict[str, Any]:
         },
         "commandPause": scene.command_pause if math.isfinite(scene.command_pause) else None,
         "reference": _poses(scene.reference_time, scene.reference),
+        "plans": [_plan(plan) for plan in scene.plans],
+        "planLasts": moments.PLAN_LASTS,
         "table": scene.table,
         "view": scene.view,
         "trail": moments.TRAIL,
@@ -93,6 +98,13 @@ def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dic
         "y": _changes(pose[:, 1], "length"),
         "yaw": _changes(pose[:, 2], "angle"),
     }
+
+
+def _plan(plan: Plan) -> dict[str, Any]:
+    """Return a plan's time, positions as differences, and colour."""
+    x, y = plan.points.T
+    ways = {"x": _changes(x, "length"), "y": _changes(y, "length")}
+    return {"time": round(plan.time, 4), **ways, "color": style.BOUND_COLORS[plan.bound]}
 
 
 def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:

@@ -12,24 +12,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from airpuck.control.law import Bound
 from airpuck.physics.angle import pose_difference
 from airpuck.report import style
 from airpuck.report.page import Picture, Section, Table, Text
 from airpuck.report.replay_report import OUTCOMES
 from airpuck.twin.tracking_study import Tracked
-
-#: Colours of plans by what holds them back, and the words for it.
-BOUND_COLORS: dict[Bound, str] = {
-    "nothing": style.GREEN,
-    "motor": style.ORANGE,
-    "motion": style.VERMILLION,
-}
-_BOUND_WORDS: dict[Bound, str] = {
-    "nothing": "plan: no limit",
-    "motor": "plan: a motor at its limit",
-    "motion": "plan: rail, disc, speed or spin",
-}
 
 
 def predicts(flights: Sequence[Tracked]) -> bool:
@@ -199,7 +186,8 @@ def path_figure(flights: Sequence[Tracked]) -> Figure:
         style.key("set point", style.ASKED, marker="+", lw=0),
     ]
     keys += [
-        style.key(_BOUND_WORDS[k], color, marker=".", lw=1.1) for k, color in BOUND_COLORS.items()
+        style.key(style.BOUND_WORDS[k], color, marker=".", lw=1.1)
+        for k, color in style.BOUND_COLORS.items()
     ]
     style.top_legend(figure, keys)
     return figure
@@ -216,13 +204,15 @@ def _draw_way(axes: Axes, flight: Tracked) -> None:
     plans = list(flight.log.predictions.values())
     lines = LineCollection(
         [plan.states[:, :2].tolist() for plan in plans],
-        colors=[BOUND_COLORS[plan.bound_by] for plan in plans],
+        colors=[style.BOUND_COLORS[plan.bound_by] for plan in plans],
         lw=1.1,
         zorder=3,
     )
     axes.add_collection(lines)
     for plan in plans:
-        axes.plot(*plan.states[-1, :2], ".", color=BOUND_COLORS[plan.bound_by], ms=4, zorder=3)
+        axes.plot(
+            *plan.states[-1, :2], ".", color=style.BOUND_COLORS[plan.bound_by], ms=4, zorder=3
+        )
     axes.plot(*flight.twin.pose[:, :2].T, color=style.LIGHT, lw=6.0, zorder=2)
     axes.plot(*flight.twin.set_points.poses[:, :2].T, "+", color=style.ASKED, ms=9, mew=2, zorder=4)
     x, y = table.reach(-0.04)

@@ -23,6 +23,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
+from airpuck.control.law import Bound
 from airpuck.craft.vehicle import Vehicle
 
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
@@ -31,6 +32,14 @@ SKY, PURPLE = "#56b4e9", "#cc79a7"
 #: Colours that only animations need: the table, and what the craft was asked to do.
 FLOOR, HOLES, GRID, RAIL = "#f4f7fa", "#cbd6e0", "#dfe6ed", "#a5b2bf"
 ASKED = "#a93f7c"
+
+#: Colours of a plan ahead by what holds it back, and the words for it.
+BOUND_COLORS: dict[Bound, str] = {"nothing": GREEN, "motor": ORANGE, "motion": VERMILLION}
+BOUND_WORDS: dict[Bound, str] = {
+    "nothing": "plan: no limit",
+    "motor": "plan: a motor at its limit",
+    "motion": "plan: at a rail, disc, speed or spin",
+}
 
 #: One colour for each rung of the model ladder, in every figure.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}

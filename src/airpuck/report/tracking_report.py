@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from airpuck.data.trajectory import runs
 from airpuck.flight.track import TOLERANCE, SetPointResult, Track
 from airpuck.report import style
+from airpuck.report.animation import animate
 from airpuck.report.law_report import flight_colors, law_sections, predicts, summary
 from airpuck.report.page import Origin, Picture, Section, Table, write_page
 from airpuck.twin.tracking_study import Tracked
@@ -39,6 +40,12 @@ def tracking_report(
     """Write a report on a tracking study; `set_points`: whose they are."""
     names = " and ".join(flight.label for flight in flights)
     lead = f"The set points of {set_points}, flown with {names} on a twin of {truth}."
+    for flight in flights:
+        if flight.log.predictions:
+            table = flight.table.length_m, flight.table.width_m
+            path = Path(out) / f"flight_{_file_name(flight)}.html"
+            animate(flight.recording, path, vehicle=flight.vehicle, table=table, log=flight.log)
+            lead += f" {path.name} beside this page shows {flight.label} in motion."
     return write_page(out, "Tracking of set points", lead, tracking_sections(flights), origin)
 
 

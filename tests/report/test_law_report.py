@@ -1,0 +1,107 @@
+"""The page that compares laws: its figures are those of the flights, plans lead where they do."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from airpuck.control.law import Prediction
+from airpuck.craft.table import Table
+from airpuck.flight.loop import FlightLog
+from airpuck.flight.track import Track
+from airpuck.report import style
+from airpuck.report.animation import animate
+from airpuck.report.animation_frames import plan_at, read_scene
+from airpuck.report.law_report import clearance_figure, path_figure, summary
+from airpuck.report.tracking_report import tracking_report, tracking_sections
+from airpuck.twin.tracking_study import Tracked
+
+from .flights import CRAFT, flight
+
+PLANS = {
+    0: Prediction(np.array([0.1, 0.2]), np.full((2, 6), 0.05), ()),
+    10: Prediction(np.array([0.1, 0.2]), np.full((2, 6), 0.1), ("motor",)),
+    100: Prediction(np.array([0.1, 0.2]), np.full((2, 6), 0.2), ("motor", "rail")),
+}
+
+
+def flown(law: str, plans: dict[int, Prediction] | None = None) -> Tracked:
+    """A spiral of 2 s from the middle outwards, its first motor at full command for a tenth."""
+    recording = flight()
+    time = 0.01 * np.arange(190)
+    command = np.full((190, 6), 0.5)
+    command[100:119, 0] = 1.0
+    took = np.linspace(1e-3, 3e-3, 190)
+    log = FlightLog(time, command, ("optimal",) * 190, np.zeros((190, 3)), took, plans or {})
+    track = Track.of(recording, CRAFT, law)
+    table = Table(length_m=1.0, width_m=0.8)
+    return Tracked("M4", law, None, track, None, log, recording, CRAFT, table, f"M4 {law}")
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Tracked]:
+    return [flown("lqr"), flown("mpc", PLANS)]
+
+
+def test_figures_are_those_of_the_flight(flights):
+    content = flights[1].to_json()
+    assert content["saturated"] == pytest.approx(19 / 190 / 6)
+    x, y = np.abs(flights[1].twin.pose[:, :2]).T
+    radius = CRAFT.radius_m
+    nearest = min((0.5 - radius - x).min(), (0.4 - radius - y).min())
+    assert content["clearance_m"] == pytest.approx(nearest)
+    assert content["step_ms"]["p50"] == pytest.approx(2.0)
+    assert content["step_ms"]["max"] == pytest.approx(3.0)
+    assert content["outcomes"] == {"optimal": 190} and content["regulator"] == "mpc"
+
+
+def test_words_say_the_same_of_each_law(flights):
+    (text,) = summary(flights).blocks
+    said = " ".join(text.paragraphs)
+    assert f"Nearest to a rail: M4 lqr {1e3 * flights[0].clearance.min():.0f} mm; M4 mpc" in said
+    assert "1.7 % of the commands (one motor at least: 10 % of the time)" in said
+    assert "M4 mpc 2.00 and 2.98 ms" in said
+
+
+def test_plans_are_drawn_where_they_lead_in_the_colour_of_what_holds_them_back(flights):
+    lqr, mpc = path_figure(flights).axes
+    assert not lqr.collections[0].get_segments()
+    lines = mpc.collections[0]
+    np.testing.assert_allclose([s[0, 0] for s in lines.get_segments()], [0.05, 0.1, 0.2])
+    wanted = [style.BOUND_COLORS[k] for k in ("nothing", "motor", "motion")]
+    assert [style.mpl.colors.to_hex(c) for c in lines.get_colors()] == wanted
+    rail = clearance_figure(flights).axes[0].lines[0]
+    assert set(rail.get_ydata()) == {0.0}
+
+
+def test_one_law_alone_has_the_usual_page(flights):
+    usual = [section.anchor for section in tracking_sections(flights[:1])]
+    both = [section.anchor for section in tracking_sections(flights)]
+    assert usual == ["tracking", "inputs"]
+    assert both == ["words", "tracking", "errors", "above", "rails", "time", "inputs"]
+
+
+def test_the_page_has_both_and_the_animation_beside_it(flights, tmp_path):
+    page = tracking_report(flights, "M4", tmp_path).read_text()
+    assert "M4 lqr" in page and "M4 mpc" in page and "flight_M4_mpc.html" in page
+    moving = (tmp_path / "flight_M4_mpc.html").read_text()
+    found = re.search(r'<script type="application/json" id="flight">(.*?)</script>', moving)
+    plans = json.loads(found[1])["plans"]
+    assert [plan["color"] for plan in plans] == [
+        style.BOUND_COLORS[k] for k in ("nothing", "motor", "motion")
+    ]
+    # As differences of tenths of a millimetre.
+    assert [plan["x"] for plan in plans] == [[500, 0], [1000, 0], [2000, 0]]
+
+
+def test_a_plan_is_shown_from_its_step_on_until_it_is_old(flights, tmp_path):
+    scene = read_scene(flights[1].recording, CRAFT, log=flights[1].log)
+    begin = scene.command_time[0]
+    assert plan_at(scene, begin - 0.01) is None
+    assert plan_at(scene, begin + 0.05).bound == "nothing"
+    assert plan_at(scene, begin + 0.2).bound == "motor"
+    assert plan_at(scene, begin + 0.5) is None
+    assert not read_scene(flights[1].recording, CRAFT).plans
+    path = animate(flights[1].recording, tmp_path / "a.gif", log=flights[1].log, span=(0.5, 0.7))
+    assert path.stat().st_size > 1000
