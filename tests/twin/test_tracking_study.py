@@ -80,8 +80,8 @@ def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
     assert fast.settling_time < 0.8 * (slow.settling_time or np.inf)
     assert set(mpc.outcomes) <= {"no pose", "optimal"} and "optimal" not in lqr.outcomes
     assert mpc.saturated.mean() > lqr.saturated.mean()
-    plan = mpc.log.predictions[40]
-    then = np.argmin(np.abs(mpc.twin.time - (mpc.log.time[40] + M4.transport_delay + 0.3)))
+    plan = mpc.log.predictions[50]
+    then = np.argmin(np.abs(mpc.twin.time - (mpc.log.time[50] + M4.transport_delay + 0.3)))
     np.testing.assert_allclose(plan.states[14, :2], mpc.twin.pose[then, :2], atol=0.03)
     assert not lqr.log.predictions
     content = mpc.to_json()

@@ -98,7 +98,7 @@ class _Stage:
     def __init__(self, scene: Scene, frames: Frames, speed: float) -> None:
         self.scene, self.frames = scene, frames
         self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
-        self.colors += [style.BOUND_COLORS[plan.bound] for plan in scene.plans[:1]]
+        self.colors += style.BOUND_COLORS.values() if scene.plans else ()
         self.figure = _scenery(scene, speed)
         self.arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
         canvas = self.figure.canvas
