@@ -11,19 +11,24 @@ import pytest
 ROOT = Path(__file__).parents[1]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
-#: What is installed, and what its users run first. The view needs a graph to show.
-FIRST_USE = {
-    "control": """python -c "import airpuck; airpuck.read_model('paper:M3').to_statespace()" """,
-    "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
-    "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
-    "plan": "airpuck plan --from 0 0 0 --to 0.5 0 0",
-    "campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet",
-}
+#: What is installed, and what its users run first; one after the other in one environment. The
+#: view needs a graph to show.
+FIRST_USE = (
+    {
+        "control": """python -c "import airpuck; airpuck.read_model('paper:M3').to_statespace()" """,
+        "plan": "airpuck plan --from 0 0 0 --to 0.5 0 0",
+    },
+    {
+        "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
+        "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
+    },
+    {"campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet"},
+)
 SPEC = 'kind = "tracking"\nseeds = 1\nbase.dwell_s = 0.2\n'
 
 
-def fresh(folder: Path) -> Path:
-    venv.create(folder, with_pip=True)
+def fresh(folder: Path, *, pip: bool = False) -> Path:
+    venv.create(folder, with_pip=pip)
     return folder / "bin" / "python"
 
 
@@ -32,16 +37,17 @@ def site_packages(python: Path) -> Path:
     return Path(subprocess.check_output([python, "-c", code], text=True).strip())
 
 
-def install(python: Path, what: str) -> None:
-    command = [python, "-m", "pip", "install", "--quiet", "--no-compile", "-e", what]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+def install(pip: Path, python: Path, what: str) -> None:
+    """Install into an environment by the pip of another: it takes long to get a pip."""
+    command = [pip, "-m", "pip", "--python", python, "install", "--quiet", "--no-compile"]
+    subprocess.run([*command, "-e", what], cwd=ROOT, check=True, capture_output=True)
 
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory) -> Path:
     """An environment with the package and no extra."""
-    python = fresh(tmp_path_factory.mktemp("plain"))
-    install(python, ".")
+    python = fresh(tmp_path_factory.mktemp("plain"), pip=True)
+    install(python, python, ".")
     return python
 
 
@@ -53,22 +59,23 @@ def run(python: Path, command: str, folder: Path) -> subprocess.CompletedProcess
 
 
 def test_every_extra_is_tested():
-    tested = {extra for extras in FIRST_USE for extra in extras.split(",")}
+    tested = {extra for uses in FIRST_USE for extras in uses for extra in extras.split(",")}
     assert set(EXTRAS) - {"dev"} == tested
 
 
-@pytest.mark.parametrize("extras", FIRST_USE)
-def test_an_extra_brings_what_its_first_command_needs(extras, plain, tmp_path):
+@pytest.mark.parametrize("uses", FIRST_USE, ids=" ".join)
+def test_an_extra_brings_what_its_first_command_needs(uses, plain, tmp_path):
     # What the package itself needs is borrowed from the plain environment.
     python = fresh(tmp_path / "fresh")
     (site_packages(python) / "plain.pth").write_text(f"{site_packages(plain)}\n")
-    install(python, f".[{extras}]")
-    done = run(python, FIRST_USE[extras], tmp_path)
-    assert done.returncode == 0, done.stderr
+    for extras, command in uses.items():
+        install(plain, python, f".[{extras}]")
+        done = run(python, command, tmp_path)
+        assert done.returncode == 0, done.stderr
 
 
 def test_without_its_extra_a_command_says_what_to_install(plain, tmp_path):
-    for extras, command in FIRST_USE.items():
+    for extras, command in ((e, c) for uses in FIRST_USE for e, c in uses.items()):
         done = run(plain, command, tmp_path)
         assert done.returncode
         assert "airpuck[" in done.stderr.splitlines()[-1], extras

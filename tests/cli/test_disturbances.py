@@ -17,20 +17,22 @@ from airpuck.recording.read import read_recording
 from ..disturbed import Server
 from ..synthetic import record
 
+#: By name: the words of a command.
 COMMANDS = {
-    "preprocess": ["bag", "-o", "out/trajectory.npz", "--json", "out/figures.json"],
-    "identify": ["bag", "-o", "out/model.toml", "--report", "out", "--json", "out/figures.json"],
-    "faults": ["bag", "-o", "out", "--model", "paper:M3"],
-    "resid": ["paper:M3", "bag", "-o", "out"],
-    "excite": ["--duration", "2", "-o", "out/bag"],
-    "track": ["--model", "paper:M3", "--dwell", "0.3", "-o", "out"],
-    "animate": ["bag", "--span", "0", "0.2", "-o", "out/flight.gif"],
-    "design": ["--duration", "6", "-o", "out/plan.toml", "--figure", "out/errors.png"],
-    "demo": ["-o", "out"],
-    "reproduce": ["-o", "out"],
+    "preprocess": "preprocess bag -o out/trajectory.npz --json out/figures.json",
+    "identify": "identify bag --model M0 -o out/model.toml --json out/figures.json",
+    "identify with a page": "identify bag -o out/model.toml --report out --json out/figures.json",
+    "faults": "faults bag -o out --model paper:M3",
+    "resid": "resid paper:M3 bag -o out",
+    "excite": "excite --duration 1 -o out/bag",
+    "track": "track --model paper:M3 --dwell 0.3 -o out",
+    "animate": "animate bag --span 0 0.1 -o out/flight.gif",
+    "design": "design --duration 6 -o out/plan.toml --figure out/errors.png",
+    "demo": "demo -o out",
+    "reproduce": "reproduce -o out",
 }
 #: Minutes; they run with the studies.
-LONG = ("resid", "design", "demo", "reproduce")
+LONG = ("identify with a page", "resid", "design", "demo", "reproduce")
 #: Of a bag of an excitation: it must be new.
 NEW = ("excite",)
 
@@ -115,9 +117,9 @@ def usual(server, bag, tmp_path_factory):
 
     def run(name: str):
         if name not in known:
-            folder = tmp_path_factory.mktemp(name)
+            folder = tmp_path_factory.mktemp(name.split()[0])
             (folder / "bag").symlink_to(bag)
-            ended = server.run(name, *COMMANDS[name], folder=folder)
+            ended = server.run(*COMMANDS[name].split(), folder=folder)
             assert ended.status == 0, ended.error
             written = files(folder / "out")
             assert written
@@ -152,14 +154,27 @@ def check_after(name: str, folder: Path, old, ended, number: int, *, words: str 
     assert set(old) <= set(left)
 
 
+#: Ctrl-C is everybody's; of the other signals two commands tell as much as all.
+SIGNALS = [(signal.SIGINT, -1), (signal.SIGTERM, 1), (signal.SIGKILL, -1)]
+
+
 @pytest.mark.parametrize(
-    ("number", "write"), [(signal.SIGTERM, 1), (signal.SIGINT, -1), (signal.SIGKILL, -1)]
+    ("name", "number", "write"),
+    [
+        pytest.param(
+            *(name, number, write),
+            marks=[pytest.mark.study]
+            * (name in LONG or (number != signal.SIGINT and name not in ("preprocess", "faults"))),
+            id=f"{name}-{number.name}",
+        )
+        for name in COMMANDS
+        for number, write in SIGNALS
+    ],
 )
-@pytest.mark.parametrize("name", cases())
 def test_a_signal_while_something_is_written(server, usual, folder, name, write, number):
     written, _ = usual(name)
     old = prepare(name, folder, written)
-    ended = server.run(name, *COMMANDS[name], folder=folder, sent=number, write=write)
+    ended = server.run(*COMMANDS[name].split(), folder=folder, sent=number, write=write)
     expected = -number if number == signal.SIGKILL else 128 + number
     assert ended.status == expected, ended.error
     check_after(name, folder, old, ended, number, words="interrupted")
@@ -174,7 +189,7 @@ def test_a_signal_at_any_time(server, usual, folder, name, share, number):
     rng = np.random.default_rng([list(COMMANDS).index(name), round(10 * share), number])
     after = wall_s * (share + rng.uniform(-0.1, 0.1))
     old = prepare(name, folder, written)
-    ended = server.run(name, *COMMANDS[name], folder=folder, sent=number, after=after)
+    ended = server.run(*COMMANDS[name].split(), folder=folder, sent=number, after=after)
     if ended.status == 0:  # it was quicker this time
         return
     expected = -number if number == signal.SIGKILL else 128 + number
@@ -186,7 +201,7 @@ def test_a_signal_at_any_time(server, usual, folder, name, share, number):
 def test_a_full_disk(server, usual, folder, name):
     written, _ = usual(name)
     old = prepare(name, folder, written)
-    ended = server.run(name, *COMMANDS[name], folder=folder, full=True)
+    ended = server.run(*COMMANDS[name].split(), folder=folder, full=True)
     assert ended.status == 2, ended.error
     check_after(name, folder, old, ended, 0, words="cannot be written (File too large)")
     assert {file: left for file, left in files(folder / "out").items() if file in old} == old

@@ -110,8 +110,16 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
     assert (tmp_path / "out").read_text() == "mine"
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pictures that nobody looks at: tests of figures draw them all."""
+    monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
+
+
 @pytest.mark.parametrize("on_another", [True, False])
-def test_fit_report_of_any_craft(study, judged, tmp_path, on_another):
+def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, request):
+    if not on_another:
+        request.getfixturevalue("undrawn")
     truth = model_of(study.models[0].vehicle, "M3")
     on = judged if on_another else None
     path = fit_report(study.fits, study.training, tmp_path, judged=on, truth=truth)
@@ -132,7 +140,7 @@ def test_fit_report_of_any_craft(study, judged, tmp_path, on_another):
         assert name in page.text
 
 
-def test_fit_report_shows_when_packets_arrived(study, tmp_path):
+def test_fit_report_shows_when_packets_arrived(study, tmp_path, undrawn):
     jitter = DelayJitter(standard_deviation_s=0.0063, standard_error_s=0.0002, packets=3)
     delays = PacketDelays(np.array([20, 50, 90]), 1e-3 * np.array([-6.0, 1, 5]), np.full(3, 1e-3))
     fit = replace(
@@ -147,7 +155,7 @@ def test_fit_report_shows_when_packets_arrived(study, tmp_path):
     assert "jitter 6.3 ± 0.2 ms over 3 packets" in page.text
 
 
-def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path):
+def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path, undrawn):
     both = [replace(study.training, source=f"lab/{name}") for name in ("monday", "tuesday")]
     page = fit_report(study.fits[3], both, tmp_path).read_text(encoding="utf-8")
     assert f"identified from {2 * study.training.duration:.1f} s of flight" in page
@@ -155,7 +163,7 @@ def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path):
     assert "lab/monday" in page and "lab/tuesday" in page
 
 
-def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path):
+def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path, undrawn):
     alone = Judged(judged.trajectory, judged.evaluations[3:4])
     path = fit_report(study.fits[3], study.training, tmp_path, judged=alone)
     page = check_self_contained(path.read_text(encoding="utf-8"))

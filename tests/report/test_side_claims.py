@@ -52,6 +52,7 @@ def test_without_the_condition_some_thrust_curves_fall(recordings):
 
 
 @pytest.mark.data
+@pytest.mark.study
 def test_long_predictions_have_more_local_minima(recordings):
     short, long = claims.sample_landscapes(
         recordings[0], published_model("M3"), horizons=(50, 5000), span=0.1, points=21

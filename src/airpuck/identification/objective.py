@@ -31,6 +31,9 @@ PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
 #: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).
 BATCH = 64
+#: Recordings up to so many samples, a minute at 240 Hz, share a program: what it does not read
+#: costs nothing.
+_SHORTEST = 1 << 14
 #: Of how many windows on it is twice as many: an eighth less time each, for another program.
 _LARGE = 10_000
 #: Of how many windows on, and how far, `PredictionLoss.thinned` thins them out.
@@ -245,7 +248,7 @@ class PredictionLoss:
 
 def _lengthened(values: Float[np.ndarray, "N *shape"]) -> Float[np.ndarray, "M *shape"]:
     """Repeat the last sample up to a power of two, so that one program serves many recordings."""
-    missing = (1 << (len(values) - 1).bit_length()) - len(values)
+    missing = max(_SHORTEST, 1 << (len(values) - 1).bit_length()) - len(values)
     return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
