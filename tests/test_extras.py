@@ -15,7 +15,7 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["option
 #: view needs a graph to show.
 FIRST_USE = (
     {
-        "control": """python -c "import airpuck; airpuck.read_model('paper:M3').to_statespace()" """,
+        "control": "python -c \"import airpuck; airpuck.read_model('paper:M3').to_statespace()\"",
         "plan": "airpuck plan --from 0 0 0 --to 0.5 0 0",
     },
     {
