@@ -14,10 +14,8 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["option
 #: What is installed, and what its users run first; one after the other in one environment. The
 #: view needs a graph to show.
 FIRST_USE = (
-    {
-        "control": "python -c \"import airpuck; airpuck.read_model('paper:M3').to_statespace()\"",
-        "plan": "airpuck plan --from 0 0 0 --to 0.5 0 0",
-    },
+    {"control": "python -c \"import airpuck; airpuck.read_model('paper:M3').to_statespace()\""},
+    {"plan": "airpuck plan --from 0 0 0 --to 0.5 0 0"},
     {
         "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
         "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
