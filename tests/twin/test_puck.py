@@ -1,8 +1,10 @@
 """A puck among rails, goals and discs: closed forms, conservation, and random games."""
 
+import itertools
 import math
 
 import numpy as np
+import pymunk
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -201,3 +203,34 @@ def test_random_games(hundred):
     met = [games.game(seed, 1.0) for seed in range(100 * hundred, 100 * (hundred + 1))]
     for kind in ("rail", "post", "mallet", "craft", "goals"):
         assert sum(found.get(kind, 0) for found in met) > 10
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_a_whole_flight_is_that_of_pymunk(seed):
+    rng = np.random.default_rng(seed)
+    law = Contact(restitution=0.85, grip=1.0, friction=0.2)
+    puck = Puck(drag_1_s=0.0, spin_drag_1_s=0.0, rail=law)
+    start = PuckState(*rng.uniform(-0.3, 0.3, 2), 0.0, *rng.normal(0, 3, 2), rng.normal(0, 30))
+    ours = PuckOnTable(AirHockey.model_construct(table=CLOSED, puck=puck), start)
+    space = pymunk.Space()
+    space.collision_slop = 1e-6
+    body = pymunk.Body(puck.mass_kg, puck.inertia)
+    body.position, body.velocity, body.angular_velocity = start[:2], start[3:5], start[5]
+    disc = pymunk.Circle(body, puck.radius_m)
+    x, y, thick = CLOSED.length_m / 2, CLOSED.width_m / 2, 0.05
+    corners = [(-x - thick, -y - thick), (x + thick, -y - thick), (x + thick, y + thick)]
+    corners += [(-x - thick, y + thick), corners[0]]
+    rails = [
+        pymunk.Segment(space.static_body, *ends, thick) for ends in itertools.pairwise(corners)
+    ]
+    for shape in (disc, *rails):
+        shape.elasticity, shape.friction = math.sqrt(law.restitution), math.sqrt(law.friction)
+    space.add(body, disc, *rails)
+    for _ in range(20_000):
+        space.step(5e-5)
+    ours.run(1.0)
+    assert len(ours.touches) >= 2
+    # A step of theirs is 0.3 mm of way, at each bounce.
+    assert ours.state[:2] == pytest.approx(tuple(body.position), abs=3e-3)
+    assert ours.state[3:5] == pytest.approx(tuple(body.velocity), abs=0.02)
+    assert ours.state.spin == pytest.approx(body.angular_velocity, abs=0.5)
