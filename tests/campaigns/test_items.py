@@ -14,10 +14,17 @@ from ..synthetic import record
 
 
 @pytest.mark.study
-def test_a_flight_is_the_tracking_studys():
-    (row,) = Tracking(seed=3, controller="full", dwell_s=0.4).run()
+@pytest.mark.parametrize(
+    ("fields", "options"),
+    [
+        ({"controller": "full"}, {"full_controller": True}),
+        ({"regulator": "mpc"}, {"full_controller": True, "regulators": ["mpc"]}),
+    ],
+)
+def test_a_flight_is_the_tracking_studys(fields, options):
+    (row,) = Tracking(seed=3, dwell_s=0.4, **fields).run()
     model = published_model("M4")
-    (flown,) = tracking_study([model], model, dwell=0.4, seed=3, full_controller=True)
+    (flown,) = tracking_study([model], model, dwell=0.4, seed=3, **options)
     worst = np.max([np.abs(r.steady_state_error) for r in flown.results], axis=0)
     names = ("x_m", "y_m", "yaw_rad")
     np.testing.assert_array_equal([row[f"steady_state_error_{n}"] for n in names], worst)

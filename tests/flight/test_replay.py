@@ -255,6 +255,12 @@ def test_figures_are_plain_statistics_of_what_is_compared():
     assert document["outcomes"] == {"exact": 12, "no pose": 1, "scaled": 4}
 
 
+def test_a_law_without_gains_has_none_to_fit(recording):
+    predictive = default_tuning().with_regulator("mpc")
+    with pytest.raises(InputError, match="only the LQR has gains; give --regulator lqr"):
+        replay(recording, M4, tuning=predictive, fit_gains=True)
+
+
 @pytest.mark.parametrize("missing", ["pose", "command", "reference"])
 def test_a_missing_or_empty_stream_is_named(recording, missing):
     streams = {name: stream for name, stream in recording.streams.items() if name != missing}

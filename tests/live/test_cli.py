@@ -6,6 +6,9 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.cli import app as application
+from airpuck.cli import live
+from airpuck.craft.table import Table
+from airpuck.model.model_file import published_model
 
 MODEL = ("--model", "paper:M3")
 
@@ -33,6 +36,8 @@ def run(*arguments: str) -> None:
         (("--excite", "--amplitude", "2"), "amplitude"),
         (("--excite", "--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
         (("--excite", "--pilot", "mine.py:Mine"), "--pilot: is for a flight to set points"),
+        (("--excite", "--regulator", "mpc"), "--regulator: is for a flight to set points"),
+        ((*MODEL, "--pilot", "a.py:A", "--regulator", "mpc"), "--regulator: is for our controller"),
         ((*MODEL, "--pilot", "nowhere.py:Mine"), "nowhere.py: --pilot: there is no such file"),
         ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
         ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
@@ -48,6 +53,13 @@ def run(*arguments: str) -> None:
 def test_fly_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
         run("fly", *(arguments if arguments != ("fly",) else ()))
+
+
+def test_the_predictive_law_stays_within_the_geofence_or_the_rails():
+    craft = published_model("M3")
+    radius = craft.vehicle.radius_m
+    assert live._rails((0.6, 0.3), craft).reach(radius) == pytest.approx((0.6, 0.3))
+    assert live._rails(None, craft) == Table()
 
 
 def test_a_recorder_does_not_write_over_anything(tmp_path):

@@ -149,6 +149,8 @@ def fly(
         if excite and given is not None:
             words = "is for a flight to set points; --excite has its own"
             raise InputError(words, field=f"--{name}")
+    if pilot is not None and regulator is not None:
+        raise InputError("is for our controller; --pilot flies yours", field="--regulator")
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
     experiment = inputs.read_excitation(plan, duration, amplitude, hold)
