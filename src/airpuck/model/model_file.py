@@ -159,7 +159,7 @@ class Model:
         Raises
         ------
         InputError
-            If an array has another length.
+            If an array has another length, or a period is not above 0.
         """
         from airpuck.model.simulation import derivative
 
@@ -189,7 +189,7 @@ class Model:
         Raises
         ------
         InputError
-            If an array has another length.
+            If an array has another length, or a period is not above 0.
         """
         from airpuck.model.simulation import simulate
 
