@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.control.law import Step as Step
     from airpuck.control.tracking import TrackingController as TrackingController
     from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
+    from airpuck.craft.table import AirHockey as AirHockey, read_table as read_table
     from airpuck.craft.vehicle import (
         Vehicle as Vehicle,
         default_vehicle as default_vehicle,
@@ -57,12 +58,14 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.flight.pilot import Pilot as Pilot
     from airpuck.flight.preflight import preflight as preflight
     from airpuck.flight.replay import Replay as Replay, replay as replay
+    from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
     from airpuck.identification.adam import Adam as Adam
     from airpuck.identification.bootstrap import bootstrap as bootstrap
     from airpuck.identification.fit import identifiability as identifiability, identify as identify
     from airpuck.identification.fit_result import Fit as Fit
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
     from airpuck.identification.problem import Loss as Loss, Preparation as Preparation
+    from airpuck.identification.puck import identify_puck as identify_puck
     from airpuck.identification.selection import (
         Selection as Selection,
         select_model as select_model,
@@ -72,6 +75,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.model.rungs import named_rung as named_rung
     from airpuck.planning.plan import Plan as Plan, plan as plan, read_plan as read_plan
     from airpuck.planning.request import Goal as Goal, Limits as Limits
+    from airpuck.physics.puck import PuckState as PuckState
     from airpuck.preprocessing.pipeline import (
         load_trajectory as load_trajectory,
         preprocess as preprocess,
@@ -108,6 +112,7 @@ _NAMES = {
     "control.reference": "Rendezvous SetPoint SetPoints TimedPath",
     "control.tracking": "TrackingController",
     "control.tuning": "Tuning read_tuning",
+    "craft.table": "AirHockey read_table",
     "craft.vehicle": "Vehicle default_vehicle read_vehicle",
     "data.trajectory": "Span Trajectory",
     "data.trajectory_file": "read_trajectory",
@@ -124,18 +129,21 @@ _NAMES = {
     "flight.pilot": "Pilot",
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
+    "hockey.puck_filter": "PuckFilter",
     "identification.adam": "Adam",
     "identification.bootstrap": "bootstrap",
     "identification.fit": "identifiability identify",
     "identification.fit_result": "Fit",
     "identification.levenberg_marquardt": "LevenbergMarquardt",
     "identification.problem": "Loss Preparation",
+    "identification.puck": "identify_puck",
     "identification.selection": "Selection select_model",
     "model.model_file": "Model read_model",
     "model.parameters": "Parameters",
     "model.rungs": "named_rung",
     "planning.plan": "Plan plan read_plan",
     "planning.request": "Goal Limits",
+    "physics.puck": "PuckState",
     "preprocessing.pipeline": "load_trajectory preprocess",
     "recording.bag_writer": "write_bag",
     "recording.csv_folder": "write_csv",

@@ -1,5 +1,5 @@
 """Trajectory -> model.
 
 Entry points: `fit.identify`, `problem.Loss`, `problem.Preparation`, `objective.PredictionLoss`,
-`bootstrap.bootstrap`, `selection.select_model`.
+`bootstrap.bootstrap`, `selection.select_model`, `puck.identify_puck`.
 """

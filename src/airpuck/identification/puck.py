@@ -37,10 +37,11 @@ _SCATTER = 0.005
 _FEWEST = 3
 #: Bounces that are off by more robust standard deviations than this are left out.
 _OUTLIER = 4.0
+_TOO_LITTLE = "the puck hardly moves; record some seconds of shots and bounces"
 #: Which bounces tell what.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "are there"}
 #: Worst standard errors with which a number counts as identified.
-_WORST = {"grip": 0.2, "friction": 0.15}
+_WORST = {"grip": 0.2, "friction": 0.15, "drag": 0.2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,26 +149,24 @@ def identify_puck(
         time, pose = _poses(recording, "puck")
         noise = np.maximum(noise_of(time, pose), 1e-9)
         if np.isnan(noise).any():
-            raise InputError("the puck stream is too short", file=recording.source)
+            raise InputError(_TOO_LITTLE, file=recording.source)
         found = find_flights(time, pose, noise, max(float(rates[0]), 0.01))
         moving = [f for f in found if np.ptp(f.pose[:, :2], axis=0).max() > 20 * noise[0]]
         parts.append(len(moving))
         flights += moving
         noises.append(noise)
     if len(flights) < 2:
-        raise InputError(
-            "the puck hardly moves; record some seconds of shots and bounces", file=listed[0].source
-        )
+        raise InputError(_TOO_LITTLE, file=listed[0].source)
     noise = np.median(noises, axis=0)
     lines, drag, error, used = fit_flights(flights, noise, rates)
-    errors: dict[str, float] = {"drag_1_s": float(error[0])}
-    puck = play.puck.model_copy(update={"drag_1_s": float(drag[0])})
-    notes = []
-    if np.isfinite(error[2]) and error[2] < 0.2:
-        puck = puck.model_copy(update={"spin_drag_1_s": float(drag[2])})
-        errors["spin_drag_1_s"] = float(error[2])
-    else:
-        notes.append("the puck hardly spins: the drag of its spin is assumed")
+    # What an earlier identification knew is kept.
+    puck, errors, notes = play.puck, dict(play.puck.standard_error), list[str]()
+    for name, axis, little in (("drag_1_s", 0, "moves"), ("spin_drag_1_s", 2, "spins")):
+        if error[axis] < _WORST["drag"]:
+            puck = puck.model_copy(update={name: float(drag[axis])})
+            errors[name] = float(error[axis])
+        else:
+            notes.append(f"the puck hardly {little}: {name} is assumed")
     pairs = _pairs(lines, used, parts)
     bounces = [b for b in (_rail_bounce(play, *pair) for pair, _ in pairs) if b is not None]
     rail, rail_errors, n_rail, said = _fit_rail(puck, bounces)

@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float
 _LOOK_BACK, LEAST = 8, 8
 #: Poses farther apart in time belong to two flights [s].
 _GAP = 0.1
+#: In two frames a moving puck goes so far [m].
+_MOVING = 5e-4
 #: A frame is off the flight beyond so many standard deviations.
 _GATE = 6.0
 #: By so much the drag may differ from the one supposed while flights are looked for [1/s].
@@ -64,7 +66,9 @@ def noise_of(
     """Return the standard deviation of single poses: from second differences, bounces aside."""
     step = np.diff(time)
     even = np.abs(np.diff(step)) < 0.1 * np.median(step)
-    second = np.diff(pose, 2, axis=0)[even]
+    # At rest, rounded poses do not differ at all.
+    moving = np.hypot(*(pose[2:, :2] - pose[:-2, :2]).T) > _MOVING
+    second = np.diff(pose, 2, axis=0)[even & moving]
     if len(second) < LEAST:
         return np.full(3, np.nan)
     return np.median(np.abs(second), axis=0) / 0.6745 / np.sqrt(6.0)
