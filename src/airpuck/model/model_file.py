@@ -159,7 +159,7 @@ class Model:
         Raises
         ------
         InputError
-            If an array has another length, or a period is not above 0.
+            If an array has another length.
         """
         from airpuck.model.simulation import derivative
 
