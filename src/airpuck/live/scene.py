@@ -132,10 +132,11 @@ class Scene:
         # Another controller's path comes without a reason.
         bound = bound if bound in self._plans else "nothing"
         for kind, line in self._plans.items():
-            line.visible = points is not None and kind == bound
-            if points is not None and kind == bound:
+            # All are moved: a slow browser shows a line before it has moved it.
+            if points is not None:
                 height = np.full(len(points), _PLAN_HEIGHT)
                 line.points = _segments(np.column_stack([points, height])).astype(np.float32)
+            line.visible = points is not None and kind == bound
 
     def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
         """Move the set point.
