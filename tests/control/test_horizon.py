@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airpuck.compute.compiled import program
-from airpuck.control.horizon import Blocks, linearised, stages
+from airpuck.control.authority import control_authority
+from airpuck.control.horizon import Blocks, _brake, linearised, stages
 from airpuck.control.tuning import Limits, default_tuning
 from airpuck.model.model_file import published_model
 from airpuck.physics.effects import Drag
@@ -22,6 +23,8 @@ STATE = np.array([0.1, -0.2, 0.7, 0.8, -0.5, 3.0])
 SPEED = RANDOM.uniform(0.2, 0.8, 6)
 START = np.concatenate([STATE, SPEED])
 COMMANDS = RANDOM.uniform(0.1, 0.9, (8, 6))
+#: [m/s²].
+BRAKE = _brake(MODEL.dynamics, MODEL.vehicle.command_max)
 PUSH = np.array([0.3, -0.2, 1.5])
 DRAGGED = replace(MODEL.dynamics, effects=(Drag(0.4),))
 
@@ -111,14 +114,22 @@ def test_at_half_a_turn_the_way_round_is_kept():
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(np.pi / 2)
 
 
+def test_braking_is_half_of_what_the_propellers_give_in_the_weakest_direction():
+    strongest = control_authority(MODEL).together
+    weakest = min(strongest[way] for way in ("forward", "back", "left", "right"))
+    assert 0.8 * weakest < 2 * BRAKE < 1.01 * weakest
+
+
 def test_limits_are_met_by_changes_that_reach_them():
     s = posed(PLAN, np.zeros(6), speed_m_s=0.5, spin_rad_s=2.0, keep_out_m=((0.5, 0.1, 0.2),))
     change = RANDOM.normal(size=(6, 6))
     reached = s.states[:, :6] + change
     moved = np.einsum("kci,ki->kc", s.limited, change)
-    headway = Limits().headway_s
+    headway = np.full((6, 2), Limits().headway_s)
+    # At the end it can still brake with half of what its propellers give that way: at v, v²/2a.
+    headway[-1] += np.abs(s.states[-1, 3:5]) / (2 * BRAKE)
     for i in (0, 1):
-        later = reached[:, i] + headway * reached[:, 3 + i]
+        later = reached[:, i] + headway[:, i] * reached[:, 3 + i]
         side = (-1.0, 1.0) if i == 0 else (-0.4, 0.4)
         np.testing.assert_allclose(moved[:, i] - s.lower[:, i], later - side[0], atol=1e-12)
         np.testing.assert_allclose(s.upper[:, i] - moved[:, i], side[1] - later, atol=1e-12)
@@ -184,7 +195,7 @@ def test_a_shifted_plan_gives_what_was_planned(elapsed, lengths):
 
 def test_a_horizon_is_cut_into_blocks():
     regulator = default_tuning().regulator
-    blocks = Blocks.of(regulator.model_copy(update={"horizon_s": 0.22, "block": 4}))
+    blocks = Blocks.of(regulator.model_copy(update={"horizon_s": 0.22, "block": (4,)}))
     assert blocks.lengths == (4, 4, 3)
     np.testing.assert_array_equal(blocks.owner, [0] * 4 + [1] * 4 + [2] * 3)
     np.testing.assert_allclose(blocks.times[[0, -1]], [0.02, 0.22])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from airpuck.control.horizon import Blocks, Stages
-from airpuck.control.horizon_solvers import Condensed, Multistage
+from airpuck.control.horizon_solvers import _DAMPING, Condensed, Multistage
 from airpuck.control.tuning import Limits, default_tuning
 from airpuck.craft.vehicle import Vehicle
 
@@ -70,7 +70,7 @@ def riccati(s: Stages, effort: np.ndarray, used: np.ndarray, least: float) -> np
         a = np.hstack([np.eye(SIZE, 2), s.onward[k, :, : SIZE - 2]])
         b = s.onward[k, :, SIZE - 2 :]
         r = used * (s.plan[k] - least)
-        inside = np.diag(used) + b.T @ value @ b
+        inside = np.diag(used + _DAMPING) + b.T @ value @ b
         feedback = -np.linalg.solve(inside, b.T @ value @ a)
         fixed = -np.linalg.solve(inside, b.T @ slope + r)
         gains.append((a, b, feedback, fixed))

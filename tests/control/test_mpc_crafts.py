@@ -80,7 +80,7 @@ def test_excitation_steers_by_the_regulator_whatever_the_tuning_says():
 
 
 def test_more_commands_than_can_be_decided_in_time_are_refused():
-    tuning = MPC.model_copy(update={"regulator": MPC.regulator.model_copy(update={"block": 1})})
+    tuning = MPC.model_copy(update={"regulator": MPC.regulator.model_copy(update={"block": (1,)})})
     with pytest.raises(InputError, match="240 commands; at most 200") as error:
         TrackingController(craft(8), GOAL, tuning, compiled=False)
     assert error.value.field == "regulator.block"

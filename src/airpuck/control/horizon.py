@@ -18,7 +18,7 @@ from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.physics.rigid_body import Dynamics, acceleration
 from airpuck.physics.rollout import step
-from airpuck.physics.thrust import thrust_curvature
+from airpuck.physics.thrust import thrust, thrust_curvature
 
 #: Bounds of the effectiveness that the prediction counts with; a dead motor is left a little, so
 #: that its return is noticed, and no estimate may make the law timid.
@@ -42,8 +42,10 @@ class Blocks:
     def of(cls, regulator: Regulator) -> Blocks:
         """Cut the horizon as the settings say; the last block may be shorter."""
         count = max(round(regulator.horizon_s / regulator.step_s), 1)
-        whole, rest = divmod(count, regulator.block)
-        return cls(regulator.step_s, (regulator.block,) * whole + (rest,) * (rest > 0))
+        given = regulator.block
+        ends = np.cumsum([*given, *given[-1:] * count]).clip(max=count)
+        lengths = np.diff(np.unique(ends), prepend=0)
+        return cls(regulator.step_s, tuple(lengths.tolist()))
 
     @property
     def owner(self) -> Int[np.ndarray, " N"]:
@@ -121,6 +123,7 @@ def stages(
     fence (2, 2), discs (D, 3)) → stages.
     """
     dynamics, limits, owner = model.dynamics, regulator.limits, blocks.owner
+    brake = _brake(dynamics, model.vehicle.command_max)
     w = regulator.weights
     effort = blocks.step * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
 
@@ -149,7 +152,7 @@ def stages(
         apart = wrapped(xp, left)
         apart = apart + 2 * np.pi * xp.sign(way) * (apart * way < -_UNDECIDED * xp.abs(way))
         error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
-        limited = _limits(xp, limits, states[:, :6], fence, discs)
+        limited = _limits(xp, limits, brake, states[:, :6], fence, discs)
         asked = error, accelerations - feedforward, weights, terminal
         bend = _bend(xp, believed, effort, blocks.step, along, asked)
         return Stages(*along, *asked, bend, apart, plan, *limited)
@@ -226,8 +229,26 @@ def linearised(
     return states, felt(after).T + pushed, by_state, by_motion
 
 
+def _brake(dynamics: Dynamics, most: float) -> float:
+    """Return an acceleration that a craft can count on in every direction [m/s²].
+
+    Half of what the propellers together give in their weakest one: it turns and allocates as well,
+    and packets get lost.
+    """
+    ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    turned = np.column_stack([np.cos(ways), np.sin(ways)])
+    full = thrust(dynamics.thrust, np.full(len(dynamics.thrust), most))
+    pushes = turned @ (np.asarray(dynamics.configuration)[:2] * full)
+    return 0.5 * float(pushes.clip(0.0).sum(axis=1).min())
+
+
 def _limits(
-    xp: Any, limits: Any, states: Num[Any, "N 6"], fence: Num[Any, "2 2"], discs: Num[Any, "D 3"]
+    xp: Any,
+    limits: Any,
+    brake: float,
+    states: Num[Any, "N 6"],
+    fence: Num[Any, "2 2"],
+    discs: Num[Any, "D 3"],
 ) -> tuple[Num[Any, "N c 6"], Num[Any, "N c"], Num[Any, "N c"]]:
     """Write what is limited as linear functions of changes of the states, with their bounds."""
     count, one = len(states), np.eye(6)
@@ -235,8 +256,11 @@ def _limits(
     def all_of(value: Any) -> Any:
         return xp.broadcast_to(value, (count,))
 
-    # A craft that moves towards the fence must be there some time later only.
-    rows = [xp.broadcast_to(one[i] + limits.headway_s * one[3 + i], (count, 6)) for i in (0, 1)]
+    # A craft that moves towards the fence must be there some time later only; at the end of the
+    # horizon it must still be able to brake: |v|/2a later at its speed is v²/2a on.
+    last, speeds = np.arange(count) == count - 1, xp.abs(states[:, 3:5])
+    later = limits.headway_s + last[:, None] * speeds / (2 * brake)
+    rows = [one[i] + later[:, i, None] * one[3 + i] for i in (0, 1)]
     low, high = ([all_of(side[i]) for i in (0, 1)] for side in fence)
     if limits.speed_m_s is not None:
         along = _direction(xp, states[:, 3:5])

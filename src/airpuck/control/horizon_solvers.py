@@ -47,9 +47,16 @@ class _Common:
         self.used = np.repeat(w.command * blocks.step * np.array(blocks.lengths), n)
         self.least, self.greatest = vehicle.command_min, vehicle.command_max
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the solver's memory: what a compiled `form` is known by."""
+        return {k: v for k, v in vars(self).items() if k not in ("_model", "_solver")}
+
 
 #: A bound that nothing reaches [m, m/s, rad/s]: PIQP wants one on either side of every row.
 _FAR = 1e6
+#: What the squared change of a command costs, beside its effect. The linearisation holds near the
+#: plan only: without this, plans of a craft that turns fast jump between two ways to brake.
+_DAMPING = 0.5
 #: How DAQP takes a limit.
 _HARD, _SOFT = 0, 8
 #: What DAQP says of a solution within all limits, and beyond soft ones.
@@ -101,7 +108,7 @@ class Condensed(_Common):
         rows = [part.reshape(-1, m) for part in (weighted, effort, bent, pose, pushes, speeds)]
         left = xp.concatenate([xp.ravel(s.error), xp.ravel(s.excess)])
         product = xp.concatenate(rows[:3]).T
-        hessian = product @ xp.concatenate(rows[3:]) + xp.diag(self.used)
+        hessian = product @ xp.concatenate(rows[3:]) + xp.diag(self.used + _DAMPING)
         plan = xp.ravel(s.plan)
         gradient = product[:, : len(left)] @ left + self.used * (plan - self.least)
         limited = (s.limited @ pose).reshape(-1, m)
@@ -225,7 +232,7 @@ class Multistage(_Common):
         if not math.isfinite(cost.sum() + slope.sum() + moved.sum()):
             return None
         ones, penalties = np.ones(lower.size), np.full(lower.size, self.penalty)
-        p = self._cost.filled(np.concatenate([cost.ravel(), self.used, penalties]))
+        p = self._cost.filled(np.concatenate([cost.ravel(), self.used + _DAMPING, penalties]))
         total = p.shape[0]
         c, least, most = np.zeros(total), np.full(total, -np.inf), np.full(total, np.inf)
         c[self._z], c[self._u], c[self._s] = slope, push.reshape(-1, self.n), self.penalty

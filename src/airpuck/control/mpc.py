@@ -8,7 +8,7 @@ Journal on Control and Optimization 43, 2005). See docs/control.md, "Predictive 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import all_finite
 from airpuck.control.discretization import point_mass
-from airpuck.control.horizon import Ahead, Blocks, stages
+from airpuck.control.horizon import Ahead, Blocks, Stages, stages
 from airpuck.control.horizon_solvers import SOLVERS
 from airpuck.control.law import Prediction, Status, Step
 from airpuck.control.lqr import LQR, cost_to_go
@@ -101,7 +101,9 @@ class MPC:
         self._kinds += ["spin"] * (limits.spin_rad_s is not None)
         self._kinds += ["disc"] * len(self.keep_out)
         self._solver = SOLVERS[regulator.solver](vehicle, blocks, regulator, len(self._kinds))
-        self._posed = stages(model, blocks, regulator, reject_disturbance)
+        posed = stages(model, blocks, regulator, reject_disturbance)
+        #: See `airpuck.control.law.Law`.
+        self.stage = _stage(posed, self._solver.form)
         errors = np.array([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
         self._efforts = np.array([w.acceleration, w.acceleration, w.angular_acceleration])
         parts = np.diag(errors * blocks.step), np.diag(self._efforts * blocks.step)
@@ -122,12 +124,6 @@ class MPC:
         self._plan, self._since, self._answered = self._first, math.nan, -math.inf
         #: What is still to turn, the way round that was chosen [rad].
         self._way = np.zeros(())
-
-    def stage(self, xp: Any, *given: Any) -> tuple[Any, ...]:
-        """Pose the quadratic program; see `airpuck.control.law.Law`."""
-        posed = self._posed(xp, *given)
-        formed = self._solver.form(xp, posed)
-        return *formed, posed.states, posed.accelerations[0], posed.way
 
     def asked(self, reference: Reference, now: float, delay: float) -> tuple[np.ndarray, ...]:
         """Return the plan as it goes on from now, targets over the horizon, and limits."""
@@ -191,6 +187,22 @@ class MPC:
         kinds = ["motor"] * bool(binding[:motors].any())
         kinds += [self._kinds[k] for k in np.flatnonzero(rows)]
         return tuple(dict.fromkeys(kinds))
+
+
+def _stage(
+    posed: Callable[..., Stages], form: Callable[..., tuple[Any, ...]]
+) -> Callable[..., tuple[Any, ...]]:
+    """Join what poses the problem and what lays it out for a solver.
+
+    A function and no method, so that another law of the same craft finds it compiled.
+    """
+
+    def stage(xp: Any, *given: Any) -> tuple[Any, ...]:
+        problem = posed(xp, *given)
+        formed = form(xp, problem)
+        return *formed, problem.states, problem.accelerations[0], problem.way
+
+    return stage
 
 
 def _fence(

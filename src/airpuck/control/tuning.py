@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
 
@@ -67,9 +67,9 @@ class Limits(Section):
     #: Where the middle of the craft may be: lowest x and y, highest x and y. By default the table
     #: less the craft's radius and a margin.
     fence_m: tuple[float, float, float, float] | None = None
-    margin_m: NonNegative = 0.003
+    margin_m: NonNegative = 0.004
     #: A craft that moves is to be within the fence this much later, too: commands may get lost.
-    headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.03
+    headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.05
     #: Along the way that is planned.
     speed_m_s: Positive | None = None
     spin_rad_s: Positive | None = None
@@ -90,14 +90,23 @@ class Limits(Section):
         return fence
 
 
+def _listed(value: Any) -> Any:
+    """Take one number as a list of one."""
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
 class Regulator(Section):
     """Which law steers, and the settings of the predictive one."""
 
     kind: Literal["lqr", "mpc"] = "lqr"
     horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
     step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
-    #: Steps with one command.
-    block: Annotated[int, pydantic.Field(ge=1, le=50)] = 3
+    #: Steps with one command, block after block; the last number goes on. One is for all.
+    block: Annotated[
+        tuple[Annotated[int, pydantic.Field(ge=1, le=50)], ...],
+        pydantic.Field(min_length=1, max_length=80),
+        pydantic.BeforeValidator(_listed),
+    ] = (1, 1, 2, 2, 3)
     solver: Literal["daqp", "piqp"] = "daqp"
     #: Of the solver, at most.
     iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 500

@@ -1,0 +1,87 @@
+"""How near does the predictive law come to the limits of the physics? On the twin, published M3.
+
+    OPENBLAS_NUM_THREADS=1 python studies/predictive.py cost --flights 500
+    OPENBLAS_NUM_THREADS=1 python studies/predictive.py rails --flights 1000
+    OPENBLAS_NUM_THREADS=1 python studies/predictive.py steps
+    OPENBLAS_NUM_THREADS=1 python studies/predictive.py dead
+
+cost: closed-loop cost between random poses against nonlinear predictive control solved to
+convergence. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
+steps: settling of moves across the table and of half turns. dead: set points with a dead motor.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+from predictive_limits.converged import Problem
+from predictive_limits.cost import compare
+from predictive_limits.flights import craft, law
+from predictive_limits.rails import passed
+
+
+def cost(options: argparse.Namespace) -> None:
+    """Compare costs, flight by flight."""
+    tuning = law("mpc").model_copy(update={"period_s": options.period})
+    problem = Problem(craft(), tuning.regulator, compiled=options.compile)
+    pairs = []
+    for seed in range(options.first, options.first + options.flights):
+        pairs.append(compare(seed, tuning, options.duration, problem))
+        if len(pairs) % 10 and len(pairs) < options.flights:
+            continue
+        ours, theirs, our_step, their_step, solved = np.array(
+            [list(vars(p).values()) for p in pairs]
+        ).T
+        above = 100 * (ours / theirs - 1)
+        middle, most = np.percentile(above, [50, 95])
+        faster = np.median(their_step) / np.median(our_step)
+        print(
+            f"{len(pairs):4d} flights: cost {100 * (ours.sum() / theirs.sum() - 1):.2f} % above "
+            f"(flights: median {middle:.2f} %, 95 % below {most:.2f} %, {above.min():.2f} to "
+            f"{above.max():.2f} %); step {1e3 * np.median(our_step):.2f} against "
+            f"{1e3 * np.median(their_step):.1f} ms, {faster:.0f} times faster; "
+            f"{100 * solved.mean():.2f} % of the steps converged",
+            flush=True,
+        )
+
+
+def rails(options: argparse.Namespace) -> None:
+    """Count contacts of both laws, without and with loss of packets."""
+    for kind in ("mpc", "lqr"):
+        for loss in (0.0, 0.3):
+            flights = [
+                passed(seed, law(kind), loss, options.duration) for seed in range(options.flights)
+            ]
+            met = sum(flight.contacts > 0 for flight in flights)
+            nearest = 1e3 * min(flight.clearance for flight in flights)
+            left = 1e3 * np.percentile([flight.left for flight in flights], [50, 99])
+            unanswered = sum(flight.unanswered for flight in flights)
+            print(
+                f"{kind}, {100 * loss:.0f} % lost: {met} of {len(flights)} flights met a rail, "
+                f"nearest {nearest:.2f} mm; left {left[0]:.1f} mm (99 %: {left[1]:.1f}); "
+                f"{unanswered} steps without an answer",
+                flush=True,
+            )
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], None]] = {"cost": cost, "rails": rails}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("--flights", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first flight")
+    parser.add_argument("--duration", type=float, default=1.2, help="of a flight [s]")
+    parser.add_argument("--period", type=float, default=0.02, help="between commands [s], of cost")
+    parser.add_argument("--compile", action="store_true", help="derivatives by the C compiler")
+    options = parser.parse_args()
+    PARTS[options.part](options)
+
+
+if __name__ == "__main__":
+    from one_line import run
+
+    run(main)

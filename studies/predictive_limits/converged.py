@@ -1,0 +1,170 @@
+"""Nonlinear predictive control solved to convergence: what the predictive law comes near to.
+
+The physics, cost, horizon and motor limits of `airpuck.control.mpc`, traced into CasADi; but a
+command of its own for each step, and solved to a tolerance by an interior-point method. Rails are
+left out: tables are to be wide.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from airpuck.compute.arrays import with_symbols
+from airpuck.control.discretization import point_mass
+from airpuck.control.law import Step
+from airpuck.control.lqr import cost_to_go
+from airpuck.control.reference import Reference, course
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Regulator, Tuning
+from airpuck.estimate.estimator import Estimate
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import Dynamics, acceleration
+from airpuck.physics.rollout import step
+
+#: Commands of the first guess.
+_FIRST = 0.3
+
+
+def errors_and_efforts(regulator: Regulator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weights of squared errors (6,) and accelerations (3,), per second."""
+    w = regulator.weights
+    errors = np.array([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
+    return errors, np.array([w.acceleration, w.acceleration, w.angular_acceleration])
+
+
+def accelerations(dynamics: Dynamics, state: Any) -> Any:
+    """Return the accelerations of states (6 + n, B): x, y, yaw."""
+    return np.stack(acceleration(np, dynamics, state[2:6], state[6:]))
+
+
+class Problem:
+    """The nonlinear problem of a craft, built once.
+
+    Parameters
+    ----------
+    model : Model
+        The craft.
+    regulator : Regulator
+        Cost and horizon.
+    dynamics : Dynamics, optional
+        What is predicted with; by default the model's.
+    solver : str
+        ``fatrop`` or ``ipopt``.
+    tolerance : float
+        Of the solver.
+    compiled : bool
+        Whether derivatives are compiled by the system's C compiler; takes a minute.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        regulator: Regulator,
+        *,
+        dynamics: Dynamics | None = None,
+        solver: str = "fatrop",
+        tolerance: float = 1e-3,
+        compiled: bool = False,
+    ) -> None:
+        vehicle, self.n = model.vehicle, model.vehicle.n_propellers
+        self.count = round(regulator.horizon_s / regulator.step_s)
+        self.times = regulator.step_s * np.arange(1, self.count + 1)
+        self.range = vehicle.command_min, vehicle.command_max
+        problem = _posed(model, regulator, dynamics or model.dynamics)
+        options: dict[str, Any] = {"print_time": False, "error_on_fail": False}
+        options[solver] = {"print_level": 0, "tol": tolerance, "mu_init": 1e-2}
+        if solver == "ipopt":
+            options["ipopt"]["sb"] = "yes"
+        else:
+            # One equality for each state and step: that is how it knows the stages.
+            gaps = [True] * problem["g"].numel()
+            options |= {"structure_detection": "auto", "equality": gaps}
+        if compiled:
+            options |= {"jit": True, "compiler": "shell", "jit_options": {"flags": ["-O1"]}}
+        self._solver = ca.nlpsol("converged", solver, problem, options)
+
+    def solve(
+        self, start: np.ndarray, wanted: np.ndarray, pushed: np.ndarray, guess: np.ndarray | None
+    ) -> tuple[np.ndarray, bool]:
+        """Return states and commands, one after the other, and whether they are a solution."""
+        n, size, count = self.n, len(start), self.count
+        if guess is None:
+            guess = np.append(np.tile(np.append(start, np.full(n, _FIRST)), count), start)
+        bounds = []
+        for side, limit in zip((-np.inf, np.inf), self.range, strict=True):
+            free, command = np.full(size, side), np.full(n, limit)
+            bounds.append([start, command, *[free, command] * (count - 1), free])
+        low, high = map(np.concatenate, bounds)
+        given = np.concatenate([wanted.ravel(), pushed])
+        found = self._solver(x0=guess, p=given, lbx=low, ubx=high, lbg=0, ubg=0)
+        return found["x"].full().ravel(), bool(self._solver.stats()["success"])
+
+
+class Converged(TrackingController):
+    """Flies the solution of the nonlinear problem."""
+
+    def __init__(
+        self, model: Model, reference: Reference, tuning: Tuning, problem: Problem
+    ) -> None:
+        plain = tuning.regulator.model_copy(update={"kind": "lqr"})
+        super().__init__(model, reference, tuning.model_copy(update={"regulator": plain}))
+        self._predict_and_stage = None  # so that steps go through `steer`
+        self._problem = problem
+        self._guess: np.ndarray | None = None
+        #: Of each step: how long it took [s], and whether the solver converged.
+        self.spent: list[float] = []
+        self.converged: list[bool] = []
+
+    def steer(self, estimate: Estimate, now: float) -> Step:
+        """Return the first command of the best plan."""
+        wanted = course(
+            self.reference, now, self.model.transport_delay + self._problem.times
+        ).states
+        start = np.concatenate([estimate.state, estimate.motor_speed])
+        # Whole turns do not count.
+        left = start[2] - wanted[0, 2]
+        wanted = wanted + (np.arange(6) == 2) * (left - wrapped(np, left))
+        began = time.perf_counter()
+        plan, solved = self._problem.solve(start, wanted, estimate.disturbance, self._guess)
+        self.spent.append(time.perf_counter() - began)
+        self.converged.append(solved)
+        if solved:
+            self._guess = plan
+        command = plan[len(start) : len(start) + self._problem.n].clip(*self._problem.range)
+        return Step(command, "optimal", np.zeros(3), estimate)
+
+
+def _posed(model: Model, regulator: Regulator, dynamics: Dynamics) -> dict[str, Any]:
+    """Pose the problem, step by step: states and commands."""
+    n, h, w = model.vehicle.n_propellers, regulator.step_s, regulator.weights
+    count, size, least = round(regulator.horizon_s / h), 6 + n, model.vehicle.command_min
+    z, u = ca.SX.sym("z", size), ca.SX.sym("u", n)
+    moved = with_symbols(lambda z, u: step(np, dynamics, z, u, h), z, u)
+    following = ca.Function("f", [z, u], [moved])
+    felt = ca.Function("a", [z], [with_symbols(lambda z: accelerations(dynamics, z), z)])
+    errors, efforts = errors_and_efforts(regulator)
+    parts = np.diag(errors * h), np.diag(efforts * h)
+    terminal = cost_to_go(*point_mass(h), *parts)
+    states = [ca.SX.sym("z", size) for _ in range(count + 1)]
+    chosen = [ca.SX.sym("u", n) for _ in range(count)]
+    wanted, pushed = ca.SX.sym("w", 6, count), ca.SX.sym("d", 3)
+    push = ca.vertcat(h * h / 2 * pushed, h * pushed, np.zeros(n))
+    cost, gaps = 0, []
+    for k, (before, command, after) in enumerate(zip(states, chosen, states[1:], strict=False)):
+        gaps.append(after - following(before, command) - push)
+        error, excess = after[:6] - wanted[:, k], felt(after) + pushed
+        weight = terminal if k == count - 1 else parts[0]
+        cost += ca.bilin(weight, error) + ca.bilin(parts[1], excess)
+        cost += w.command * h * ca.sumsqr(command - least)
+    points = [part for pair in zip(states, chosen, strict=False) for part in pair]
+    return {
+        "x": ca.vertcat(*points, states[-1]),
+        "p": ca.vertcat(ca.vec(wanted), pushed),
+        "f": cost,
+        "g": ca.vertcat(*gaps),
+    }

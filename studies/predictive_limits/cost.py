@@ -1,0 +1,95 @@
+"""Closed-loop cost against nonlinear predictive control solved to convergence."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from airpuck.control.law import Step
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Tuning
+from airpuck.craft.table import Table
+from airpuck.estimate.estimator import Estimate
+
+from .converged import Converged, Problem, accelerations, errors_and_efforts
+from .flights import Flight, Pose, calm, craft, flown
+
+#: No rails: they have a study of their own.
+_WIDE = calm().model_copy(update={"table": Table(length_m=20.0, width_m=20.0)})
+#: Starts and targets, at rest: half the table's length and width, any yaw.
+_AREA = np.array([0.9, 0.4, np.pi])
+
+
+def flight_cost(flight: Flight, tuning: Tuning) -> float:
+    """Integrate the regulator's cost over a flight."""
+    regulator, n = tuning.regulator, flight.command.shape[1]
+    errors, efforts = errors_and_efforts(regulator)
+    felt = accelerations(craft().dynamics, flight.state.T)
+    sent = flight.sent.searchsorted(flight.time - craft().transport_delay, side="right") - 1
+    held = np.where((sent >= 0)[:, None], flight.command[sent], 0.0)
+    used = np.maximum(held - craft().vehicle.command_min, 0.0)
+    rate = flight.error**2 @ errors + efforts @ felt**2
+    rate += regulator.weights.command * (used**2 @ np.ones(n))
+    return float(np.trapezoid(rate, flight.time))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The same flight by the predictive law and by the converged solution."""
+
+    #: Costs.
+    ours: float
+    converged: float
+    #: Medians of the time of a step [s].
+    our_step: float
+    converged_step: float
+    #: Share of the steps whose solver reached its tolerance.
+    solved: float
+
+
+class Timed(TrackingController):
+    """Measures its steps."""
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        super().__init__(*given, **options)
+        self.spent: list[float] = []
+
+    def steer(self, estimate: Estimate, now: float) -> Step:
+        """Steer, and note how long it took."""
+        began = time.perf_counter()
+        step = super().steer(estimate, now)
+        self.spent.append(time.perf_counter() - began)
+        return step
+
+
+def start_and_target(seed: int) -> tuple[Pose, Pose]:
+    """Draw two poses."""
+    rng = np.random.default_rng([seed, 7])
+    start, target = (rng.uniform(-_AREA, _AREA).tolist() for _ in range(2))
+    return tuple(start), tuple(target)
+
+
+def compare(seed: int, tuning: Tuning, duration: float, problem: Problem) -> Pair:
+    """Fly from one random pose to another, twice."""
+    start, target = start_and_target(seed)
+    ours: list[Timed] = []
+    theirs: list[Converged] = []
+
+    def by_law(reference: SetPoint, tuning: Tuning) -> TrackingController:
+        ours.append(Timed(craft(), reference, tuning, table=_WIDE.table))
+        return ours[0]
+
+    def by_solver(reference: SetPoint, tuning: Tuning) -> TrackingController:
+        theirs.append(Converged(craft(), reference, tuning, problem))
+        return theirs[0]
+
+    costs = [
+        flight_cost(flown(start, target, tuning, duration, settings=_WIDE, make=make), tuning)
+        for make in (by_law, by_solver)
+    ]
+    steps = float(np.median(ours[0].spent)), float(np.median(theirs[0].spent))
+    return Pair(*costs, *steps, float(np.mean(theirs[0].converged)))
