@@ -74,7 +74,10 @@ def test_imports_go_downwards(path):
         ("matplotlib", {"report"}),
         ("jax", {"compute", "evaluation", "identification", "twin"}),
         ("optax", {"identification"}),
-        ("scipy", {"control", "evaluation", "faults", "flight", "identification", "twin"}),
+        (
+            "scipy",
+            {"control", "evaluation", "faults", "flight", "identification", "planning", "twin"},
+        ),
         ("casadi", {"compute", "planning"}),
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),

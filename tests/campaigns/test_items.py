@@ -5,8 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import airpuck
 from airpuck import identify, load_trajectory, tracking_study
-from airpuck.campaigns.items import Fitting, Fleet, Tracking, recovery_errors, varied
+from airpuck.campaigns.items import (
+    Fitting,
+    Fleet,
+    ShortestTime,
+    Tracking,
+    recovery_errors,
+    varied,
+)
 from airpuck.model.model_file import published_model
 from airpuck.recording.csv_folder import write_csv
 
@@ -121,3 +129,13 @@ def test_resampled_fits_surround_the_fit(tmp_path):
     assert abs(np.median(lag) - centre) < error
     assert 0.5 < np.std(lag) / error < 1.5
     assert {row["inertia"] for row in rows} == {float(fit.model.parameters.inertia)}
+
+
+def test_a_shortest_time_is_that_of_a_plan():
+    item = ShortestTime(distance_m=0.5, speed_m_s=0.5, direction_rad=0.3, seed=1)
+    (row,) = item.run()
+    yaw = np.random.default_rng(1).uniform(-np.pi, np.pi)
+    velocity = 0.5 * np.array([np.cos(0.3), np.sin(0.3)])
+    start = (0, 0, yaw, *velocity, 0)
+    planned = airpuck.plan(published_model("M3"), start, airpuck.Goal(0.5, 0.0))
+    assert row["time_s"] == pytest.approx(planned.duration, rel=0.02)

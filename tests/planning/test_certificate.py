@@ -72,7 +72,7 @@ def test_parts_of_plans_are_not_faster_than_their_bounds():
     asked = checked_request(
         M3, (-0.5, -0.1, 0.3, 0.4, 0.5, 1.0), (0.5, 0.2, -1.0), (), Table(), (), Limits()
     )
-    solved, _ = planning._search(asked, 40, None)
+    solved, _ = planning.search(asked, 40)
     weight, times = planning._weight(asked, solved), solved.path.times
     shares = []
     for node in (18, 25, 32, 40):

@@ -33,6 +33,7 @@ from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
+from airpuck.planning.minimal_time import Arrival, shortest_time
 from airpuck.preprocessing.pipeline import load_trajectory, preprocess
 from airpuck.recording.files import sha256
 from airpuck.twin.experiments import excite
@@ -333,7 +334,38 @@ class Fitting(Identification):
         return [_labelled(model, model.parameters.with_vector(e)) for e in estimates]
 
 
-KINDS = {"tracking": Tracking, "recovery": Recovery, "fit": Fitting, "fleet": Fleet}
+class ShortestTime(Item):
+    """The shortest time from a moving craft to a place; the seed draws the yaw at the start."""
+
+    SOURCES: ClassVar = ("model",)
+
+    model: str = "paper:M3"
+    distance_m: Annotated[float, pydantic.Field(ge=0, le=10)]
+    speed_m_s: Annotated[float, pydantic.Field(ge=0, le=3)] = 0.0
+    #: Between the velocity and the way to the place.
+    direction_rad: Annotated[float, pydantic.Field(ge=0, le=math.pi)] = 0.0
+    #: To rest there, or to pass with any velocity.
+    arrival: Arrival = "rest"
+
+    def run(self) -> list[Row]:
+        """Plan; see `Item.run`."""
+        yaw = np.random.default_rng(self.seed).uniform(-np.pi, np.pi)
+        velocity = self.speed_m_s * np.array(
+            [np.cos(self.direction_rad), np.sin(self.direction_rad)]
+        )
+        # Its program is built once for all items of a worker.
+        model = _planned(self.model, *(() if ":" in self.model else (fingerprint(self.model),)))
+        time = shortest_time(model, self.distance_m, velocity.tolist(), float(yaw), self.arrival)
+        return [{"time_s": time}]
+
+
+KINDS = {
+    "tracking": Tracking,
+    "recovery": Recovery,
+    "fit": Fitting,
+    "fleet": Fleet,
+    "shortest_time": ShortestTime,
+}
 
 
 # Items of one campaign share recordings, and resamplings the fit that they begin at. A worker may
@@ -343,6 +375,11 @@ KINDS = {"tracking": Tracking, "recovery": Recovery, "fit": Fitting, "fleet": Fl
 @lru_cache(maxsize=8)
 def _trajectory(name: str, vehicle: str | None, *_hashes: str | None) -> Trajectory:
     return load_trajectory(name, None if vehicle is None else read_vehicle(vehicle))
+
+
+@lru_cache(maxsize=8)
+def _planned(name: str, *_hashes: str) -> Model:
+    return read_model(name)
 
 
 @lru_cache(maxsize=8)

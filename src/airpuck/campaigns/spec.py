@@ -25,7 +25,7 @@ _MOST = 100_000
 class Spec(Section):
     """Content of a spec file."""
 
-    kind: Literal["tracking", "recovery", "fit", "fleet"]
+    kind: Literal["tracking", "recovery", "fit", "fleet", "shortest_time"]
     #: How many, from 0 on, or which.
     seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1
     #: Fields that all items share.

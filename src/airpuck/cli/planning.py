@@ -1,8 +1,9 @@
-"""The command that plans the fastest flight."""
+"""Commands that plan the fastest flight, and fly it."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
@@ -12,13 +13,14 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app, repeated
-from airpuck.cli.output import report, table
+from airpuck.cli.output import report, show_time_left, table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from airpuck.planning.plan import Plan
     from airpuck.planning.request import Goal
+    from airpuck.twin.race import Race
 
 _PANEL = "Control and flight"
 
@@ -105,6 +107,86 @@ def plan(
 
         write_plan_figure(found, figure, rails)
     report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, figure)
+
+
+@app.command(rich_help_panel=_PANEL)
+def race(
+    plan: Annotated[
+        Path | None,
+        Option("--plan", metavar="FILE", help="A plan of airpuck plan, in place of a course."),
+    ] = None,
+    course: Annotated[
+        Literal["straight", "slalom", "eight"] | None,
+        Option(help="What to plan and fly; by default straight."),
+    ] = None,
+    model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
+    truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M3",
+    regulator: Annotated[Literal["lqr", "mpc"], Option(help="What tracks the plan.")] = "lqr",
+    reserve: Annotated[
+        float | None,
+        options.number("R", "Share of thrust kept for feedback, by default 0.1.", numbers.RESERVE),
+    ] = None,
+    seeds: Annotated[
+        int, options.number("N", "Flights, each with its noise and radio.", numbers.CHECK_FLIGHTS)
+    ] = 10,
+    twin: options.TwinFile = None,
+    tuning: options.TuningFile = None,
+    figure: Annotated[
+        Path | None, options.output("FILE", "Draw all flights; a PNG.", "--figure")
+    ] = None,
+    animation: Annotated[
+        Path | None,
+        options.output("FILE", "The first flight, as GIF or HTML.", "--animation"),
+    ] = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Fly a plan on the twin, and the same controller to its goal as a set point."""
+    from airpuck.planning.plan import read_plan
+    from airpuck.twin import race as racing
+    from airpuck.twin.settings import default_twin_settings
+
+    settings = inputs.read_twin(twin) or default_twin_settings()
+    belief = inputs.read_belief(model)
+    if plan is not None and (course, reserve) != (None, None):
+        raise InputError("is planned already; leave --course and --reserve out", field="--plan")
+    if plan is not None:
+        planned = read_plan(plan, belief)
+    else:
+        share = 0.1 if reserve is None else reserve
+        planned = racing.course_plan(course or "straight", belief, settings, share)
+    with show_time_left("flights", quiet) as progress:
+        found = racing.race(
+            planned,
+            airpuck.read_model(truth),
+            seeds=seeds,
+            regulator=regulator,
+            settings=settings,
+            tuning=inputs.read_controls(tuning),
+            progress=progress,
+        )
+    if figure is not None:
+        from airpuck.report.race_figure import write_race_figure
+
+        write_race_figure(found, figure, settings.table)
+    if animation is not None:
+        airpuck.animate(found.recording, animation, vehicle=belief.vehicle)
+    report(found.to_json(), json_file, _race_table(found), figure, animation)
+
+
+def _race_table(found: Race) -> Table:
+    """Lay out how long plan and flights took."""
+    rows = [
+        ("no control takes less than", f"{found.plan.lower_bound:.3f}", ""),
+        ("planned", f"{found.plan.duration:.3f}", ""),
+    ]
+    for name, times in (("flown", found.flown), ("as a set point", found.set_point)):
+        reached = [time for time in times if time is not None]
+        middle = f"{median(reached):.3f}" if reached else "–"
+        worst = f"worst {max(reached):.3f}; " if reached else ""
+        rows.append((name, middle, f"{worst}{len(reached)} of {len(times)} reached the goal"))
+    title = f"Times to the goal; contacts with a rail: {found.contacts}"
+    return table(("", "s", "flights"), rows, title=title, left=("", "flights"))
 
 
 def _goal(

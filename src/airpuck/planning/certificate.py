@@ -159,6 +159,34 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
     return max(whole, first + last)
 
 
+def unavoidable_rail(request: Request) -> str | None:
+    """Return the axis along which the craft hits a rail whatever it does; None if that is not sure.
+
+    At time t it is where it drifts to, less ∫ (t - s) times what thrusts give against the motion;
+    `_most` bounds the integral for this yaw and spin at the start.
+    """
+    anywhere = replace(request, goal=Goal(0.0, 0.0, velocity=None), via=request.via[:0])
+    for axis, normal in enumerate((1.0, 1j)):
+        speed = float(request.start[3 + axis])
+        outwards = float(np.sign(speed))
+        room = request.reach[axis] - outwards * float(request.start[axis])
+        if not (outwards and np.isfinite(room)):
+            continue
+        strongest = float(strongest_push(request, np.array([np.inf]))[0])
+        for share in (1.0, 1.2, 1.5):
+            time = share * abs(speed) / strongest
+            against, none = -outwards * normal, np.zeros(0)
+            prices = strongest * time**2, strongest * time**2
+            weight = Weight(against * time, -against, none, none.astype(complex), *prices)
+            most = float(_most(anywhere, weight, time / _STEPS)[-1])
+            tilted = abs(slope_of_table(request.model)) * time**2 / 2
+            offset = 2 * float(np.hypot(*request.model.dynamics.center_of_mass))
+            offset *= 1 + request.limits.spin * time
+            if abs(speed) * time - most - tilted - offset > room:
+                return "xy"[axis]
+    return None
+
+
 def _straight(
     request: Request, to: Float[np.ndarray, " 2"], duration: float, *, rest: bool = False
 ) -> Weight:
@@ -185,7 +213,8 @@ def _needed(
     goal, goal_speed, place_error, speed_error = _center_of_mass(
         model, request.goal.state, limits.spin
     )
-    end, slope = weight(times), weight.slope(times)
+    end: Any = weight(times)
+    slope: Any = weight.slope(times)
     start, first = weight(np.zeros(1))[0], weight.beta
     needed = _dot(first, position) - _dot(start, speed) - _dot(slope, goal)
     needed = needed - np.abs(slope) * place_error - np.abs(end) * speed_error

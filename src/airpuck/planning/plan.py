@@ -18,14 +18,21 @@ from airpuck.control.reference import Numbers, Target
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration
-from airpuck.planning.certificate import Weight, lower_bound, lower_bound_through
+from airpuck.planning.certificate import (
+    Weight,
+    lower_bound,
+    lower_bound_through,
+    unavoidable_rail,
+)
 from airpuck.planning.request import Goal, Limits, Request, checked_request
-from airpuck.planning.starts import starts
+from airpuck.planning.starts import further_starts, starts
 from airpuck.planning.transcription import Path, Solved, program_for
 
 _FORMAT = "airpuck plan 1"
 #: Intervals of the program that judges the starts.
 _COARSE = 20
+#: A plan whose bound is below this share of its time may not be the best: more starts are tried.
+_DOUBTFUL = 0.93
 #: Paths that may be refined before the search gives up.
 _REFINED = 5
 #: Samples of a plan are this far apart [s].
@@ -47,7 +54,7 @@ class Start:
     name : str
         How the craft turns, or passes, in the first guess.
     time_s : float or None
-        The duration that the coarse program found; None if it did not converge.
+        The duration that it led to, mostly on a coarse grid; None if it did not converge.
     status : str
         The solver's words.
     """
@@ -128,16 +135,32 @@ class Plan:
 
         Before the beginning and after the end the craft is to stand still there.
         """
-        times, states = self.samples
-        time = now + ahead - self.begin
-        inside = min(max(time, 0.0), float(times[-1]))
-        last = min(int(np.searchsorted(times, inside, side="right")) - 1, len(times) - 2)
-        share = (inside - times[last]) / (times[last + 1] - times[last])
-        state = (1 - share) * states[last] + share * states[last + 1]
-        if inside != time:
+        state = self.state_at(now, ahead)
+        if not 0 <= now + ahead - self.begin <= self.duration:
             return Target(np.append(state[:3], np.zeros(3)), np.zeros(3))
         rates = acceleration(np, self.model.dynamics, state[2:6], state[6:])
         return Target(state[:6].copy(), np.array(rates))
+
+    def state_at(self, now: float, ahead: float) -> Float[np.ndarray, " s"]:
+        """Return the whole planned state at ``now + ahead``, motor speeds included.
+
+        Parameters
+        ----------
+        now : float
+            Present time [s].
+        ahead : float
+            How long from now on [s].
+
+        Returns
+        -------
+        array, shape (6 + n,)
+            That of the start before the beginning, that of the end after it.
+        """
+        times, states = self.samples
+        inside = min(max(now + ahead - self.begin, 0.0), float(times[-1]))
+        last = min(int(np.searchsorted(times, inside, side="right")) - 1, len(times) - 2)
+        share = (inside - times[last]) / (times[last + 1] - times[last])
+        return (1 - share) * states[last] + share * states[last + 1]
 
     def motors_at(self, now: float, ahead: float) -> Float[np.ndarray, " n"]:
         """Return the commands that are planned to reach the motors at ``now + ahead``.
@@ -298,12 +321,20 @@ def plan(
     """
     numbers.INTERVALS.check(intervals, "intervals")
     request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())
-    solved, tried = _search(request, intervals, warm)
+    solved, tried = search(request, intervals, warm)
+    bound = _bound(request, solved)
+    if warm is None and bound < _DOUBTFUL * solved.path.times[-1]:
+        program = program_for(request.model, intervals, len(request.via) + 1, len(request.keep_out))
+        for name, guess, yaw in further_starts(request, intervals):
+            other = program.solve(request, guess, yaw)
+            flies = other.converged and _flies(request, other.path)
+            time = float(other.path.times[-1])
+            tried = (*tried, Start(name, time if flies else None, other.status))
+            if flies:
+                # Whatever the weight is that it comes from, a bound holds.
+                bound = max(bound, _bound(request, other))
+                solved = min(solved, other, key=lambda one: float(one.path.times[-1]))
     path = solved.path
-    if len(request.via):
-        bound = lower_bound_through(request, path.durations)
-    else:
-        bound = lower_bound(request, _weight(request, solved), float(path.times[-1]))
     return Plan(
         model,
         path.times,
@@ -315,8 +346,8 @@ def plan(
     )
 
 
-def _search(
-    request: Request, intervals: int, warm: Plan | None
+def search(
+    request: Request, intervals: int, warm: Plan | None = None
 ) -> tuple[Solved, tuple[Start, ...]]:
     """Try the starts on a coarse grid, and refine the best until one converges."""
     legs, discs = len(request.via) + 1, len(request.keep_out)
@@ -347,12 +378,24 @@ def _search(
                 tried.append(Start("the neighbouring plan", time, solved.status))
             return solved, tuple(tried)
         statuses.append("touches between nodes" if solved.converged else solved.status)
+    axis = unavoidable_rail(request)
+    if axis is not None:
+        raise InputError(
+            f"from this yaw and spin it hits a rail along {axis} whatever it does", field="start"
+        )
     words = ", ".join(sorted(set(statuses)))
     raise InputError(
         f"no plan was found from any of {max(len(tried), 1)} starts ({words}); there may be no way "
         "within the limits",
         field="plan",
     )
+
+
+def _bound(request: Request, solved: Solved) -> float:
+    """Return a time that no control undercuts, with the help of a plan."""
+    if len(request.via):
+        return lower_bound_through(request, solved.path.durations)
+    return lower_bound(request, _weight(request, solved), float(solved.path.times[-1]))
 
 
 def _flies(request: Request, path: Path) -> bool:

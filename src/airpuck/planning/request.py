@@ -145,7 +145,8 @@ def checked_request(
         begin = np.append(begin, np.full(vehicle.n_propellers, vehicle.command_min))
     if not isinstance(goal, Goal):
         end = _numbers(goal, "goal", (3, 6)).tolist()
-        goal = Goal(*end[:3], velocity=(end[3], end[4], end[5]) if len(end) == 6 else (0.0,) * 3)
+        velocity = (end[3], end[4], end[5]) if len(end) == 6 else (0.0, 0.0, 0.0)
+        goal = Goal(end[0], end[1], end[2], velocity)
     wanted = goal.state
     if not np.isfinite(wanted[:2]).all() or np.isinf(wanted).any():
         raise InputError("must be finite numbers", field="goal")

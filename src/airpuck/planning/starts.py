@@ -13,6 +13,7 @@ from airpuck.planning.transcription import Path
 
 #: Turned aside half way, by the names of starts [rad].
 _ASIDE = {"straight": 0.0, "turned left": 0.5, "turned right": -0.5}
+_FURTHER = {"straight, finely": 0.0, "turned far left": 1.2, "turned far right": -1.2}
 #: Further from a disc than this share of its radius a way round it leads.
 _ROUND = 1.3
 
@@ -30,6 +31,13 @@ def starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]
         if detours is not None:
             yaw = request.goal_yaws()[0]
             yield name, _path(request, intervals, yaw, 0.0, ways=detours), yaw
+
+
+def further_starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
+    """Yield other starts, for plans that may not be the best."""
+    yaw = request.goal_yaws()[0]
+    for name, aside in _FURTHER.items():
+        yield name, _path(request, intervals, yaw, aside, ways=request.via), yaw
 
 
 def _path(

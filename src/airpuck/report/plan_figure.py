@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,7 +31,9 @@ def plan_figure(plan: Plan, table: Table | None = None) -> Figure:
     """Draw the path from above, and thrusts with the commands behind them over time."""
     vehicle = plan.model.vehicle
     figure = style.new_figure(style.PAGE_WIDTH, 2.6 + 0.55 * vehicle.n_propellers)
-    above, below = figure.subfigures(2, 1, height_ratios=[2.6, 0.55 * vehicle.n_propellers])
+    heights = [2.6, 0.55 * vehicle.n_propellers]
+    subfigures: Any = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = subfigures
     _draw_path(above.add_subplot(), plan, table)
     times, states = plan.samples
     force = thrust(plan.model.dynamics.thrust, states[:, 6:].T)

@@ -1,0 +1,179 @@
+"""The shortest times as a table that answers in microseconds, for decisions many times a second."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section, read_packaged, read_toml, write_toml
+from airpuck.model.model_file import Model
+from airpuck.planning.plan import search
+from airpuck.planning.request import Goal, Limits, checked_request
+from airpuck.planning.starts import starts
+from airpuck.planning.transcription import program_for
+
+_FORMAT = "airpuck minimal times 1"
+#: Intervals of the plans behind the table: within half a percent of finer ones.
+_INTERVALS = 20
+
+Arrival = Literal["rest", "any"]
+ARRIVALS: tuple[Arrival, ...] = ("rest", "any")
+
+
+@dataclass(frozen=True, eq=False)
+class MinimalTimes:
+    """Shortest times from a moving craft to a place, on a table without rails.
+
+    The final yaw is free; the one at the start is averaged over, and part of the error.
+
+    Attributes
+    ----------
+    source : str
+        The model that was planned for.
+    distance, speed, direction : array
+        Axes: distance to the place [m], speed [m/s], angle between the velocity and the way to the
+        place, from 0 (towards it) to π [rad].
+    time : array, shape (2, distances, speeds, directions)
+        Shortest times [s]: to rest there, and to pass with any velocity.
+    error : mapping of str to float
+        Of times looked up against plans for random states: ``median``, ``p95``, ``worst`` [s].
+    """
+
+    source: str
+    distance: Float[np.ndarray, " D"]
+    speed: Float[np.ndarray, " V"]
+    direction: Float[np.ndarray, " A"]
+    time: Float[np.ndarray, "2 D V A"]
+    error: Mapping[str, float]
+
+    def __call__(
+        self, away: Any, velocity: Any, arrival: Arrival = "rest"
+    ) -> Any:
+        """Look shortest times up, interpolated in √distance, speed and direction.
+
+        Parameters
+        ----------
+        away : array, shape (2, ...)
+            From the craft to the place [m].
+        velocity : array, shape (2, ...)
+            Of the craft [m/s].
+        arrival : {"rest", "any"}, default "rest"
+            Whether it is to rest there, or to pass.
+
+        Returns
+        -------
+        array
+            Times [s]; beyond the table's axes those of the nearest entry.
+        """
+        away, velocity = np.asarray(away, dtype=float), np.asarray(velocity, dtype=float)
+        distance, speed = np.hypot(*away), np.hypot(*velocity)
+        cross = away[0] * velocity[1] - away[1] * velocity[0]
+        direction = np.abs(np.arctan2(cross, (away * velocity).sum(axis=0)))
+        value = self.time[ARRIVALS.index(arrival)]
+        places = (
+            _place(np.sqrt(self.distance), np.sqrt(distance)),
+            _place(self.speed, speed),
+            _place(self.direction, direction),
+        )
+        total = np.zeros(np.broadcast(distance, speed).shape)
+        for corner in np.ndindex(2, 2, 2):
+            index = tuple(low + c for (low, _), c in zip(places, corner, strict=True))
+            shares = [
+                share if c else 1 - share for (_, share), c in zip(places, corner, strict=True)
+            ]
+            total = total + value[index] * shares[0] * shares[1] * shares[2]
+        return total
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the table as TOML.
+
+        Parameters
+        ----------
+        path : path-like
+            The file to write.
+        """
+        content = {
+            "format": _FORMAT,
+            "source": self.source,
+            "distance_m": self.distance.tolist(),
+            "speed_m_s": self.speed.tolist(),
+            "direction_rad": self.direction.tolist(),
+            "time_s": np.round(self.time, 5).tolist(),
+            "error_s": dict(self.error),
+        }
+        write_toml(path, content, header="Shortest times of airpuck plans.")
+
+
+class _File(Section):
+    format: Literal["airpuck minimal times 1"]
+    source: str
+    distance_m: tuple[float, ...]
+    speed_m_s: tuple[float, ...]
+    direction_rad: tuple[float, ...]
+    time_s: tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]
+    error_s: dict[str, float]
+
+
+def read_minimal_times(path: str | os.PathLike[str] | None = None) -> MinimalTimes:
+    """Read a table of shortest times.
+
+    Parameters
+    ----------
+    path : path-like, optional
+        A file; by default that of the paper's craft, which comes with the package.
+
+    Returns
+    -------
+    MinimalTimes
+        The table.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is damaged.
+    """
+    content = read_packaged("minimal_times.toml", _File) if path is None else read_toml(path, _File)
+    distance, speed = np.array(content.distance_m), np.array(content.speed_m_s)
+    direction = np.array(content.direction_rad)
+    axes = distance, speed, direction
+    shape = (len(ARRIVALS), *map(len, axes))
+    flat = [t for kind in content.time_s for rows in kind for row in rows for t in row]
+    if len(flat) != np.prod(shape) or min(shape) < 2 or any((np.diff(a) <= 0).any() for a in axes):
+        raise InputError("does not fit its axes, which must rise", file=path, field="time_s")
+    times = np.array(flat).reshape(shape)
+    return MinimalTimes(content.source, distance, speed, direction, times, content.error_s)
+
+
+def shortest_time(
+    model: Model,
+    distance: float,
+    velocity: Sequence[float],
+    yaw: float,
+    arrival: Arrival,
+) -> float:
+    """Plan the shortest time to a place ahead, along x; without certificate [s]."""
+    if distance == 0 and (arrival == "any" or not np.any(velocity)):
+        return 0.0
+    goal = Goal(distance, 0.0, None, (0.0, 0.0, 0.0) if arrival == "rest" else None)
+    request = checked_request(
+        model, [0.0, 0.0, yaw, velocity[0], velocity[1], 0.0], goal, (), None, (), Limits()
+    )
+    program = program_for(model, _INTERVALS, 1, 0)
+    _, guess, final_yaw = next(starts(request, _INTERVALS))
+    solved = program.solve(request, guess, final_yaw)
+    if not solved.converged:
+        solved, _ = search(request, _INTERVALS)
+    return float(solved.path.durations.sum())
+
+
+def _place(axis: Float[np.ndarray, " k"], value: Any) -> tuple[Any, Any]:
+    """Return the entry below a value, and the share of the way to the next."""
+    value = np.clip(value, axis[0], axis[-1])
+    low = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, len(axis) - 2)
+    return low, (value - axis[low]) / (axis[low + 1] - axis[low])

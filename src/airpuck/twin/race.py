@@ -1,0 +1,203 @@
+"""Races: plans flown on the twin with its radio and noise, beside a set point at their goal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import Reference, SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.flight.loop import fly
+from airpuck.flight.pilot import Pilot
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
+from airpuck.planning.plan import Plan, plan
+from airpuck.planning.request import Limits
+from airpuck.planning.tracking import PlanTracker
+from airpuck.recording.stream import Recording
+from airpuck.twin.plant import Plant, build_plant
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin
+
+#: The goal counts as reached within these distances [m, rad, m/s].
+TOLERANCE = (0.01, 0.1, 0.05)
+#: Standing still before the start; patience after the planned end, for a plan and a set point [s].
+_LEAD, _PATIENCE, _SET_POINT_PATIENCE = 0.5, 0.5, 2.5
+#: Distance that plans of courses keep from the rails [m].
+_MARGIN = 0.02
+
+Course = Literal["straight", "slalom", "eight"]
+#: Start, goal and way points of each course.
+_COURSES: dict[Course, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]] = {
+    "straight": ((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), ()),
+    "slalom": ((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0), ((-0.4, 0.2), (0.0, -0.2), (0.4, 0.2))),
+    "eight": (
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        ((0.5, 0.25), (0.5, -0.25), (0.0, 0.0), (-0.5, 0.25), (-0.5, -0.25)),
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Race:
+    """A plan and its flights.
+
+    Attributes
+    ----------
+    plan : Plan
+        What was to be flown.
+    flown : tuple of float or None
+        How long each flight took to the goal [s]; None: it was not reached.
+    set_point : tuple of float or None
+        The same for the controller that is given the goal alone.
+    contacts : int
+        With a rail, of all flights of the plan together.
+    paths : tuple of array, shape (N, 2)
+        Where the craft really was, of each flight of the plan [m].
+    recording : Recording
+        Of the first flight of the plan.
+    """
+
+    plan: Plan
+    flown: tuple[float | None, ...]
+    set_point: tuple[float | None, ...]
+    contacts: int
+    paths: tuple[Float[np.ndarray, "N 2"], ...]
+    recording: Recording
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        return {
+            "planned_s": self.plan.duration,
+            "flown_s": list(self.flown),
+            "lower_bound_s": self.plan.lower_bound,
+            "contacts": self.contacts,
+            "set_point_s": list(self.set_point),
+            "reserve": self.plan.reserve,
+        }
+
+
+def course_plan(course: Course, model: Model, settings: TwinSettings, reserve: float) -> Plan:
+    """Plan a course on the twin's table."""
+    start, goal, via = _COURSES[course]
+    limits = Limits(reserve=reserve, margin=_MARGIN)
+    intervals = 20 if via else 40
+    return plan(
+        model, start, goal, via=via, table=settings.table, limits=limits, intervals=intervals
+    )
+
+
+def race(
+    planned: Plan,
+    truth: Model,
+    *,
+    seeds: int = 1,
+    regulator: Literal["lqr", "mpc"] = "lqr",
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Race:
+    """Fly a plan on the twin, and the same controller to the goal as a set point.
+
+    Parameters
+    ----------
+    planned : Plan
+        What to fly; its model is what the controller believes.
+    truth : Model
+        The truth of the twin.
+    seeds : int, default 1
+        Number of flights, each with its noise and radio.
+    regulator : {"lqr", "mpc"}, default "lqr"
+        Which law tracks it.
+    settings : TwinSettings, optional
+        Table, sensors, radio, faults; by default the packaged ones.
+    tuning : Tuning, optional
+        Of the controller; by default the packaged one.
+    progress : callable, optional
+        Called with the number of flights done, and of all.
+
+    Returns
+    -------
+    Race
+        All flights.
+    """
+    settings = settings or default_twin_settings()
+    tuning = tuning or default_tuning()
+    chosen = tuning.regulator.model_copy(update={"kind": regulator})
+    tuning = tuning.model_copy(update={"regulator": chosen})
+    plant = build_plant(truth, settings)
+    goal = planned.samples[1][-1]
+    ends = [SetPoint(*(float(v) for v in state[:3])) for state in (planned.states[0], goal)]
+    flights = (planned.starting(_LEAD), _PATIENCE), (_Later(*ends), _SET_POINT_PATIENCE)
+    twins: list[list[Twin]] = []
+    for seed in range(seeds):
+        durations = [_LEAD + planned.duration + patience for _, patience in flights]
+        twins.append(
+            [
+                _flown(planned, reference, duration, truth, seed, settings, tuning, plant)
+                for (reference, _), duration in zip(flights, durations, strict=True)
+            ]
+        )
+        progress(seed + 1, seeds)
+    raced, alone = zip(*twins, strict=True)
+    return Race(
+        planned,
+        tuple(_reached(twin, goal) for twin in raced),
+        tuple(_reached(twin, goal) for twin in alone),
+        sum(len(twin.contacts) for twin in raced),
+        tuple(twin.truth[1][:, :2] for twin in raced),
+        raced[0].recording(),
+    )
+
+
+@dataclass(frozen=True)
+class _Later:
+    """One set point, and another from the start of the race on."""
+
+    before: SetPoint
+    after: SetPoint
+
+    def at(self, now: float, ahead: float) -> Any:
+        """Return the set point in force now; see `Reference.at`."""
+        return (self.after if now >= _LEAD else self.before).at(now, ahead)
+
+
+def _flown(
+    planned: Plan,
+    reference: Reference,
+    duration: float,
+    truth: Model,
+    seed: int,
+    settings: TwinSettings,
+    tuning: Tuning,
+    plant: Plant,
+) -> Twin:
+    """Fly a reference from where the plan begins; return the twin."""
+    x, y, yaw = (float(v) for v in planned.states[0, :3])
+    twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
+    if isinstance(reference, Plan) and tuning.regulator.kind == "lqr":
+        pilot: Pilot = PlanTracker(planned.model, reference, tuning)
+    else:
+        pilot = TrackingController(planned.model, reference, tuning, table=settings.table)
+    fly(pilot, twin, duration, tuning.period_s)
+    return twin
+
+
+def _reached(twin: Twin, goal: Float[np.ndarray, " s"]) -> float | None:
+    """Return how long the craft took to the goal, by its true state; None if it never was there."""
+    time, states = twin.truth
+    time = time - _LEAD
+    away = np.hypot(*(states[:, :2] - goal[:2]).T)
+    turned = np.abs(wrapped(np, states[:, 2] - goal[2]))
+    faster = np.hypot(*(states[:, 3:5] - goal[3:5]).T)
+    there = (away < TOLERANCE[0]) & (turned < TOLERANCE[1]) & (faster < TOLERANCE[2])
+    # A course may begin where it ends.
+    there &= time > 0.1
+    begun = np.flatnonzero(there)
+    return float(time[begun[0]]) if len(begun) else None

@@ -1,0 +1,63 @@
+"""Shortest times looked up are those of plans."""
+
+import time
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times, shortest_time
+
+M3 = airpuck.read_model("paper:M3")
+
+
+def table():
+    distance, speed, direction = (0.0, 0.25, 1.0), (0.0, 1.0), (0.0, np.pi / 2, np.pi)
+    grid = np.meshgrid(np.sqrt(distance), speed, direction, indexing="ij")
+    rest = 1.0 + grid[0] * 2 + grid[1] * 0.5 + grid[2] * 0.25
+    times = np.stack([rest, rest / 2])
+    return MinimalTimes("test", *map(np.array, (distance, speed, direction)), times, {"worst": 0.0})
+
+
+def test_what_is_linear_is_looked_up_exactly():
+    found, random = table(), np.random.default_rng(0)
+    away, velocity = random.uniform(-0.7, 0.7, (2, 50)), random.uniform(-0.7, 0.7, (2, 50))
+    distance, speed = np.hypot(*away), np.hypot(*velocity)
+    angle = np.arccos((away * velocity).sum(axis=0) / distance / speed)
+    expected = 1.0 + 2 * np.sqrt(distance) + 0.5 * speed + 0.25 * angle
+    np.testing.assert_allclose(found(away, velocity), expected, rtol=1e-12)
+    np.testing.assert_allclose(found(away, velocity, "any"), expected / 2, rtol=1e-12)
+    assert found(away[:, 0], velocity[:, 0]) == pytest.approx(expected[0])
+
+
+def test_beyond_the_axes_the_nearest_entry_answers():
+    assert table()((5.0, 0.0), (0.0, 0.0)) == pytest.approx(3.0)
+    assert table()((1.0, 0.0), (9.0, 0.0)) == pytest.approx(3.5)
+
+
+def test_a_file_gives_the_table_back(tmp_path):
+    path = tmp_path / "times.toml"
+    table().save(path)
+    again = read_minimal_times(path)
+    np.testing.assert_allclose(again.time, table().time, atol=1e-5)
+    np.testing.assert_array_equal(again.direction, table().direction)
+    path.write_text(path.read_text().replace("speed_m_s = [0.0, 1.0]", "speed_m_s = [1.0, 0.0]"))
+    with pytest.raises(InputError, match="axes"):
+        read_minimal_times(path)
+
+
+def test_the_packaged_table_agrees_with_plans_as_well_as_it_says():
+    found = read_minimal_times()
+    for distance, velocity, arrival in ((0.5, (0.3, 0.4), "rest"), (0.9, (-0.5, 0.2), "any")):
+        planned = shortest_time(M3, distance, velocity, 1.0, arrival)
+        looked_up = float(found((distance, 0.0), velocity, arrival))
+        assert abs(looked_up - planned) < found.error["worst"]
+
+
+def test_a_look_up_takes_less_than_a_millisecond():
+    found = table()
+    begun = time.process_time()
+    for _ in range(200):
+        found((0.3, 0.2), (0.1, -0.4))
+    assert (time.process_time() - begun) / 200 < 1e-3
