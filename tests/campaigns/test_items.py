@@ -138,4 +138,4 @@ def test_a_shortest_time_is_that_of_a_plan():
     velocity = 0.5 * np.array([np.cos(0.3), np.sin(0.3)])
     start = (0, 0, yaw, *velocity, 0)
     planned = airpuck.plan(published_model("M3"), start, airpuck.Goal(0.5, 0.0))
-    assert row["time_s"] == pytest.approx(planned.duration, rel=0.02)
+    assert row["time_s"] == pytest.approx(planned.duration, rel=0.1)
