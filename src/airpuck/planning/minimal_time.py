@@ -52,9 +52,7 @@ class MinimalTimes:
     time: Float[np.ndarray, "2 D V A"]
     error: Mapping[str, float]
 
-    def __call__(
-        self, away: Any, velocity: Any, arrival: Arrival = "rest"
-    ) -> Any:
+    def __call__(self, away: Any, velocity: Any, arrival: Arrival = "rest") -> Any:
         """Look shortest times up, interpolated in √distance, speed and direction.
 
         Parameters

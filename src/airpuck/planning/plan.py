@@ -370,7 +370,10 @@ def search(
     fine = program_for(request.model, intervals, legs, discs)
     statuses = [start.status for start in tried]
     best_first = sorted(found, key=lambda f: f[0])
-    for yaw, path in [(yaw, path) for _, yaw, paths in best_first for path in paths][:_REFINED]:
+    refined = [(yaw, path) for _, yaw, paths in best_first for path in paths][:_REFINED]
+    if warm is None:
+        refined += [(yaw, path) for _, path, yaw in further_starts(request, intervals)]
+    for yaw, path in refined:
         solved = fine.solve(request, path.resampled(intervals), yaw)
         if solved.converged and _flies(request, solved.path):
             if warm is not None:

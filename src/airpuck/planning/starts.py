@@ -13,7 +13,11 @@ from airpuck.planning.transcription import Path
 
 #: Turned aside half way, by the names of starts [rad].
 _ASIDE = {"straight": 0.0, "turned left": 0.5, "turned right": -0.5}
-_FURTHER = {"straight, finely": 0.0, "turned far left": 1.2, "turned far right": -1.2}
+_FURTHER = {
+    "straight, with time to turn round": 0.0,
+    "turned far left": 1.2,
+    "turned far right": -1.2,
+}
 #: Further from a disc than this share of its radius a way round it leads.
 _ROUND = 1.3
 
@@ -37,7 +41,8 @@ def further_starts(request: Request, intervals: int) -> Iterator[tuple[str, Path
     """Yield other starts, for plans that may not be the best."""
     yaw = request.goal_yaws()[0]
     for name, aside in _FURTHER.items():
-        yield name, _path(request, intervals, yaw, aside, ways=request.via), yaw
+        path = _path(request, intervals, yaw, aside, ways=request.via, turning=not aside)
+        yield name, path, yaw
 
 
 def _path(
@@ -46,6 +51,7 @@ def _path(
     yaw: float,
     aside: float,
     ways: Float[np.ndarray, "W 2"],
+    turning: bool = False,
 ) -> Path:
     """Guess a path: straight from point to point, as smooth as rest to rest, turning on the way."""
     goal = request.goal.state
@@ -59,6 +65,9 @@ def _path(
     turn = abs(yaw - request.start[2])
     durations = np.maximum(2.2 * np.sqrt(lengths / push), 0.1)
     durations = np.maximum(durations, turn / request.limits.spin * 1.3 / legs)
+    if turning:  # velocities at the ends have to be turned round first
+        durations[0] += 2 * np.hypot(*request.start[3:5]) / push
+        durations[-1] += 2 * np.hypot(*np.nan_to_num(goal[3:5])) / push
     total = intervals * legs
     share = np.linspace(0, 1, total + 1)
     smooth = share**2 * (3 - 2 * share)

@@ -20,8 +20,8 @@ from airpuck.planning.request import Request
 
 #: x, y, γ and their rates.
 _MOTION = 6
-#: No leg takes so many times as long as its guess.
-_LONGEST = 6.0
+#: No leg takes so many times as long as its guess, and so much longer [s].
+_LONGEST, _LONGER = 6.0, 1.0
 #: Shortest duration of a leg [s].
 _SHORTEST = 1e-3
 #: Of the mean squared change of commands between intervals, in seconds: commands that do not
@@ -177,7 +177,7 @@ class Transcription:
         lower[0] = upper[0] = request.start
         least = np.full((total, self.n), vehicle.command_min)
         most = np.tile(request.highest_command, (total, 1))
-        shortest, longest = np.full(self.legs, _SHORTEST), _LONGEST * guess
+        shortest, longest = np.full(self.legs, _SHORTEST), _LONGEST * guess + _LONGER
         return self._packed(lower, least, shortest), self._packed(upper, most, longest)
 
     def _packed(self, states: Any, commands: Any, durations: Any) -> np.ndarray:
