@@ -31,7 +31,7 @@ def loss():
 def test_approaches_the_minimum(loss):
     start = RUNGS["M3"].initial(VEHICLE)
     free = RUNGS["M3"].mask(start)
-    adam = Adam(learning_rate=3e-3, inertia_factor=3e-4, epochs=40, batch_size=64)
+    adam = Adam(learning_rate=4e-3, inertia_factor=3e-4, epochs=25, batch_size=64)
     outcome = adam.minimize(loss, start, free)
     best = LevenbergMarquardt().minimize(loss, start, free)
     initial = outcome.history[0].loss
