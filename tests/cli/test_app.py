@@ -224,7 +224,7 @@ def test_bad_input_ends_a_process_alike(tmp_path):
 
 def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
     # Flights of 90 s are for the reader of its report.
-    monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=25.0))
+    monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=14.0))
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr
     page = Path(process.stdout.strip())

@@ -30,7 +30,7 @@ RICH = Effects(
 SHORT_LADDER = ("M2", "M3", "M5+drag")
 
 
-def flight(effects=None, duration=30.0, seed=0):
+def flight(effects=None, duration=20.0, seed=0):
     # Without jitter: a pair interaction smooths the steps of a force, as late packets do.
     changed: dict = {"radio": Radio(delay_s=5 / 240), "effects": effects or Effects()}
     settings = default_twin_settings().model_copy(update=changed)
