@@ -1,11 +1,22 @@
 """Array operations under NumPy do what they do under JAX."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute.arrays import if_any, linear_map, repeat_while, scan, small_product
+from airpuck.compute.arrays import (
+    if_any,
+    linear_map,
+    register_pytree,
+    repeat_while,
+    scan,
+    small_product,
+)
 
 
 def test_small_products_are_matrix_products():
@@ -42,3 +53,21 @@ def test_branches_and_loops(xp):
     assert if_any(xp, xp.array([False, True]), lambda x: x + 1, 1.0) == 2
     assert if_any(xp, xp.array([False, False]), lambda x: x + 1, 1.0) == 1
     assert repeat_while(xp, lambda x: x < 100, lambda x: 2 * x, 1.0) == 128
+
+
+def test_a_dataclass_is_registered_once_by_threads_side_by_side(monkeypatch):
+    @dataclass
+    class Pair:
+        one: float
+        frame: str
+
+    registered = []
+
+    def slowly(kind, data, meta):
+        time.sleep(0.01)
+        registered.append((kind, data, meta))
+
+    monkeypatch.setattr("jax.tree_util.register_dataclass", slowly)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: register_pytree(Pair, static="frame"), range(8)))
+    assert registered == [(Pair, ["one"], ["frame"])]

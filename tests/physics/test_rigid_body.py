@@ -1,7 +1,5 @@
 """The planar rigid body, against physics and other people's formulas."""
 
-import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import jax
@@ -14,7 +12,6 @@ from hypothesis import strategies as st
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.model.parameters import nominal_parameters
-from airpuck.physics import rigid_body
 from airpuck.physics.rigid_body import acceleration, configuration_matrix, derivative
 from airpuck.physics.thrust import thrust
 
@@ -136,19 +133,3 @@ def test_any_number_of_propellers(n):
         np, rng.normal(size=(n, 2)), rng.normal(size=(n, 2)), 1.0, 1.0, 0.1, np.zeros(2)
     )
     assert matrix.shape == (3, n)
-
-
-def test_fits_side_by_side_register_the_dynamics_once(monkeypatch):
-    kinds, before = [], rigid_body._registered.cache_info().currsize
-
-    def slowly(kind, **_):
-        time.sleep(0.01)
-        kinds.append(kind)
-
-    monkeypatch.setattr(rigid_body, "register_pytree", slowly)
-    rigid_body._registered.cache_clear()
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda _: rigid_body.register_pytrees(), range(8)))
-    assert rigid_body.Dynamics in kinds and len(kinds) == len(set(kinds))
-    if not before:  # nothing is registered yet
-        rigid_body._registered.cache_clear()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import fields
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -65,12 +66,20 @@ def _is_symbolic(value: Any) -> bool:
     return type(value).__module__.partition(".")[0] == "casadi"
 
 
+#: Fits run side by side, and JAX refuses what is registered twice.
+_registered: set[Any] = set()
+_registering = Lock()
+
+
 def register_pytree(kind: Any, static: str = "") -> None:
     """Let JAX see the arrays inside a dataclass; the field `static` holds none."""
     from jax.tree_util import register_dataclass
 
-    names = [entry.name for entry in fields(kind)]
-    register_dataclass(kind, [name for name in names if name != static], [static] if static else [])
+    names, fixed = [entry.name for entry in fields(kind)], [static] if static else []
+    with _registering:
+        if kind not in _registered:
+            register_dataclass(kind, [name for name in names if name != static], fixed)
+            _registered.add(kind)
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

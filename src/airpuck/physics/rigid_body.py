@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from threading import Lock
 from typing import Any, Literal
 
 import numpy as np
@@ -62,19 +61,9 @@ class Dynamics:
         return sum(longer) if longer else None
 
 
-#: Fits run side by side, and JAX refuses what is registered twice.
-_REGISTERING = Lock()
-
-
+@cache
 def register_pytrees() -> None:
     """Let JAX see the arrays inside `Dynamics` and all effects."""
-    with _REGISTERING:
-        _registered()
-
-
-@cache
-def _registered() -> None:
-    """Register them, the first time."""
     register_pytree(Dynamics, static="frame")
     for kind in Effect.__subclasses__():
         register_pytree(kind)
