@@ -129,8 +129,8 @@ def _step_tables(flights: Sequence[Tracked]) -> list[Table]:
     """Tabulate what control steps took, and how they ended."""
     times = [[flight.label, *(f"{ms:.2f}" for ms in flight.step_times)] for flight in flights]
     taken = Table(
-        "What a control step took on this machine, with all that it did beside it. airpuck fly "
-        "asks the system for priority, and is faster.",
+        "What a control step took on this machine, with all else that it did. airpuck fly asks "
+        "the system for priority.",
         ["flight", "median [ms]", "99 % [ms]", "longest [ms]"],
         times,
     )
