@@ -5,8 +5,9 @@ import time
 import numpy as np
 import pytest
 
+import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times
+from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times, shortest_time
 
 
 def table():
@@ -42,6 +43,12 @@ def test_a_file_gives_the_table_back(tmp_path):
     path.write_text(path.read_text().replace("speed_m_s = [0.0, 1.0]", "speed_m_s = [1.0, 0.0]"))
     with pytest.raises(InputError, match="axes"):
         read_minimal_times(path)
+
+
+def test_the_packaged_table_agrees_with_plans_as_well_as_it_says():
+    found, model = read_minimal_times(), airpuck.read_model("paper:M3")
+    planned = shortest_time(model, 0.7, (0.0, 0.7), 1.0, "rest")
+    assert abs(float(found((0.7, 0.0), (0.0, 0.7))) - planned) < found.error["worst"]
 
 
 def test_a_look_up_takes_less_than_a_millisecond():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -31,7 +31,20 @@ _MOST_ITERATIONS = 120
 #: Runge-Kutta steps between two nodes: then a plan of a second ends within a millimetre.
 _SUBSTEPS = 2
 
-Solver = Literal["ipopt", "fatrop"]
+#: Of IPOPT: silent, and limited.
+_OPTIONS = {
+    "print_time": False,
+    "error_on_fail": False,
+    "ipopt": {
+        "print_level": 0,
+        "sb": "yes",
+        "max_iter": _MOST_ITERATIONS,
+        "tol": 1e-7,
+        # Half the iterations of any other choice, from cold and from neighbouring plans.
+        "mu_strategy": "adaptive",
+        "adaptive_mu_globalization": "never-monotone-mode",
+    },
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +111,7 @@ class Transcription:
     legs. All limits, and start and goal, are bounds, so a program is built once.
     """
 
-    def __init__(
-        self, model: Model, intervals: int, legs: int, discs: int, solver: Solver = "ipopt"
-    ) -> None:
+    def __init__(self, model: Model, intervals: int, legs: int, discs: int) -> None:
         casadi = _casadi()
         self.intervals, self.legs = intervals, legs
         self.n = model.vehicle.n_propellers
@@ -130,7 +141,7 @@ class Transcription:
             "g": casadi.vertcat(*steps, *clear),
             "p": casadi.vec(places),
         }
-        self._solve = casadi.nlpsol("plan", solver, problem, _options(solver))
+        self._solve = casadi.nlpsol("plan", "ipopt", problem, _OPTIONS)
         self._clearances = len(clear)
 
     def solve(self, request: Request, guess: Path, final_yaw: float) -> Solved:
@@ -218,27 +229,6 @@ def _step_functions(model: Model) -> tuple[Any, Any]:
         casadi.Function("step", [z, u, h], [following]),
         casadi.Function("middle", [z, after, h], [middle]),
     )
-
-
-def _options(solver: Solver) -> dict[str, Any]:
-    """Return the settings of a solver: silent, and limited."""
-    common = {"print_time": False, "error_on_fail": False}
-    if solver == "fatrop":
-        return common | {
-            "structure_detection": "auto",
-            "fatrop": {"print_level": 0, "max_iter": _MOST_ITERATIONS},
-        }
-    return common | {
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "max_iter": _MOST_ITERATIONS,
-            "tol": 1e-7,
-            # Half the iterations of any other choice, from cold and from neighbouring plans.
-            "mu_strategy": "adaptive",
-            "adaptive_mu_globalization": "never-monotone-mode",
-        }
-    }
 
 
 def _casadi() -> Any:
