@@ -2,12 +2,9 @@
 
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py cost --flights 500
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py rails --flights 1000
-    OPENBLAS_NUM_THREADS=1 python studies/predictive.py steps
-    OPENBLAS_NUM_THREADS=1 python studies/predictive.py dead
 
 cost: closed-loop cost between random poses against nonlinear predictive control solved to
-convergence. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
-steps: settling of moves across the table and of half turns. dead: set points with a dead motor.
+converged. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
 """
 
 from __future__ import annotations

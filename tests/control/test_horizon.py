@@ -114,10 +114,10 @@ def test_at_half_a_turn_the_way_round_is_kept():
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(np.pi / 2)
 
 
-def test_braking_is_half_of_what_the_propellers_give_in_the_weakest_direction():
+def test_braking_is_a_third_of_what_the_propellers_give_in_the_weakest_direction():
     strongest = control_authority(MODEL).together
     weakest = min(strongest[way] for way in ("forward", "back", "left", "right"))
-    assert 0.8 * weakest < 2 * BRAKE < 1.01 * weakest
+    assert 0.28 * weakest < BRAKE < 0.355 * weakest
 
 
 def test_limits_are_met_by_changes_that_reach_them():
@@ -126,7 +126,7 @@ def test_limits_are_met_by_changes_that_reach_them():
     reached = s.states[:, :6] + change
     moved = np.einsum("kci,ki->kc", s.limited, change)
     headway = np.full((6, 2), Limits().headway_s)
-    # At the end it can still brake with half of what its propellers give that way: at v, v²/2a.
+    # At the end it can still brake with a third of what its propellers give that way: at v, v²/2a.
     headway[-1] += np.abs(s.states[-1, 3:5]) / (2 * BRAKE)
     for i in (0, 1):
         later = reached[:, i] + headway[:, i] * reached[:, 3 + i]

@@ -232,14 +232,14 @@ def linearised(
 def _brake(dynamics: Dynamics, most: float) -> float:
     """Return an acceleration that a craft can count on in every direction [m/s²].
 
-    Half of what the propellers together give in their weakest one: it turns and allocates as well,
+    A third of what the propellers together give in their weakest one: it turns and allocates as well,
     and packets get lost.
     """
     ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     turned = np.column_stack([np.cos(ways), np.sin(ways)])
     full = thrust(dynamics.thrust, np.full(len(dynamics.thrust), most))
     pushes = turned @ (np.asarray(dynamics.configuration)[:2] * full)
-    return 0.5 * float(pushes.clip(0.0).sum(axis=1).min())
+    return 0.35 * float(pushes.clip(0.0).sum(axis=1).min())
 
 
 def _limits(
