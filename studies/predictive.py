@@ -1,10 +1,10 @@
-"""How near does the predictive law come to the limits of the physics? On the twin, published M3.
+"""The predictive law against the limits of the physics, on the twin of published M3.
 
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py cost --flights 500
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py rails --flights 1000
 
-cost: closed-loop cost between random poses against nonlinear predictive control solved to
-converged. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
+cost: closed-loop cost between random poses against nonlinear predictive control that
+converges. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
 """
 
 from __future__ import annotations
