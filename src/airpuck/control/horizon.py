@@ -232,8 +232,8 @@ def linearised(
 def _brake(dynamics: Dynamics, most: float) -> float:
     """Return an acceleration that a craft can count on in every direction [m/s²].
 
-    A third of what the propellers together give in their weakest one: it turns and allocates as well,
-    and packets get lost.
+    A third of what the propellers together give in their weakest one: it turns and allocates as
+    well, and packets get lost.
     """
     ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     turned = np.column_stack([np.cos(ways), np.sin(ways)])
