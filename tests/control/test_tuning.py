@@ -1,6 +1,8 @@
 """Tuning files: written and read back, and every mistake named."""
 
 import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import checked
 from airpuck.control.discretization import point_mass
 from airpuck.control.lqr import regulator
 from airpuck.control.tuning import (
@@ -169,6 +172,7 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
                 ("regulator", "step_s = 0.0", "regulator.step_s", "equal to 0.001"),
                 ("regulator", "block = 0", "regulator.block.0", "equal to 1"),
                 ("regulator", "block = 1.5", "regulator.block.0", "integer"),
+                ("regulator", "block = []", "regulator.block", "block: must have at least 1 item"),
                 ("regulator", "horizon_s = 0.03\nstep_s = 0.05", "regulator", "longer than hor"),
                 ("regulator", "horizon_s = 5.0\nstep_s = 0.001", "regulator", "5000 steps; at m"),
                 ("regulator", "penalty = 1.0", "regulator.penalty", "not a known key"),
@@ -208,6 +212,20 @@ def test_a_law_is_chosen_by_name_and_nothing_else_changes():
     tuning = default_tuning()
     assert [tuning.with_regulator(kind).regulator.kind for kind in REGULATORS] == ["lqr", "mpc"]
     assert tuning.with_regulator("mpc").with_regulator("lqr") == tuning
+
+
+def test_an_unknown_law_or_estimator_is_refused():
+    tuning = default_tuning()
+    with pytest.raises(InputError, match=r"regulator\.kind: must be 'lqr' or 'mpc', not 'MPC'"):
+        tuning.with_regulator("MPC")
+    with pytest.raises(InputError, match=r"estimation\.estimator: must be 'kalman' or 'actuation'"):
+        tuning.with_estimator("actuaton")
+
+
+def test_the_tuning_in_the_documentation_is_the_packaged_one():
+    usage = Path(__file__).parents[2].joinpath("docs/usage.md").read_text(encoding="utf-8")
+    written = usage.split("## Controller tuning")[1].split("```toml\n")[1].split("```")[0]
+    assert checked(tomllib.loads(written), Tuning) == default_tuning()
 
 
 def test_a_missing_file_and_broken_toml_are_named(tmp_path):

@@ -26,6 +26,8 @@ Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 #: How pydantic names validators and the types of a union.
 _OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool)$")
 
+#: How pydantic says of what kind something too short or too long is, and how much of it there is.
+_OF_LENGTH = re.compile(r"^(?:Tuple|List) should have (.*?) after validation, not .*")
 
 #: What a file is, by a table or key that no other kind has.
 _KINDS = {
@@ -88,6 +90,7 @@ def checked(
         problem = first["msg"].removeprefix("Value error, ").rstrip(".")
         problem = problem.replace("Input should be", "must be")
         problem = problem.replace("a valid array", "a list in brackets, [ ]")
+        problem = _OF_LENGTH.sub(r"must have \1", problem)
         kind = next((k for k in _KINDS if k in content and k not in schema.model_fields), None)
         if first["type"] == "extra_forbidden" and kind:
             field, problem = "", f"is {_KINDS[kind]}; another kind of file is wanted"

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import (
     NonNegative,
     Positive,
@@ -197,7 +198,13 @@ class Tuning(Section):
         -------
         Tuning
             A copy.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name.
         """
+        _known(estimator, ESTIMATORS, "estimation.estimator")
         estimation = self.estimation.model_copy(update={"estimator": estimator})
         return self.model_copy(update={"estimation": estimation})
 
@@ -213,7 +220,13 @@ class Tuning(Section):
         -------
         Tuning
             A copy.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name.
         """
+        _known(kind, REGULATORS, "regulator.kind")
         regulator = self.regulator.model_copy(update={"kind": kind})
         return self.model_copy(update={"regulator": regulator})
 
@@ -227,6 +240,12 @@ class Tuning(Section):
         """
         content = self.model_dump(mode="json", exclude_none=True)
         write_toml(path, content, header="An airpuck controller tuning.")
+
+
+def _known(name: str, names: tuple[str, ...], field: str) -> None:
+    """Refuse a name that is not one of those."""
+    if name not in names:
+        raise InputError(f"must be {' or '.join(map(repr, names))}, not {name!r}", field=field)
 
 
 def read_tuning(path: str | os.PathLike[str]) -> Tuning:
