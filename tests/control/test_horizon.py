@@ -109,6 +109,9 @@ def test_at_half_a_turn_the_way_round_is_kept():
     assert posed(PLAN, wanted).way > 3
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(-np.pi - 0.01)
     assert posed(PLAN, wanted, way=3.1).way > 3
+    # It was chosen near half a turn only: what is left at a set point says nothing of the next one.
+    wanted[2] = STATE[2] - np.pi + 0.4
+    assert posed(PLAN, wanted, way=-1e-4).way == pytest.approx(np.pi - 0.4)
     # A quarter of a turn is no question.
     wanted[2] = STATE[2] - np.pi / 2
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(np.pi / 2)

@@ -23,7 +23,8 @@ from airpuck.physics.thrust import thrust, thrust_curvature
 #: Bounds of the effectiveness that the prediction counts with; a dead motor is left a little, so
 #: that its return is noticed, and no estimate may make the law timid.
 _EFFECTIVENESS = (0.02, 1.5)
-#: Error of the yaw from which a plan keeps its way round [rad].
+#: Errors of the yaw between which a plan keeps its way round: a little less than half a turn either
+#: way [rad].
 _UNDECIDED = np.pi - 0.5
 #: Below this the direction of a speed, or away from a disc's middle, is not known [m/s, m].
 _NOWHERE = 1e-9
@@ -150,7 +151,8 @@ def stages(
         # Whole turns do not count, and at half a turn the way round does not waver.
         left = state[2] - wanted[0, 2]
         apart = wrapped(xp, left)
-        apart = apart + 2 * np.pi * xp.sign(way) * (apart * way < -_UNDECIDED * xp.abs(way))
+        turned_over = (apart * way < 0) & (xp.abs(way) > _UNDECIDED) & (xp.abs(apart) > _UNDECIDED)
+        apart = apart + 2 * np.pi * xp.sign(way) * turned_over
         error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
         limited = _limits(xp, limits, brake, states[:, :6], fence, discs)
         asked = error, accelerations - feedforward, weights, terminal
