@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.law import FLYING, Step
-from airpuck.control.mpc import MPC
+from airpuck.control.mpc import MPC, _way_left
 from airpuck.control.reference import Reference, Rendezvous, SetPoint, TimedPath
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Limits, Tuning, default_tuning
@@ -116,21 +117,28 @@ def test_a_rendezvous_is_kept(yaw):
     np.testing.assert_allclose(states[-1, :2], 0.0, atol=0.01)  # and then it goes on
 
 
-def test_the_way_to_a_rendezvous_is_the_cheapest():
-    # The weight of an error some time before is what the least effort to undo it costs: of the
-    # cubic through both ends, integrated by hand.
-    from airpuck.control.mpc import _way_left
-
+@pytest.mark.parametrize("sharp", [(1e9, 1e9), (1e9, 0.0), (0.0, 1e9), (0.0, 0.0), (3.0, 0.2)])
+def test_the_way_to_a_rendezvous_is_the_cheapest(sharp):
+    # A double integrator with an error and a drift, pushed piece by piece: least squares.
     left, effort, apart, drift = 0.7, 0.3, 0.2, -0.5
-    weight = _way_left(left, np.full(3, effort), np.ones(6))
-    # x(t) = e + e't + a t² + b t³ with x(T) = x'(T) = 0.
-    a, b = np.linalg.solve(
-        [[left**2, left**3], [2 * left, 3 * left**2]], [-apart - drift * left, -drift]
-    )
-    times = np.linspace(0, left, 20001)
-    cost = np.trapezoid((2 * a + 6 * b * times) ** 2, times) * effort
-    error = np.array([apart, 0, 0, drift, 0, 0])
-    assert error @ weight @ error == pytest.approx(cost, rel=1e-6)
+    pieces = 500
+    h = left / pieces
+    to_go = left - h * (np.arange(pieces) + 0.5)
+    arriving = np.array([apart + drift * left, drift])
+    moved = np.stack([h * to_go, np.full(pieces, h)])
+    weighted = np.sqrt(sharp)[:, None]
+    rows = np.concatenate([weighted * moved, np.sqrt(effort * h) * np.eye(pieces)])
+    asked = np.concatenate([-weighted[:, 0] * arriving, np.zeros(pieces)])
+    best = np.linalg.lstsq(rows, asked)[0]
+    cost = np.sum((rows @ best - asked) ** 2)
+    weight = _way_left(left, np.full(3, effort), np.repeat(sharp, 3))
+    for axis in range(3):
+        error = np.zeros(6)
+        error[[axis, axis + 3]] = apart, drift
+        assert error @ weight @ error == pytest.approx(cost, rel=1e-4)
+    if sharp[0] == sharp[1] > 1:
+        closed = 12 * apart**2 / left**3 + 12 * apart * drift / left**2 + 4 * drift**2 / left
+        assert cost == pytest.approx(effort * closed, rel=1e-4)
 
 
 def test_it_stops_before_rails_that_a_target_is_beyond():
@@ -162,6 +170,29 @@ def test_a_table_smaller_than_the_craft_has_an_answer():
     ours = law(Table(length_m=0.1, width_m=0.1))
     _, steps = closed_loop(ours, SetPoint(0.5, 0.0, 0.0), 0.2, at_rest(0.2, 0.0, 0.0))
     assert {one.status for one in steps} <= {"softened", "iteration limit"}
+
+
+def test_fence_and_discs_may_be_exchanged_in_flight():
+    ours = law(keep_out_m=((9.0, 9.0, 0.1),))
+    controller, craft = ours.law, Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
+    assert isinstance(controller, MPC)
+    ours.reference = SetPoint(0.3, 0.0, 0.0)
+    assert ours.steer(craft, 0.0).status == "optimal"
+    given = np.array([[0.0, 0.0, 0.1]])
+    controller.keep_out = given
+    given[0, 0] = 9.0  # a caller's array is copied
+    assert ours.steer(craft, 0.01).status == "softened"
+    controller.keep_out = [(9.0, 9.0, 0.1)]
+    controller.fence = (0.1, -0.4, 0.5, 0.4)  # as in the tuning
+    assert ours.steer(craft, 0.02).status == "softened"
+    for wrong in ([], None, [(0, 0, 0.1)] * 2, [(0, 0)], [(0.0, np.nan, 0.1)], "disc"):
+        with pytest.raises(InputError, match=r"keep_out: .*1 disc"):
+            controller.keep_out = wrong
+    for wrong in (None, np.full((2, 2), np.nan), (0.1, 0.1, -0.1, -0.1), (1, 2, 3)):
+        with pytest.raises(InputError, match=r"fence: .*lowest x and y"):
+            controller.fence = wrong
+    np.testing.assert_array_equal(controller.keep_out, [(9.0, 9.0, 0.1)])
+    np.testing.assert_array_equal(controller.fence, [(0.1, -0.4), (0.5, 0.4)])
 
 
 def test_without_an_answer_the_plan_the_lqr_and_idling_motors_follow(monkeypatch):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import Reference, SetPoint, SetPoints, TimedPath
+from airpuck.control.reference import Reference, Rendezvous, SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
@@ -207,3 +207,31 @@ IDLE = np.full(6, MODEL.vehicle.command_min)
 
 def turner() -> TrackingController:
     return TrackingController(MODEL, SetPoint(0, 0, 0), default_tuning(), compiled=False)
+
+
+@pytest.mark.parametrize(
+    ("state", "precision", "field"),
+    [
+        ((0.0,) * 5, (1.0,) * 6, "state"),
+        ((np.nan,) + (0.0,) * 5, (1.0,) * 6, "state"),
+        ((0.0,) * 6, (1.0,) * 3, "precision"),
+        ((0.0,) * 6, (0.0,) + (1.0,) * 5, "precision"),
+        ((0.0,) * 6, (np.nan,) + (1.0,) * 5, "precision"),
+    ],
+)
+def test_a_rendezvous_that_makes_no_sense_is_refused(state, precision, field):
+    with pytest.raises(InputError) as error:
+        Rendezvous(1.0, state, precision=precision)
+    assert error.value.field == field
+
+
+def test_a_rendezvous_is_chased_at_its_velocity_and_then_what_follows():
+    meet = Rendezvous(1.0, (0.5, 0.1, 0.0, 2.0, 0.0, -1.0), then=SetPoint(0.0, 0.0, 0.3))
+    np.testing.assert_allclose(meet.at(0.7, 0.1).state, [0.1, 0.1, 0.2, 2.0, 0.0, -1.0])
+    np.testing.assert_allclose(meet.at(1.0, 0.0).state, meet.state)
+    np.testing.assert_allclose(meet.at(0.95, 0.1).state, [0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
+    ahead = meet.over(0.7, np.array([0.1, 0.5]))
+    assert ahead.arrival is not None and ahead.arrival.remaining == pytest.approx(0.3)
+    after = meet.over(1.1, np.array([0.1, 0.5]))
+    assert after.arrival is None
+    np.testing.assert_allclose(after.states[:, 2], 0.3)

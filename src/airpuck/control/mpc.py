@@ -92,14 +92,12 @@ class MPC:
                 field="regulator.block",
             )
         count = len(blocks.times)
-        #: Where the middle of the craft may be: lowest x and y, highest x and y [m].
-        self.fence = _fence(limits.fence_m, table or Table(), vehicle.radius_m + limits.margin_m)
-        #: Discs to keep out of: x and y of their middles, and how near the craft's may come [m].
-        self.keep_out = np.array(limits.keep_out_m).reshape(-1, 3)
+        self._fence = _fence(limits.fence_m, table or Table(), vehicle.radius_m + limits.margin_m)
+        self._keep_out = np.array(limits.keep_out_m).reshape(-1, 3)
         self._kinds = ["rail", "rail"]
         self._kinds += ["speed"] * (limits.speed_m_s is not None)
         self._kinds += ["spin"] * (limits.spin_rad_s is not None)
-        self._kinds += ["disc"] * len(self.keep_out)
+        self._kinds += ["disc"] * len(self._keep_out)
         self._solver = SOLVERS[regulator.solver](vehicle, blocks, regulator, len(self._kinds))
         posed = stages(model, blocks, regulator, reject_disturbance)
         #: See `airpuck.control.law.Law`.
@@ -118,6 +116,38 @@ class MPC:
         given = np.zeros(6), motors, axes, motors, np.zeros(6), axes, self.fallback.gain
         self._fall_back = program(self.fallback.stage, *given, compiled=compiled)
 
+    @property
+    def fence(self) -> Float[np.ndarray, "2 2"]:
+        """Where the middle of the craft may be: lowest x and y, highest x and y [m]."""
+        return self._fence.copy()
+
+    @fence.setter
+    def fence(self, corners: Any) -> None:
+        found = _numbers(corners, 4)
+        if found is None or not (found[:2] < found[2:]).all():
+            raise InputError("give lowest x and y, then highest x and y [m]", field="fence")
+        self._fence = found.reshape(2, 2)
+
+    @property
+    def keep_out(self) -> Float[np.ndarray, "D 3"]:
+        """Discs to keep out of: x and y of their middles, and how near the craft's may come [m].
+
+        They may move; their number is the tuning's.
+        """
+        return self._keep_out.copy()
+
+    @keep_out.setter
+    def keep_out(self, discs: Any) -> None:
+        count = len(self._keep_out)
+        found = _numbers(discs, 3 * count)
+        if found is None:
+            raise InputError(
+                f"give x, y and distance [m] of {count} disc{'s' * (count != 1)}, as many as the "
+                "tuning has in regulator.limits.keep_out_m",
+                field="keep_out",
+            )
+        self._keep_out = found.reshape(count, 3)
+
     def _forget(self) -> None:
         """Begin without a plan."""
         #: The commands of the last answer, since when they hold, and when that answer came [s].
@@ -133,7 +163,7 @@ class MPC:
             self._plan = self._blocks.shifted(self._plan, now - self._since)
         self._since, self._asked = now, (reference, now, delay)
         ahead = self._ahead(reference, now, delay)
-        return self._way, self._plan, *ahead, self.fence, self.keep_out
+        return self._way, self._plan, *ahead, self._fence, self._keep_out
 
     def _ahead(self, reference: Reference, now: float, delay: float) -> Ahead:
         """Return targets and weights at the ends of the steps."""
@@ -189,6 +219,15 @@ class MPC:
         return tuple(dict.fromkeys(kinds))
 
 
+def _numbers(given: Any, count: int) -> Float[np.ndarray, " k"] | None:
+    """Copy finite numbers one after the other; None if they are others, or of another count."""
+    try:
+        found = np.array(given, dtype=float).ravel()
+    except (TypeError, ValueError):
+        return None
+    return found if len(found) == count and np.isfinite(found).all() else None
+
+
 def _stage(
     posed: Callable[..., Stages], form: Callable[..., tuple[Any, ...]]
 ) -> Callable[..., tuple[Any, ...]]:
@@ -218,15 +257,18 @@ def _fence(
 def _way_left(
     left: float, efforts: Float[np.ndarray, " 3"], sharp: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, "6 6"]:
-    """Return the weight of an error at a time before an arrival: the least effort to undo it.
+    """Return the weight of an error at a time before an arrival: the least that it will cost.
 
-    To move a double integrator off by (e, e') in a time T costs ∫a² = 12 e²/T³ + 12 e e'/T² +
-    4 e'²/T at least. What is free at the arrival costs nothing.
+    That is of effort, r ∫a², and of what is left at the arrival, weighted by S = diag(sharp). By
+    what a moves in a time T, W = [T³/3, T²/2; T²/2, T], a double integrator that would arrive with
+    an error e pays eᵀ √S (1 + √S W √S / r)⁻¹ √S e.
     """
+    root = np.sqrt(sharp.reshape(2, 3).T)
+    moved = np.array([[left**3 / 3, left**2 / 2], [left**2 / 2, left]]) / efforts[:, None, None]
+    paid = np.linalg.inv(np.eye(2) + root[:, :, None] * moved * root[:, None])
+    drift = np.array([[1.0, left], [0.0, 1.0]])
+    each = drift.T @ (root[:, :, None] * paid * root[:, None]) @ drift
     weight = np.zeros((6, 6))
-    for axis, effort in enumerate(efforts):
-        if sharp[axis] > 0:
-            weight[axis, axis] = 12 * effort / left**3
-            weight[axis, axis + 3] = weight[axis + 3, axis] = 6 * effort / left**2
-            weight[axis + 3, axis + 3] = 4 * effort / left
+    for axis in range(3):
+        weight[axis::3, axis::3] = each[axis]
     return weight
