@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import write_toml
 from airpuck.cli import app as application
 from airpuck.cli import live
+from airpuck.control.excitation import ExcitationPlan
 from airpuck.craft.table import Table
 from airpuck.model.model_file import published_model
 
@@ -38,6 +40,8 @@ def run(*arguments: str) -> None:
         (("--excite", "--pilot", "mine.py:Mine"), "--pilot: is for a flight to set points"),
         (("--excite", "--regulator", "mpc"), "--regulator: is for a flight to set points"),
         ((*MODEL, "--pilot", "a.py:A", "--regulator", "mpc"), "--regulator: is for our controller"),
+        ((*MODEL, "--plan", "p.toml", "--topic"), "fly: give one of .*--plan"),
+        ((*MODEL, "--plan", "p.toml", "--pilot", "a.py:A"), "--pilot: .* --plan has its own"),
         ((*MODEL, "--pilot", "nowhere.py:Mine"), "nowhere.py: --pilot: there is no such file"),
         ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
         ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
@@ -53,6 +57,44 @@ def run(*arguments: str) -> None:
 def test_fly_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
         run("fly", *(arguments if arguments != ("fly",) else ()))
+
+
+def a_plan(path, **changes):
+    """Write a plan file that leads nowhere."""
+    at = [0.5, 0.0, *[0.0] * 4, *[0.03] * 6]
+    content = {
+        "format": "airpuck plan 1",
+        "motors": list(published_model("M3").vehicle.propeller_names),
+        "lower_bound_s": 0.1,
+        "reserve": 0.0,
+        "times_s": [0.0, 0.1],
+        "states": [at, at],
+        "commands": [[0.03] * 6],
+    }
+    write_toml(path, content | changes)
+    return path
+
+
+def test_plans_of_the_wrong_kind_are_refused(tmp_path):
+    optimal, excitation = a_plan(tmp_path / "plan.toml"), tmp_path / "excitation.toml"
+    ExcitationPlan().save(excitation)
+    with pytest.raises(InputError, match=r"excitation.toml: is a plan of an excitation; another"):
+        run("fly", *MODEL, "--plan", str(excitation))
+    with pytest.raises(InputError, match=r"plan.toml: is a time-optimal plan; another"):
+        run("fly", "--excite", "--plan", str(optimal))
+    model = tmp_path / "model.toml"
+    published_model("M3").save(model)
+    with pytest.raises(InputError, match=r"model.toml: is a model; another"):
+        run("fly", *MODEL, "--plan", str(model))
+
+
+def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"plan.toml: leaves the geofence, ±0.4 m by ±1 m"):
+        run("fly", *MODEL, "--plan", str(a_plan(tmp_path / "plan.toml")), "--geofence", "0.4", "1")
+    moving = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, *[0.03] * 6]
+    path = a_plan(tmp_path / "moving.toml", states=[moving, moving])
+    with pytest.raises(InputError, match=r"moving.toml: begins in motion"):
+        run("fly", *MODEL, "--plan", str(path))
 
 
 def test_the_predictive_law_stays_within_the_geofence_or_the_rails():

@@ -15,10 +15,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck import identify, preprocess, read_recording
+from airpuck import identify, plan, preprocess, read_recording
 from airpuck.flight.track import Track
 from airpuck.live.graph import SENSOR, STATE, Graph
 from airpuck.model.model_file import published_model
+from airpuck.planning.request import Limits
 from airpuck.recording.message import MessageCodec, StreamCodec, definitions
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
@@ -154,6 +155,32 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     apart = np.abs(np.subtract(live.steady_state_error, planned.steady_state_error))
     assert (apart < (5e-3, 5e-3, 0.05)).all()
     assert_events_of_all_are_recorded(tmp_path / "bag")
+
+
+def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_path):
+    limits = Limits(reserve=0.1)
+    planned = plan(TRUTH, (0.2, 0, 0), (-0.2, 0, 0.5), limits=limits, intervals=20)
+    planned.save(tmp_path / "plan.toml")
+    watch, goal = table.watch, planned.states[-1, :3]  # of the program: met within 1 mm
+    pilot = table.fly("--plan", tmp_path / "plan.toml")
+    try:
+        watch.until(lambda: watch.heard[REFERENCES])
+        watch.until(lambda: np.abs(watch.newest(REFERENCES)[:3] - goal).max() < 2e-3, 40.0)
+        watch.run(1.0)
+    finally:
+        pilot.press("q")
+        status, _, err = pilot.end()
+    assert status == 0, err
+    asked, asked_at = np.array(watch.values(REFERENCES)), np.array(watch.sent(REFERENCES))
+    poses, seen_at = np.array(watch.values(POSES)), np.array(watch.sent(POSES))
+    moving = np.flatnonzero(np.abs(asked[:, 3:]).max(axis=1) > 1e-3)
+    begins, ends = asked_at[moving[[0, -1]]]
+    assert ends - begins == pytest.approx(planned.duration, abs=SLACK)
+    rests = (seen_at > begins - 0.8) & (seen_at < begins)
+    assert np.abs(poses[rests, :2] - (0.2, 0)).max() < 0.01
+    there = seen_at > ends + 0.5
+    assert there.any()
+    assert np.abs(poses[there, :2] - (-0.2, 0)).max() < 0.03
 
 
 def assert_events_of_all_are_recorded(folder) -> None:

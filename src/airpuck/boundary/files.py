@@ -31,6 +31,9 @@ _OF_LENGTH = re.compile(r"^(?:Tuple|List) should have (.*?) after validation, no
 
 #: What a file is, by a table or key that no other kind has.
 _KINDS = {
+    "times_s": "a time-optimal plan",
+    "hold_s": "a plan of an excitation",
+    "parameters": "a model",
     "format": "a model",
     "propellers": "a vehicle",
     "setpoints": "a list of set points",

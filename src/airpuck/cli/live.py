@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from airpuck.craft.table import Table
     from airpuck.live.process import LiveSettings
     from airpuck.model.model_file import Model
+    from airpuck.planning.plan import Plan
 
 SETPOINT = "--setpoint"
 _PANEL = "Live, on a ROS 2 graph"
@@ -106,7 +107,13 @@ def fly(
     excite: Annotated[
         bool, Option("--excite", help="Fly the excitation experiment instead.")
     ] = False,
-    plan: options.PlanFile = None,
+    plan: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="A time-optimal plan by airpuck plan; with --excite, one by airpuck design.",
+        ),
+    ] = None,
     amplitude: options.Amplitude = None,
     hold: options.Hold = None,
     pilot: options.PilotClass = None,
@@ -139,26 +146,25 @@ def fly(
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import Limits
     from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
+    from airpuck.planning.tracking import Departing, plan_tracker
 
-    if sum([bool(setpoints), setpoints_file is not None, topic, excite]) > 1:
-        raise InputError("give one of --setpoint, --setpoints, --topic, --excite", field="fly")
+    planned = None if excite else plan
+    if sum([bool(setpoints), setpoints_file is not None, topic, excite, planned is not None]) > 1:
+        words = "give one of --setpoint, --setpoints, --topic, --excite, --plan"
+        raise InputError(words, field="fly")
     if dwell is not None and not setpoints:
         raise InputError("is the time at each --setpoint; none is given", field="--dwell")
-    _refuse_unless_excited(excite, seed=seed, plan=plan, amplitude=amplitude, hold=hold)
-    for name, given in {"pilot": pilot, "regulator": regulator}.items():
-        if excite and given is not None:
-            words = "is for a flight to set points; --excite has its own"
-            raise InputError(words, field=f"--{name}")
-    if pilot is not None and regulator is not None:
-        raise InputError("is for our controller; --pilot flies yours", field="--regulator")
+    _refuse_unless_excited(excite, seed=seed, amplitude=amplitude, hold=hold)
+    _refuse_a_pilot_of_another(excite, planned, pilot, regulator)
     if model is None and not excite:
         raise InputError("needs a model; without one only --excite can fly", field="--model")
-    experiment = inputs.read_excitation(plan, duration, amplitude, hold)
-    if plan is not None:
+    experiment = inputs.read_excitation(plan if excite else None, duration, amplitude, hold)
+    if excite and plan is not None:
         duration = experiment.duration_s
     live = live_settings(domain, interface, mapping, duration, quiet)
     craft = inputs.model_or_nominal(model, vehicle)
     fence = _fence(geofence, craft)
+    optimal = None if planned is None else _time_optimal(planned, craft, fence)
     controls = inputs.read_controls(tuning, regulator)
     points = _set_points(setpoints, dwell, setpoints_file)
     check_inside(points, fence)
@@ -176,6 +182,8 @@ def fly(
         if make_own is not None:
             return make_own(craft, reference)
         rails = _rails(geofence, craft)
+        if optimal is not None:
+            return Departing(plan_tracker(optimal, controls, rails), optimal)
         return airpuck.TrackingController(craft, reference, controls, table=rails)
 
     limits = Limits(geofence=fence)
@@ -305,6 +313,34 @@ def _refuse_unless_excited(excite: bool, **given: Any) -> None:
     for name, value in given.items():
         if value is not None and not excite:
             raise InputError("is for --excite, which is not given", field=f"--{name}")
+
+
+def _refuse_a_pilot_of_another(
+    excite: bool, planned: Path | None, pilot: str | None, regulator: str | None
+) -> None:
+    """Refuse a pilot or a law where the flight brings its own."""
+    for name, given in {"pilot": pilot, "regulator": regulator}.items():
+        if excite and given is not None:
+            words = "is for a flight to set points; --excite has its own"
+            raise InputError(words, field=f"--{name}")
+    if pilot is not None and regulator is not None:
+        raise InputError("is for our controller; --pilot flies yours", field="--regulator")
+    if pilot is not None and planned is not None:
+        raise InputError("is for a flight to set points; --plan has its own", field="--pilot")
+
+
+def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
+    """Read a time-optimal plan; refuse one that cannot be flown here from rest."""
+    from airpuck.planning.plan import read_plan
+
+    found = read_plan(path, craft)
+    if found.states[0, 3:6].any():
+        raise InputError("begins in motion; on the table it begins at rest", file=path)
+    reach = abs(found.samples[1][:, :2]).max(axis=0)
+    if (reach > fence).any():
+        x, y = fence
+        raise InputError(f"leaves the geofence, ±{x:g} m by ±{y:g} m", file=path)
+    return found
 
 
 def live_settings(

@@ -121,7 +121,10 @@ class Plan:
         Plan
             A copy.
         """
-        return replace(self, begin=begin)
+        moved = replace(self, begin=begin)
+        # They count from the beginning; a controller that departs has no time to find them again.
+        vars(moved)["samples"] = self.samples
+        return moved
 
     @cached_property
     def samples(self) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M s"]]:

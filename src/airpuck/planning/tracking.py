@@ -1,4 +1,4 @@
-"""Tracks a plan by its own thrusts, corrected by a regulator."""
+"""Tracks a plan by its own thrusts, corrected by a regulator; departs once the craft rests."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from scipy.optimize import lsq_linear
 from airpuck.control.discretization import motor_lag
 from airpuck.control.law import Step
 from airpuck.control.lqr import regulator
+from airpuck.control.reference import Reference
 from airpuck.control.stages import look_ahead
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
+from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
@@ -23,6 +25,10 @@ from airpuck.planning.plan import Plan
 _STIFFER = 30.0
 #: Weight of an acceleration that is missed against thrusts that differ from the plan's.
 _EXACT = 30.0
+#: The craft rests at a place when it has been as near as this (x, y, γ and their rates) for so long
+#: [s]; longer than a pilot's steps on the spot before a flight.
+_AT_REST = np.array([5e-3, 5e-3, 0.05, 0.05, 0.05, 1.0])
+_RESTS = 1.0
 
 
 class PlanTracker(TrackingController):
@@ -49,7 +55,6 @@ class PlanTracker(TrackingController):
             name: getattr(weights, name) / _STIFFER
             for name in ("acceleration", "angular_acceleration")
         }
-        self._plan = plan
         self._gain = regulator(weights.model_copy(update=cheap), self.tuning.period_s)
         self._inverse = InverseThrust(model.dynamics.thrust)
         self._arms = np.array([1.0, 1.0, model.radius_of_gyration])
@@ -63,12 +68,11 @@ class PlanTracker(TrackingController):
     def steer(self, estimate: Estimate, now: float) -> Step:
         """Correct the planned thrusts for an estimate; see `TrackingController.steer`."""
         period, delay = self.tuning.period_s, self.model.transport_delay
-        time = now + delay - self._plan.begin
-        dynamics, vehicle = self.model.dynamics, self.model.vehicle
-        if time < 0:
+        dynamics, vehicle, plan = self.model.dynamics, self.model.vehicle, self.reference
+        if not isinstance(plan, Plan) or now + delay < plan.begin:
             return super().steer(estimate, now)
-        planned = self._plan.state_at(now, delay + period)
-        if time > self._plan.duration - period:
+        planned = plan.state_at(now, delay + period)
+        if now + delay - plan.begin > plan.duration - period:
             # What is left of the way, as stiffly; from idle motors.
             idle = np.full(vehicle.n_propellers, vehicle.command_min)
             planned = np.concatenate([planned[:3], np.zeros(3), idle])
@@ -103,3 +107,47 @@ class PlanTracker(TrackingController):
         room = np.maximum(high, low + 1e-9)
         found = lsq_linear(a, b, (low - planned, room - planned), method="bvls")
         return np.clip(planned + found.x, low, high)
+
+
+def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> TrackingController:
+    """Return what tracks a plan by the law of the tuning."""
+    if tuning.regulator.kind == "lqr":
+        return PlanTracker(plan.model, plan, tuning)
+    return TrackingController(plan.model, plan, tuning, table=table)
+
+
+class Departing:
+    """Goes to the start of a plan, rests there for a second, and flies the plan, once; a `Pilot`.
+
+    Parameters
+    ----------
+    controller : TrackingController
+        What flies; `plan_tracker` returns one.
+    plan : Plan
+        From rest; its time of departure is not used.
+    """
+
+    def __init__(self, controller: TrackingController, plan: Plan) -> None:
+        self._controller, self._plan = controller, plan
+        self._start = np.concatenate([plan.states[0, :3], np.zeros(3)])
+        #: Since when the craft has rested at the start, and the latest step then [s].
+        self._since = self._latest = -np.inf
+        self._departed = False
+        #: The plan, which begins at infinity until the craft departs.
+        self.reference: Reference = plan.starting(np.inf)
+        controller.reference = self.reference
+        self.pose, self.imu, self.mouse = controller.pose, controller.imu, controller.mouse
+        self.sent = controller.sent
+
+    def step(self, time: float) -> Step:
+        """Compute the command to send now, and depart in time; see `TrackingController.step`."""
+        step = self._controller.step(time)
+        if not self._departed and step.flies and step.estimate is not None:
+            error = pose_difference(np, step.estimate.state, self._start)
+            if time > self._latest + 0.1 or (np.abs(error) > _AT_REST).any():
+                self._since = time
+            self._latest = time
+            if time >= self._since + _RESTS:
+                self._departed = True
+                self.reference = self._controller.reference = self._plan.starting(time)
+        return step

@@ -13,12 +13,11 @@ from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.loop import fly
-from airpuck.flight.pilot import Pilot
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.planning.plan import Plan, plan
 from airpuck.planning.request import Limits
-from airpuck.planning.tracking import PlanTracker
+from airpuck.planning.tracking import plan_tracker
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -181,8 +180,8 @@ def _flown(
     """Fly a reference from where the plan begins; return the twin."""
     x, y, yaw = (float(v) for v in planned.states[0, :3])
     twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
-    if isinstance(reference, Plan) and tuning.regulator.kind == "lqr":
-        pilot: Pilot = PlanTracker(planned.model, reference, tuning)
+    if isinstance(reference, Plan):
+        pilot = plan_tracker(reference, tuning, settings.table)
     else:
         pilot = TrackingController(planned.model, reference, tuning, table=settings.table)
     fly(pilot, twin, duration, tuning.period_s)

@@ -1,0 +1,53 @@
+"""Plans flown on the twin by a pilot that goes to their start first."""
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.control.tuning import default_tuning
+from airpuck.craft.table import Table
+from airpuck.flight.loop import fly
+from airpuck.flight.pilot import check_pilot
+from airpuck.planning.request import Limits
+from airpuck.planning.tracking import Departing, plan_tracker
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
+
+M3 = airpuck.read_model("paper:M3")
+
+
+@pytest.fixture(scope="module")
+def planned():
+    limits = Limits(reserve=0.1)
+    return airpuck.plan(M3, (-0.2, 0, 0), (0.2, 0, 0.5), table=Table(), limits=limits, intervals=20)
+
+
+@pytest.mark.parametrize("kind", ["lqr", "mpc"])
+def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(planned, kind):
+    tuning = default_tuning()
+    law = tuning.regulator.model_copy(update={"kind": kind})
+    tuning = tuning.model_copy(update={"regulator": law})
+    pilot = Departing(plan_tracker(planned, tuning), planned)
+    check_pilot(pilot)
+    twin = Twin(M3, default_twin_settings(), seed=3, pose=(0.1, 0.1, 1.0))
+    fly(pilot, twin, 6.0, tuning.period_s)
+    begin = pilot.reference.begin
+    assert 1.0 < begin < 4.0
+    times, states = twin.truth
+    before = (times > begin - 0.9) & (times < begin)
+    assert np.hypot(*(states[before, :2] - (-0.2, 0.0)).T).max() < 0.008
+    after = times > begin + 1.3 * planned.duration + 0.1
+    assert np.hypot(*(states[after, :2] - (0.2, 0.0)).T).max() < 0.03
+    assert np.hypot(*(states[times > 5.5, :2] - (0.2, 0.0)).T).max() < 0.01
+    assert not twin.contacts
+
+
+def test_a_craft_that_does_not_rest_does_not_depart(planned):
+    pilot = Departing(plan_tracker(planned, default_tuning()), planned)
+    rng, start = np.random.default_rng(0), planned.states[0, :3]
+    # As before a live flight, at rest, but not for a second; then somewhere else.
+    for k in range(300):
+        away = np.array([0.0 if k < 90 else 0.05, 0.0, 0.0])
+        pilot.pose(0.01 * k, start + away + rng.normal(0, 5e-5, 3))
+        pilot.sent(0.01 * k, pilot.step(0.01 * k).command)
+    assert pilot.reference.begin == np.inf
