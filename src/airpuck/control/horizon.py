@@ -23,6 +23,10 @@ from airpuck.physics.thrust import thrust, thrust_curvature
 #: Bounds of the effectiveness that the prediction counts with; a dead motor is left a little, so
 #: that its return is noticed, and no estimate may make the law timid.
 _EFFECTIVENESS = (0.02, 1.5)
+#: Share of the thrust that is counted on for braking before a fence.
+_BRAKING = 0.5
+#: Distance to a fence per spin, and at most [m s/rad, m].
+_TURNING, _MOST_ROOM = 8e-4, 0.015
 #: Errors of the yaw between which a plan keeps its way round: a little less than half a turn either
 #: way [rad].
 _UNDECIDED = np.pi - 0.5
@@ -234,14 +238,14 @@ def linearised(
 def _brake(dynamics: Dynamics, most: float) -> float:
     """Return an acceleration that a craft can count on in every direction [m/s²].
 
-    A third of what the propellers together give in their weakest one: it turns and allocates as
+    A share of what the propellers together give in their weakest one: it turns and allocates as
     well, and packets get lost.
     """
     ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     turned = np.column_stack([np.cos(ways), np.sin(ways)])
     full = thrust(dynamics.thrust, np.full(len(dynamics.thrust), most))
     pushes = turned @ (np.asarray(dynamics.configuration)[:2] * full)
-    return 0.35 * float(pushes.clip(0.0).sum(axis=1).min())
+    return _BRAKING * float(pushes.clip(0.0).sum(axis=1).min())
 
 
 def _limits(
@@ -258,12 +262,14 @@ def _limits(
     def all_of(value: Any) -> Any:
         return xp.broadcast_to(value, (count,))
 
-    # A craft that moves towards the fence must be there some time later only; at the end of the
-    # horizon it must still be able to brake: |v|/2a later at its speed is v²/2a on.
-    last, speeds = np.arange(count) == count - 1, xp.abs(states[:, 3:5])
-    later = limits.headway_s + last[:, None] * speeds / (2 * brake)
+    # A craft that moves towards the fence must be there some time later only, and must still be
+    # able to brake: |v|/2a later at its speed is v²/2a on.
+    later = limits.headway_s + xp.abs(states[:, 3:5]) / (2 * brake)
     rows = [one[i] + later[:, i, None] * one[3 + i] for i in (0, 1)]
-    low, high = ([all_of(side[i]) for i in (0, 1)] for side in fence)
+    # One that turns pushes elsewhere than was meant, when a packet is late or lost.
+    room = xp.minimum(_TURNING * xp.abs(states[:, 5:]), _MOST_ROOM)
+    room = xp.minimum(room, (fence[1] - fence[0]) / 2)
+    low, high = [[*(fence[0] + room).T], [*(fence[1] - room).T]]
     if limits.speed_m_s is not None:
         along = _direction(xp, states[:, 3:5])
         rows.append(xp.concatenate([xp.zeros((count, 3)), along, xp.zeros((count, 1))], axis=1))

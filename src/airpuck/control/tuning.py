@@ -70,7 +70,7 @@ class Limits(Section):
     fence_m: tuple[float, float, float, float] | None = None
     margin_m: NonNegative = 0.004
     #: A craft that moves is to be within the fence this much later, too: commands may get lost.
-    headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.08
+    headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.05
     #: Along the way that is planned.
     speed_m_s: Positive | None = None
     spin_rad_s: Positive | None = None
