@@ -97,7 +97,7 @@ def test_without_limits_it_is_the_riccati_solution(seed):
 
 def penalised(solver: Condensed, formed, change: np.ndarray) -> float:
     """Return what a change costs, limits that it exceeds included."""
-    hessian, gradient, rows, lower, upper = formed
+    hessian, gradient, rows, lower, upper, _ = formed
     x = change.ravel()
     beyond = np.maximum(np.maximum(lower[x.size :] - rows @ x, rows @ x - upper[x.size :]), 0)
     paid = solver.penalty * (beyond + beyond**2 / 2).sum()
@@ -112,9 +112,16 @@ def test_daqp_piqp_and_highs_agree(seed, tight):
     one, other = condensed.solve(formed), stagewise.solve(stagewise.form(np, s))
     np.testing.assert_allclose(one.change, other.change, atol=3e-5)
     assert one.exceeded == other.exceeded
+    # Both say where it leads: step after step by the slopes.
+    moved = np.zeros((len(blocks.owner) + 1, SIZE))
+    for k, block in enumerate(blocks.owner):
+        given = np.concatenate([moved[k, 2:], one.change[block]])
+        moved[k + 1] = np.eye(SIZE, 2) @ moved[k, :2] + s.onward[k] @ given
+    for answer in (one, other):
+        np.testing.assert_allclose(answer.moved, moved[1:, :6], atol=3e-4)
     assert one.binding.any()
     # HiGHS, with a slack for every limit.
-    hessian, gradient, rows, lower, upper = formed
+    hessian, gradient, rows, lower, upper, _ = formed
     m, slacks = len(gradient), len(rows)
     p = condensed.penalty
     a = np.block([[rows, np.eye(slacks)], [rows, -np.eye(slacks)]])
@@ -149,7 +156,7 @@ def test_a_limit_that_can_be_kept_is_kept_to_the_last_digit():
         found = condensed.solve(formed)
         if found.exceeded:
             continue
-        rows, lower, upper = formed[2:]
+        rows, lower, upper = formed[2:5]
         m, reached = found.change.size, rows @ found.change.ravel()
         assert (reached >= lower[m:] - 1e-5).all()
         assert (reached <= upper[m:] + 1e-5).all()

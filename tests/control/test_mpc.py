@@ -16,6 +16,7 @@ from airpuck.control.tuning import Limits, Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model, published_model
+from airpuck.physics.rollout import rollout
 from airpuck.physics.rollout import step as physics
 
 from .flights import HOME, fly
@@ -90,6 +91,22 @@ def test_what_it_expects_is_what_comes():
     k = round(ahead.times[4] / H)
     np.testing.assert_allclose(ahead.states[4, :3], states[20 + k, :3], atol=8e-3)
     assert "motor" in ahead.active
+
+
+def test_the_step_that_learns_of_a_set_point_expects_what_its_commands_do():
+    ours, craft = law(), Estimate(0.0, at_rest(0.0, 0.0, 0.0), np.full(6, 0.3), np.zeros(3))
+    for _ in range(10):
+        ours.steer(craft, 0.0)
+    ours.reference = SetPoint(0.002, -0.001, 0.005)  # so little that all is linear
+    expected, controller = ours.steer(craft, 0.0).prediction, ours.law
+    assert isinstance(controller, MPC) and expected is not None
+    # By the physics, under the commands that were found in this step.
+    start, owner = np.concatenate([craft.state, craft.motor_speed]), controller._blocks.owner
+    lengths = np.full(len(owner), controller._blocks.step)
+    states = rollout(np, MODEL.dynamics, start, controller._plan[owner], lengths)
+    apart, way = np.abs(expected.states - states[:, :6])[:, :3], np.abs(states[:, :3])
+    assert (apart.max(axis=0) < 0.1 * way.max(axis=0)).all()
+    assert states[-1, 0] > 0.001
 
 
 def test_a_path_is_followed_without_lag():

@@ -27,6 +27,8 @@ class Answer:
 
     #: Of the plan.
     change: Float[np.ndarray, "B n"]
+    #: What that changes of x, y, γ and their rates, at the ends of the steps.
+    moved: Float[np.ndarray, "N 6"]
     #: Which limits it is at: of the commands, block by block; then of the states, step by step.
     binding: Bool[np.ndarray, " r"]
     #: Whether a limit of the states is exceeded.
@@ -87,7 +89,7 @@ class Condensed(_Common):
         self._model.soft_weights(rho_l=curved, rho_u=curved, w_l=linear, w_u=linear)
 
     def form(self, xp: Any, s: Stages) -> tuple[Any, ...]:
-        """Leave the states out: Hessian, gradient, rows, lower and upper bounds."""
+        """Leave the states out: Hessian, gradient, rows, lower and upper bounds, and the states."""
         m = self.m
 
         def onward(moved: Any, given: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -114,11 +116,11 @@ class Condensed(_Common):
         limited = (s.limited @ pose).reshape(-1, m)
         lower = xp.concatenate([self.least - plan, xp.ravel(s.lower)])
         upper = xp.concatenate([self.greatest - plan, xp.ravel(s.upper)])
-        return hessian, gradient, limited, lower, upper
+        return hessian, gradient, limited, lower, upper, pose
 
     def solve(self, formed: Sequence[Float[np.ndarray, "..."]]) -> Answer | None:
         """Solve from the last active set, or else anew."""
-        hessian, gradient, rows, lower, upper = formed
+        hessian, gradient, rows, lower, upper, pose = formed
         if not math.isfinite(hessian.sum() + gradient.sum() + rows.sum()):
             return None
         given = {"H": hessian, "f": gradient, "A": rows, "bupper": upper, "blower": lower}
@@ -128,7 +130,8 @@ class Condensed(_Common):
                 continue
             x, _, flag, info = self._model.solve()
             if flag in (_OPTIMAL, _SOFTENED):
-                return Answer(x.reshape(-1, self.n), info["lam"] != 0, flag == _SOFTENED)
+                binding, exceeded = info["lam"] != 0, flag == _SOFTENED
+                return Answer(x.reshape(-1, self.n), pose @ x, binding, exceeded)
         return None
 
 
@@ -249,11 +252,12 @@ class Multistage(_Common):
         x = self._answered(p, c, a, np.zeros(self._z.size), g, low, high, least, most)
         if x is None:
             return None
-        change, now = x[self._u], np.einsum("kci,ki->kc", limited, x[self._z[:, :6]])
+        change, moved = x[self._u], x[self._z[:, :6]]
+        now = np.einsum("kci,ki->kc", limited, moved)
         at_rest = np.minimum(x - least, most - x)[self._u] < self._ACTIVE
         beyond = np.minimum(now - lower, upper - now) < self._ACTIVE
         binding = np.concatenate([at_rest.ravel(), beyond.ravel()])
-        return Answer(change, binding, bool((x[self._s] > self._ACTIVE).any()))
+        return Answer(change, moved, binding, bool((x[self._s] > self._ACTIVE).any()))
 
     def _answered(self, *problem: Any) -> Float[np.ndarray, " k"] | None:
         """Hand the problem to PIQP."""

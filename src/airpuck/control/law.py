@@ -66,8 +66,8 @@ class Step:
         ``fallback`` (`MPC`): the craft flies, ``open loop``: without a law; anything else: the
         motors idle, and this is why.
     request : array, shape (3,), default 0
-        Acceleration asked of the allocation, or expected from the command [m/s², m/s², rad/s²];
-        zero when idle.
+        Acceleration asked of the allocation (`LQR`), or expected of the plan of the step before,
+        moved on (`MPC`) [m/s², m/s², rad/s²]; zero when idle.
     estimate : Estimate or None
         State at the time at which the command will begin to act; None when idle.
     prediction : Prediction or None

@@ -200,7 +200,8 @@ class MPC:
             self._plan = (self._plan + answer.change).clip(*self._range)
             self._answered, self._way = self._since, np.asarray(way)
             status: Status = "softened" if answer.exceeded else "optimal"
-            ahead = Prediction(self._blocks.times, states[:, :6], self._active(answer.binding))
+            expected = states[:, :6] + answer.moved
+            ahead = Prediction(self._blocks.times, expected, self._active(answer.binding))
             return Step(self._plan[0].copy(), status, request, estimate, ahead)
         if self._since - self._answered <= _FLOWN_ON:
             return Step(self._plan[0].copy(), "iteration limit", request, estimate)
