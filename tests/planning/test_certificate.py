@@ -10,7 +10,7 @@ import airpuck
 from airpuck.craft.table import Table
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import YAWS, frontier, motor_range, pushes
-from airpuck.planning.certificate import Weight, lower_bound
+from airpuck.planning.certificate import Weight, lower_bound, lower_bound_through
 from airpuck.planning.request import Goal, Limits, checked_request
 
 M3 = airpuck.read_model("paper:M3")
@@ -89,3 +89,15 @@ def test_the_bound_holds_for_any_weight_and_is_zero_for_a_useless_one():
     none = np.zeros(0)
     away = Weight(-0.4 + 0j, 1.0 + 0j, none, none.astype(complex), 1.0, 0.1)
     assert lower_bound(asked, away, 0.6) == 0.0
+
+
+def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
+    point = (0.5, 0.25)
+    asked = checked_request(M3, (0, 0, 0), (0, 0, 0), (point, (-0.5, 0.25)), None, (), WIDE)
+    bound = lower_bound_through(asked, np.array([0.7, 1.5, 0.7]))
+    # All motors that push one way at once, at any yaw, without lag: each way takes √(2d/a).
+    full = np.asarray(M3.propeller_effects)[:2] * M3.dynamics.thrust.sum(axis=1)
+    along = np.exp(1j * np.linspace(0, 2 * np.pi, 721))
+    pushed = np.maximum(np.outer(along.real, full[0]) + np.outer(along.imag, full[1]), 0)
+    assert bound > 0.85 * 2 * np.sqrt(2 * np.hypot(*point) / pushed.sum(axis=1).max())
+    assert bound < 0.7 + 0.7

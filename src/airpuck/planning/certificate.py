@@ -40,6 +40,8 @@ _PARTS = 8
 #: Share of a plan's duration at which refutations begin; weights that may raise the bound, and that
 #: may close gaps below it.
 _FIRST, _IMPROVEMENTS, _MOST_TRIES = 0.98, 2, 14
+#: Durations for which a leg between way points is tried, as shares of the plan's, which has turns.
+_SHARES_OF_LEG = np.linspace(1.0, 0.4, 11)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +149,7 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
     point = request.via[0]
     onward = replace(direct, goal=Goal(float(point[0]), float(point[1]), velocity=None))
     time = float(durations[0])
-    first, last = lower_bound(onward, _straight(onward, point, time), time), 0.0
+    first, last = _of_leg(onward, point, time), 0.0
     if not np.isnan(goal).any():
         # Backwards in time velocities turn round, accelerations do not; motors may do anything.
         n, point, time = len(request.start) - 6, request.via[-1], float(durations[-1])
@@ -155,8 +157,17 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
         state = np.concatenate([goal[:3], -goal[3:], motors])
         place = Goal(float(point[0]), float(point[1]), velocity=None)
         backwards = replace(direct, start=state, goal=place)
-        last = lower_bound(backwards, _straight(backwards, point, time), time)
+        last = _of_leg(backwards, point, time)
     return max(whole, first + last)
+
+
+def _of_leg(request: Request, to: Float[np.ndarray, " 2"], duration: float) -> float:
+    """Find a time for a leg that may end at any velocity; that of a plan may be much longer."""
+    for time in duration * _SHARES_OF_LEG:
+        found = lower_bound(request, _straight(request, to, time), time)
+        if found > 0:
+            return found
+    return 0.0
 
 
 def unavoidable_rail(request: Request) -> str | None:
