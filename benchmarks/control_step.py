@@ -1,4 +1,4 @@
-"""Time of one control step: poses into the filter, prediction, LQR, allocation, inverse thrust.
+"""Time of one control step: poses into the filter, prediction, law.
 
     OPENBLAS_NUM_THREADS=1 taskset -c 0 python benchmarks/control_step.py --steps 100000
 
@@ -17,7 +17,7 @@ import numpy as np
 from airpuck.compute.process import low_latency
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import default_tuning
+from airpuck.control.tuning import REGULATORS, default_tuning
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.rollout import step
 
@@ -54,14 +54,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--model", default="paper:M4")
-    parser.add_argument("--solver", default="daqp", choices=("daqp", "piqp"))
+    parser.add_argument("--solver", default="daqp", choices=("daqp", "piqp"), help="of the law")
+    parser.add_argument("--regulator", default="lqr", choices=REGULATORS)
     parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
     options = parser.parse_args()
 
     low_latency()
-    tuning = default_tuning().with_estimator(options.estimator)
-    allocation = tuning.allocation.model_copy(update={"solver": options.solver})
-    tuning = tuning.model_copy(update={"allocation": allocation})
+    tuning = default_tuning().with_estimator(options.estimator).with_regulator(options.regulator)
+    solver = {"solver": options.solver}
+    allocation = tuning.allocation.model_copy(update=solver)
+    regulator = tuning.regulator.model_copy(update=solver)
+    tuning = tuning.model_copy(update={"allocation": allocation, "regulator": regulator})
     model = read_model(options.model)
     poses = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.5), (-0.2, -0.3, -1.0)]
     times = np.arange(0, options.steps / 100 + 2, 2.0)
@@ -92,7 +95,8 @@ def main() -> None:
         spent["total"].append(ended - started)
         statuses[result.status] += 1
         craft.sent(now, result.command)
-    print(f"{options.steps} steps, {options.model}, {options.solver}, {options.estimator}")
+    named = options.model, options.regulator, options.solver, options.estimator
+    print(f"{options.steps} steps, {', '.join(named)}")
     print(", ".join(f"{status} {count}" for status, count in statuses.most_common()))
     for name, values in spent.items():
         micro = np.array(values) / 1e3

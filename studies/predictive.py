@@ -2,9 +2,12 @@
 
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py cost --flights 500
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py rails --flights 1000
+    OPENBLAS_NUM_THREADS=1 python studies/predictive.py hostile --flights 100000
 
 cost: closed-loop cost between random poses against nonlinear predictive control that
 converges. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
+hostile: single steps from random states to random targets, some no numbers, within limits that
+cannot be kept.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 from predictive_limits.converged import Problem
 from predictive_limits.cost import compare
 from predictive_limits.flights import craft, law
+from predictive_limits.hostile import thrown
 from predictive_limits.rails import passed
 
 
@@ -63,7 +67,21 @@ def rails(options: argparse.Namespace) -> None:
             )
 
 
-PARTS: dict[str, Callable[[argparse.Namespace], None]] = {"cost": cost, "rails": rails}
+def hostile(options: argparse.Namespace) -> None:
+    """Count outcomes of single steps, and how long they took."""
+    found = thrown(law("mpc"), options.flights, options.first)
+    p50, p99 = 1e3 * np.percentile(found.spent, [50, 99])
+    print(
+        f"{len(found.spent)} steps: {found.wrong} commands wrong; {dict(found.statuses)}; "
+        f"p50 {p50:.2f}, p99 {p99:.2f}, at most {1e3 * max(found.spent):.1f} ms"
+    )
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "cost": cost,
+    "rails": rails,
+    "hostile": hostile,
+}
 
 
 def main() -> None:

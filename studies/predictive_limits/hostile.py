@@ -1,0 +1,64 @@
+"""States, targets and limits that no flight should have."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Limits, Tuning
+from airpuck.craft.table import Table
+from airpuck.estimate.estimator import Estimate
+
+from .flights import craft
+
+#: Limits that cannot all be kept, among them those of a table smaller than the craft.
+LIMITS = (
+    ({}, Table()),
+    ({}, Table(length_m=0.1, width_m=0.1)),
+    ({"speed_m_s": 1e-3, "spin_rad_s": 1e-3}, Table()),
+    ({"keep_out_m": ((0.0, 0.0, 5.0), (0.1, 0.0, 5.0))}, Table()),
+    ({"fence_m": (5.0, 5.0, 5.001, 5.001), "headway_s": 1.0}, Table()),
+)
+#: Sizes of numbers: usual ones, and some that are none.
+_SIZES = np.array([0.0, 1e-9, 1.0, 1.0, 1.0, 10.0, 1e3, 1e9, np.nan, np.inf])
+
+
+@dataclass
+class Steps:
+    """What became of many steps."""
+
+    statuses: Counter[str] = field(default_factory=Counter)
+    #: Commands that are not finite or beyond the motors' limits.
+    wrong: int = 0
+    spent: list[float] = field(default_factory=list)
+
+
+def thrown(tuning: Tuning, count: int, seed: int = 0) -> Steps:
+    """Steer from random states to random targets, with each of `LIMITS` in turn."""
+    rng, found = np.random.default_rng(seed), Steps()
+    low, high = craft().vehicle.command_min, craft().vehicle.command_max
+    for changes, table in LIMITS:
+        regulator = tuning.regulator.model_copy(update={"limits": Limits(**changes)})
+        given = tuning.model_copy(update={"regulator": regulator})
+        controller = TrackingController(craft(), SetPoint(0.0, 0.0, 0.0), given, table=table)
+        for k in range(count // len(LIMITS)):
+            # Every other one has all numbers of a usual size.
+            sizes = _SIZES[rng.integers(len(_SIZES), size=12)] if k % 2 else np.full(12, 1.0)
+            numbers = sizes * rng.normal(size=12)
+            estimate = Estimate(k / 100, numbers[:6], rng.uniform(size=6), numbers[6:9])
+            target = np.nan_to_num(numbers[9:], nan=1.0, posinf=1e9, neginf=-1e9)
+            controller.reference = SetPoint(*target.tolist())
+            begun = time.perf_counter()
+            with np.errstate(all="ignore"):
+                step = controller.steer(estimate, k / 100)
+            found.spent.append(time.perf_counter() - begun)
+            found.statuses[step.status] += 1
+            inside = np.isfinite(step.command).all()
+            inside = inside and low <= step.command.min() and step.command.max() <= high
+            found.wrong += not inside
+    return found
