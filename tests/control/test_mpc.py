@@ -59,6 +59,7 @@ def closed_loop(
 
 
 FREE = law()
+PLAN = FREE.law._plan
 
 
 def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
@@ -228,6 +229,19 @@ def test_without_an_answer_the_plan_the_lqr_and_idling_motors_follow(monkeypatch
     idle = ours.steer(lost, 0.2)
     assert idle.status == "failed"
     np.testing.assert_array_equal(idle.command, np.full(6, MODEL.vehicle.command_min))
+
+
+def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit():
+    ours = law()
+    ours.law._solver.solve = lambda formed: None
+    most = MODEL.vehicle.command_max
+    for k in range(200):
+        ours.law._plan, ours.law._since, ours.law._answered = np.full_like(PLAN, most), 0.0, 0.0
+        step = ours.steer(
+            Estimate(0.0, at_rest(0.0, 0.0, 0.0), np.full(6, 0.3), np.zeros(3)), k * 5e-4
+        )
+        assert step.status == "iteration limit"
+        assert (step.command <= most).all()
 
 
 def test_the_lqr_that_steers_in_its_place_is_that_of_the_tuning():

@@ -160,7 +160,7 @@ class MPC:
         if not 0 <= now - self._since <= self._blocks.times[-1]:
             self._forget()
         elif now > self._since:
-            self._plan = self._blocks.shifted(self._plan, now - self._since)
+            self._plan = self._blocks.shifted(self._plan, now - self._since).clip(*self._range)
         self._since, self._asked = now, (reference, now, delay)
         ahead = self._ahead(reference, now, delay)
         return self._way, self._plan, *ahead, self._fence, self._keep_out
