@@ -33,6 +33,9 @@ from airpuck.planning.request import Goal, Limits, Request
 _STEPS, _MOMENTS, _COLUMNS = 72, 11, 240
 #: Share of the time that is taken off for the discretisation (docs/planning.md).
 MARGIN = 0.002
+#: Bounds of shorter flights are not claimed: the steps of time are coarse against the motors' lag
+#: there, and some random flights were faster [s].
+_SHORTEST = 0.2
 #: Lags after which motors may have any speed.
 _SETTLED = 8.0
 #: Parts of a step over which thrusts are averaged.
@@ -103,7 +106,7 @@ def lower_bound(request: Request, weight: Weight, duration: float) -> float:
     Returns
     -------
     float
-        A duration [s] below which every one is refuted; zero where nothing was.
+        A duration [s] below which every one is refuted; zero where none was, or less than 0.2 s.
     """
     times = duration * np.arange(1, _STEPS + 1) / _STEPS
     step = duration / _STEPS
@@ -133,7 +136,7 @@ def lower_bound(request: Request, weight: Weight, duration: float) -> float:
     below = np.flatnonzero(~refuted[: int(top / step)])
     if len(below):
         top = times[below[0] - 1] if below[0] else 0.0
-    return float(top) * (1 - MARGIN)
+    return float(top) * (1 - MARGIN) if top >= _SHORTEST else 0.0
 
 
 def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"]) -> float:
