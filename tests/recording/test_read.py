@@ -62,7 +62,7 @@ def test_csv_files_beside_metadata_of_a_bag_that_is_elsewhere(tmp_path: Path, ba
     [
         ("nowhere", "no such file or folder"),
         ("empty", "holds no recording"),
-        ("file.csv", "give the folder"),
+        ("file.csv", "has no header"),
         ("traj.npz", "is preprocessed already"),
         ("data.pt", "is preprocessed already"),
         ("notes.txt", "is no recording"),

@@ -206,6 +206,8 @@ def _goal(
 def _sentence(found: Plan) -> str:
     """Say how fast it is, and how fast it cannot be."""
     bound, limits = found.lower_bound, "these limits of spin and speed"
+    if bound == 0:
+        return f"{found.duration:.3f} s; how much faster a craft could be is not known"
     return (
         f"{found.duration:.3f} s; no craft with these motors, within {limits}, "
         f"can do it in less than {bound:.3f} s"
