@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.colors import to_rgb
 
-from airpuck.craft.vehicle import Vehicle
 from airpuck.report import animation_frames as moments
 from airpuck.report import style
 from airpuck.report.animation_frames import Plan, Scene
 from airpuck.report.page import packaged_text, render
+from airpuck.report.table_canvas import COLORS, craft_shape
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
@@ -33,7 +32,7 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         "animation.html.jinja",
         craft=scene.vehicle.name,
         recording=scene.name,
-        colors=_COLORS,
+        colors=COLORS,
         aspect=f"{(x1 - x0 + 0.14) / (y1 - y0 + 0.13):.4f}",
         motors_height=f"{2.4 + max(5.4, 1.1 * scene.vehicle.n_propellers):.2f}",
         paces=sorted({*_PACES, float(speed)}),
@@ -50,19 +49,6 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         flight=markupsafe.Markup(flight.replace("<", "\\u003c")),
     )
     path.write_text(page, encoding="utf-8")
-
-
-_COLORS: dict[str, Any] = {
-    "ink": style.BLACK,
-    "grey": style.GREY,
-    "asked": style.ASKED,
-    "floor": style.FLOOR,
-    "holes": style.HOLES,
-    "grid": style.GRID,
-    "rail": style.RAIL,
-    "inkRgb": [round(255 * part) for part in to_rgb(style.BLACK)],
-    "floorRgb": [round(255 * part) for part in to_rgb(style.FLOOR)],
-}
 
 
 def flight_data(scene: Scene) -> dict[str, Any]:
@@ -85,8 +71,8 @@ def flight_data(scene: Scene) -> dict[str, Any]:
         "table": scene.table,
         "view": scene.view,
         "trail": moments.TRAIL,
-        "craft": _craft(scene.vehicle),
-        "colors": _COLORS,
+        "craft": craft_shape(scene.vehicle),
+        "colors": COLORS,
     }
 
 
@@ -111,24 +97,3 @@ def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:
     """Return numbers as differences in whole units: short, and errors do not add up."""
     whole = np.rint(values / _UNITS[unit]).astype(np.int64)
     return np.diff(whole, prepend=0).tolist()
-
-
-def _craft(vehicle: Vehicle) -> dict[str, Any]:
-    """Return the shape of the craft and of its arrows."""
-    return {
-        "radius": vehicle.radius_m,
-        "positions": vehicle.positions.tolist(),
-        "directions": vehicle.directions.tolist(),
-        "thrust": vehicle.nominal_thrust.tolist(),
-        "names": moments.short_names(vehicle.propeller_names),
-        "colors": style.propeller_colors(vehicle),
-        "propeller": style.propeller_size(vehicle),
-        "mark": moments.heading_mark(vehicle).tolist(),
-        "key": moments.round_thrust(vehicle),
-        "arrow": {
-            "scale": moments.arrow_scale(vehicle),
-            "shaft": moments.SHAFT,
-            "headWidth": moments.HEAD_WIDTH,
-            "headLength": moments.HEAD_LENGTH,
-        },
-    }
