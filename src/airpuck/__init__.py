@@ -58,7 +58,10 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.flight.pilot import Pilot as Pilot
     from airpuck.flight.preflight import preflight as preflight
     from airpuck.flight.replay import Replay as Replay, replay as replay
+    from airpuck.hockey.level import Level as Level
+    from airpuck.hockey.player import Player as Player
     from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
+    from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
     from airpuck.identification.adam import Adam as Adam
     from airpuck.identification.bootstrap import bootstrap as bootstrap
     from airpuck.identification.fit import identifiability as identifiability, identify as identify
@@ -129,7 +132,10 @@ _NAMES = {
     "flight.pilot": "Pilot",
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
+    "hockey.level": "Level",
+    "hockey.player": "Player",
     "hockey.puck_filter": "PuckFilter",
+    "hockey.tactic": "Intention Tactic View",
     "identification.adam": "Adam",
     "identification.bootstrap": "bootstrap",
     "identification.fit": "identifiability identify",

@@ -140,6 +140,38 @@ def predict_puck(
     return PuckPrediction(np.array(times, dtype=float), mean, covariance, touches, goal)
 
 
+def predict_path(
+    play: AirHockey, belief: PuckBelief, times: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T 6"]:
+    """Return the mean of a puck that nobody hits, at rising times."""
+    puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
+    found, done = np.empty((len(times), 6)), 0
+    while done < len(times):
+        # Just beyond the next bounce.
+        until = min(puck.next_meeting + 1e-8, times[-1])
+        here = int(np.searchsorted(times, until, side="right"))
+        found[done:here] = _coasting(play.puck, puck.state, times[done:here] - puck.time)
+        done = here
+        if puck.goal:
+            found[done:] = puck.state
+            break
+        puck.run(until)
+    return found
+
+
+def _coasting(
+    puck: Puck, state: PuckState, durations: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T 6"]:
+    """Return the states of a puck that coasts: `coast` at many times."""
+    rates = np.array([puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s])
+    sigma = np.where(
+        rates > 0, -np.expm1(-rates * durations[:, None]) / np.where(rates > 0, rates, 1.0), 0.0
+    )
+    sigma = np.where(rates > 0, sigma, durations[:, None])
+    start = np.array(state)
+    return np.hstack([start[:3] + start[3:] * sigma, start[3:] * (1 - rates * sigma)])
+
+
 @dataclass(frozen=True, eq=False)
 class PuckCrossing:
     """Where a puck will cross a line across the table.

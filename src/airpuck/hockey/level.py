@@ -1,0 +1,76 @@
+"""How well a player plays: what it holds back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from airpuck.boundary import numbers
+from airpuck.model.model_file import Model
+from airpuck.physics.thrust import thrust
+from airpuck.planning.minimal_time import MinimalTimes
+
+_SHARE = numbers.Range(0.05, 1.0, "the craft must move", "of the full thrust")
+_REACTION = numbers.Range(0.0, 1.0, "after that nothing is seen in time", "s")
+_NOISE = numbers.Range(0.0, 1.0, "no shot would go forward", "rad")
+
+
+@dataclass(frozen=True)
+class Level:
+    """A handicap.
+
+    Attributes
+    ----------
+    thrust : float
+        Share of the craft's thrust that is used.
+    reaction_s : float
+        How much later puck and opponent are seen.
+    shot_noise_rad : float
+        Standard deviation of the direction in which shots are struck.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+
+    thrust: float = 1.0
+    reaction_s: float = 0.0
+    shot_noise_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        _SHARE.check(self.thrust, "thrust")
+        _REACTION.check(self.reaction_s, "reaction_s")
+        _NOISE.check(self.shot_noise_rad, "shot_noise_rad")
+
+
+#: By name.
+LEVELS = {
+    "easy": Level(thrust=0.35, reaction_s=0.15, shot_noise_rad=0.25),
+    "medium": Level(thrust=0.6, reaction_s=0.08, shot_noise_rad=0.12),
+    "hard": Level(),
+}
+
+
+def weakened(model: Model, share: float) -> Model:
+    """Return a craft whose commands end where its propellers give a share of their thrust."""
+    if share >= 1.0:
+        return model
+    vehicle = model.vehicle
+    commands = np.linspace(vehicle.command_min, vehicle.command_max, 500)
+    given = np.array(
+        [np.sum(thrust(model.dynamics.thrust, np.full(vehicle.n_propellers, c))) for c in commands]
+    )
+    most = float(commands[np.searchsorted(given, share * given[-1])])
+    changed = vehicle.model_copy(update={"command_max": most})
+    return replace(model, vehicle=changed)
+
+
+def slower(times: MinimalTimes, share: float) -> MinimalTimes:
+    """Return the shortest times of a craft that accelerates with a share of the thrust.
+
+    With the acceleration a, a way d from the speed v takes T(d, v, a) = T(d, v / √s, a / s) / √s.
+    """
+    root = share**0.5
+    return replace(times, speed=times.speed * root, time=times.time / root)

@@ -1,0 +1,383 @@
+"""A player: sees craft, puck and opponent, decides, and steers the craft."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections import deque
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.errors import InputError
+from airpuck.control.law import Step
+from airpuck.control.mpc import MPC
+from airpuck.control.reference import Course, Reference, Rendezvous, SetPoint, Target, course
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.craft.table import AirHockey
+from airpuck.flight.pilot import Pilot
+from airpuck.hockey.goalkeeper import Goalkeeper
+from airpuck.hockey.level import LEVELS, Level, slower, weakened
+from airpuck.hockey.prediction import predict_path
+from airpuck.hockey.puck_filter import PuckFilter
+from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
+from airpuck.model.model_file import Model
+from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times
+
+#: How the puck is seen. ``frozen``: poses come, but the same number again and again of a puck that
+#: was moving; ``lost``: none for a while.
+Sight = Literal["seen", "hidden", "frozen", "lost"]
+
+#: A pose is predicted for so long; after that the puck counts as hidden, and then as lost [s].
+_HIDDEN, _LOST = 0.15, 1.0
+#: The same pose this often in a row, of a puck that moved faster than this, is no measurement.
+_FROZEN, _MOVING = 6, 0.1
+#: Farther beyond a rail than this, nothing is a puck [m].
+_BEYOND = 0.1
+#: For so long the way of the puck is drawn [s].
+_DRAWN = np.arange(0.0, 1.2, 0.02)
+#: Where a disc is that is in nobody's way [m].
+_NOWHERE = np.array([[50.0, 50.0, 0.1]])
+#: The craft keeps to its half by this beyond its radius [m].
+_MARGIN = 0.01
+#: Home lies so far before the line of the own goal [m].
+_HOME = 0.16
+
+
+class Player(Pilot):
+    """A craft that plays air hockey on one half of the table: a `Pilot`.
+
+    Parameters
+    ----------
+    model : Model
+        The craft.
+    play : AirHockey
+        Table and puck.
+    tactic : Tactic, optional
+        Decides what to do; by default the package's own.
+    level : Level, optional
+        What the player holds back; by default nothing.
+    side : {-1, 1}, default -1
+        Sign of the x of its half.
+    tuning : Tuning, optional
+        Of the controller, whose predictive law is used; by default the packaged one.
+    seed : int, default 0
+        Of the noise of its shots.
+    opponent_radius : float, optional
+        Radius of the other's disc [m]; by default that of the human's mallet.
+
+    Attributes
+    ----------
+    reference : Reference
+        What the craft tracks, in the world's frame.
+    intention : Intention or None
+        The latest, in the world's frame.
+    sight : str
+        How the puck is seen: ``seen``, ``hidden``, ``frozen``, ``lost``.
+    took : tuple of float
+        How long decision and control took in the last step [s].
+
+    Raises
+    ------
+    InputError
+        If the side is neither -1 nor 1, or the craft cannot be controlled.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        play: AirHockey,
+        tactic: Tactic | None = None,
+        *,
+        level: Level = LEVELS["hard"],
+        side: int = -1,
+        tuning: Tuning | None = None,
+        seed: int = 0,
+        opponent_radius: float | None = None,
+    ) -> None:
+        if side not in (-1, 1):
+            raise InputError(f"must be -1 or 1, not {side!r}", field="side")
+        self.tactic: Tactic = tactic or Goalkeeper()
+        self.level, self.side, self.play = level, side, play
+        self.filter = PuckFilter(play)
+        self.pitch = pitch_of(model, play, opponent_radius)
+        self._times = _times_of(model, level.thrust)
+        controls = _predictive(tuning or default_tuning())
+        self._controller = TrackingController(
+            weakened(model, level.thrust), SetPoint(*self.pitch.home, 0.0), controls
+        )
+        assert isinstance(self._controller.law, MPC)
+        self._law = self._controller.law
+        fence = self.pitch.fence
+        self._law.fence = fence if side < 0 else -fence[::-1]
+        self.reference = self._controller.reference
+        self.intention: Intention | None = None
+        self.sight: Sight = "lost"
+        self.took = (0.0, 0.0)
+        self._random = np.random.default_rng(seed)
+        #: By which angle the shot under way is turned; nan: there is none [rad].
+        self._noise = math.nan
+        #: What is seen later: when it may be, its stamp and pose.
+        self._puck_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
+        self._opponent_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
+        #: The opponent as of its last pose: stamp, x, y, vx, vy.
+        self._opponent: tuple[float, Float[np.ndarray, " 4"]] | None = None
+        self._same, self._before_same = 0, 0.0
+        self._last_puck: Float[np.ndarray, " 3"] | None = None
+        self._craft: tuple[float, Float[np.ndarray, " 6"]] | None = None
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose of the craft; see `Pilot.pose`."""
+        self._controller.pose(time, pose)
+        if self._craft is None and np.isfinite(pose).all():
+            self._craft = time, np.concatenate([pose, np.zeros(3)])
+
+    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+        """Take note of an inertial measurement; see `Pilot.imu`."""
+        self._controller.imu(time, acceleration, gyro)
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+        """Take note of a velocity from the optical sensor; see `Pilot.mouse`."""
+        self._controller.mouse(time, velocity)
+
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take note of the command that was really sent; see `Pilot.sent`."""
+        self._controller.sent(time, command)
+
+    def puck(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose of the puck.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad]; one that is not finite, or off the table, is not used.
+        """
+        _queue(self._puck_poses, time, pose)
+
+    def mallet(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose of the other's disc: a hand's mallet or a craft.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad]; one that is not finite is not used.
+        """
+        _queue(self._opponent_poses, time, pose)
+
+    def step(self, time: float) -> Step:
+        """Decide, and compute the command to send now.
+
+        Parameters
+        ----------
+        time : float
+            Now, on the clock of the poses [s].
+
+        Returns
+        -------
+        Step
+            A command, whatever happened; see `TrackingController.step`.
+
+        Raises
+        ------
+        InputError
+            If the tactic returns something else than an `Intention`.
+        """
+        began = clock.perf_counter()
+        if math.isfinite(time):
+            self._see(time)
+            self._decide(time)
+        decided = clock.perf_counter()
+        step = self._controller.step(time)
+        if step.estimate is not None:
+            self._craft = step.estimate.time, step.estimate.state
+        self.took = decided - began, clock.perf_counter() - decided
+        return step
+
+    @property
+    def predicted(self) -> Float[np.ndarray, "N 2"] | None:
+        """Where the puck is expected to go, in the world's frame; None where it is not seen."""
+        belief = self.filter.belief
+        if belief is None or self.sight != "seen":
+            return None
+        path = predict_path(self.play, belief, belief.time + _DRAWN)
+        return path[:, :2] * (-self.side)
+
+    def _see(self, time: float) -> None:
+        """Take what is seen by now, in the own frame."""
+        seen = time - self.level.reaction_s
+        while self._puck_poses and self._puck_poses[0][0] <= seen:
+            stamp, pose = self._puck_poses.popleft()
+            self._see_puck(stamp, self._turned(pose))
+        while self._opponent_poses and self._opponent_poses[0][0] <= seen:
+            stamp, pose = self._opponent_poses.popleft()
+            self._see_opponent(stamp, self._turned(pose)[:2])
+        belief = self.filter.belief
+        age = math.inf if belief is None else seen - belief.time
+        if self._same >= _FROZEN and self._before_same > _MOVING:
+            self.sight = "frozen"
+        elif age <= _HIDDEN:
+            self.sight = "seen"
+        else:
+            self.sight = "hidden" if age <= _LOST else "lost"
+
+    def _see_puck(self, stamp: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take a pose of the puck, unless it is nowhere near the table."""
+        table = self.play.table
+        if (np.abs(pose[:2]) > np.array([table.length_m, table.width_m]) / 2 + _BEYOND).any():
+            return
+        if self._last_puck is not None and np.array_equal(pose, self._last_puck):
+            self._same += 1
+        else:
+            belief = self.filter.belief
+            self._same = 0
+            self._before_same = 0.0 if belief is None else float(np.hypot(*belief.mean[3:5]))
+        self._last_puck = pose
+        self.filter.pose(stamp, pose)
+
+    def _see_opponent(self, stamp: float, place: Float[np.ndarray, " 2"]) -> None:
+        """Take a place of the opponent, and a velocity, smoothed over a few frames."""
+        velocity = np.zeros(2)
+        if self._opponent is not None:
+            last, state = self._opponent
+            if stamp <= last:
+                return
+            if stamp - last < _HIDDEN:
+                velocity = state[2:] + 0.3 * ((place - state[:2]) / (stamp - last) - state[2:])
+        self._opponent = stamp, np.concatenate([place, velocity])
+
+    def _decide(self, time: float) -> None:
+        """Ask the tactic, and turn its intention to the world."""
+        if self._craft is None:
+            return
+        intention = self.tactic.decide(self._view(time, *self._craft))
+        if not isinstance(intention, Intention):
+            raise InputError(
+                f"decide() must return an Intention, not {type(intention).__name__}",
+                field=f"tactic {type(self.tactic).__name__}",
+            )
+        self.intention = self._in_world(self._with_noise(intention))
+        self.reference = self._controller.reference = self.intention.reference
+        avoid = self.intention.avoid
+        self._law.keep_out = _NOWHERE if avoid is None else np.array([avoid])
+
+    def _view(self, time: float, stamp: float, craft: Float[np.ndarray, " 6"]) -> View:
+        """Return what the tactic sees."""
+        own = self._turned(craft)
+        # The estimate is for when the last command acted, which is near.
+        own[:3] += own[3:] * (time - stamp)
+        opponent = self._opponent and self._opponent[1]
+        puck = self.filter.belief if self.sight == "seen" else None
+        return View(time, own, puck, self.filter.model, opponent, self.pitch, self._times)
+
+    def _with_noise(self, intention: Intention) -> Intention:
+        """Turn the contact of a shot about the puck: by the same angle until it is over."""
+        shoots = intention.kind in ("strike", "bank", "clear")
+        if not shoots or not self.level.shot_noise_rad:
+            self._noise = math.nan
+            return intention
+        if math.isnan(self._noise):
+            self._noise = float(self._random.normal(0.0, self.level.shot_noise_rad))
+        reference, meet = intention.reference, intention.meet
+        if meet is None or not isinstance(reference, Rendezvous):
+            return intention
+        cos, sin = math.cos(self._noise), math.sin(self._noise)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        state = reference.state.copy()
+        state[:2] = self.pitch.clipped(np.array(meet[1:]) + turn @ (state[:2] - meet[1:]))
+        state[3:5] = turn @ state[3:5]
+        turned = Rendezvous(
+            reference.time, state, precision=reference.precision, then=reference.then
+        )
+        return replace(intention, reference=turned)
+
+    def _in_world(self, intention: Intention) -> Intention:
+        """Return an intention in the world's frame."""
+        if self.side < 0:
+            return intention
+        meet, path, avoid = intention.meet, intention.path, intention.avoid
+        return replace(
+            intention,
+            reference=TurnedReference(intention.reference),
+            meet=meet and (meet[0], -meet[1], -meet[2]),
+            path=None if path is None else -path,
+            avoid=avoid and (-avoid[0], -avoid[1], avoid[2]),
+        )
+
+    def _turned(self, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Return a pose or a state in the own frame, from the world's."""
+        return values.copy() if self.side < 0 else turned(values)
+
+
+def turned(values: Float[np.ndarray, "*n k"]) -> Float[np.ndarray, "*n k"]:
+    """Return poses or states in a frame that is turned by π."""
+    signs = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])[: values.shape[-1]]
+    found = values * signs
+    found[..., 2] += math.pi
+    return found
+
+
+class TurnedReference:
+    """A reference of the own frame in that of the world, which is turned by π."""
+
+    def __init__(self, reference: Reference) -> None:
+        self.own = reference
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target; see `Reference.at`."""
+        target = self.own.at(now, ahead)
+        return Target(turned(target.state), target.acceleration * [-1.0, -1.0, 1.0])
+
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        """Return the same at several times; see `course`."""
+        own = course(self.own, now, ahead)
+        return Course(turned(own.states), own.accelerations * [-1.0, -1.0, 1.0], own.arrival)
+
+
+def pitch_of(model: Model, play: AirHockey, opponent_radius: float | None = None) -> Pitch:
+    """Return what does not change during a game."""
+    vehicle = model.vehicle
+    x, y = play.table.reach(vehicle.radius_m + _MARGIN)
+    # A craft that is too large for the table stays in the middle of its half.
+    front = -vehicle.radius_m - _MARGIN
+    fence = np.array([[min(-x, front - 1e-3), -max(y, 1e-3)], [front, max(y, 1e-3)]])
+    home = -play.table.length_m / 2 + vehicle.radius_m + _HOME
+    return Pitch(
+        play=play,
+        craft_radius=vehicle.radius_m,
+        craft_mass=vehicle.mass_kg,
+        craft_inertia=float(model.parameters.inertia),
+        opponent_radius=play.mallet.radius_m if opponent_radius is None else opponent_radius,
+        fence=fence,
+        home=(min(home, front - 5e-4), 0.0),
+        delay=model.transport_delay,
+    )
+
+
+def _times_of(model: Model, share: float) -> MinimalTimes:
+    """Return the shortest times of a craft with a share of its thrust."""
+    return slower(read_minimal_times(), share)
+
+
+def _predictive(tuning: Tuning) -> Tuning:
+    """Return a tuning with the predictive law, which can keep out of one disc."""
+    regulator = tuning.regulator
+    disc = tuple(_NOWHERE.ravel().tolist())
+    limits = regulator.limits.model_copy(update={"keep_out_m": (disc,)})
+    regulator = regulator.model_copy(update={"kind": "mpc", "limits": limits})
+    return tuning.model_copy(update={"regulator": regulator})
+
+
+def _queue(
+    poses: deque[tuple[float, Float[np.ndarray, " 3"]]], time: float, pose: Float[np.ndarray, " 3"]
+) -> None:
+    """Keep a pose for when it may be seen."""
+    pose = np.array(pose, dtype=float)
+    if pose.shape == (3,) and math.isfinite(time) and np.isfinite(pose).all():
+        poses.append((time, pose))

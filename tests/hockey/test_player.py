@@ -1,0 +1,202 @@
+"""The player: on both sides, and when the puck is not seen as it should be."""
+
+import math
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.control.reference import Rendezvous, SetPoint, course
+from airpuck.craft.table import AirHockey
+from airpuck.flight.loop import control
+from airpuck.hockey.level import LEVELS, Level, slower, weakened
+from airpuck.hockey.player import Player, TurnedReference, pitch_of, turned
+from airpuck.hockey.tactic import Intention
+from airpuck.model.model_file import read_model
+from airpuck.physics.puck import PuckState
+from airpuck.planning.minimal_time import read_minimal_times
+from airpuck.twin.plant import build_plant
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
+
+MODEL, PLAY = read_model("paper:M3"), AirHockey()
+SETTINGS = default_twin_settings().with_delay(MODEL.transport_delay)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return build_plant(MODEL, SETTINGS)
+
+
+def start_of(player):
+    pose = np.array([*player.pitch.home, 0.0])
+    return tuple((pose if player.side < 0 else turned(pose)).tolist())
+
+
+def puck_for(side, *state):
+    return PuckState(*(np.array(state) if side < 0 else turned(np.array(state))).tolist())
+
+
+def twin_of(player, puck, plant, seed=0):
+    return Twin(
+        MODEL, SETTINGS, seed=seed, pose=start_of(player), plant=plant, puck=puck, logs=False
+    )
+
+
+class Noted:
+    """A tactic that goes home and keeps what it saw."""
+
+    def __init__(self):
+        self.views = []
+
+    def decide(self, view):
+        self.views.append(view)
+        return Intention("home", SetPoint(*view.pitch.home, 0.0))
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_shot_is_saved_on_either_side_within_the_own_half(plant, side):
+    player = Player(MODEL, PLAY, side=side)
+    twin = twin_of(player, puck_for(side, 0.6, 0.0, 0, -2.0, -0.17, 0), plant)
+    for _ in control(player, twin, 1.2):
+        assert side * twin.state[0] > MODEL.vehicle.radius_m
+    assert twin.play.puck.goal == 0
+    assert side * twin.play.puck.state.vx < 0
+
+
+def test_both_sides_see_the_same_game_turned(plant):
+    seen = []
+    for side in (-1, 1):
+        player = Player(MODEL, PLAY, tactic := Noted(), side=side)
+        twin = twin_of(player, puck_for(side, 0.3, 0.2, 0, -1.0, 0.8, 2.0), plant)
+        for _ in control(player, twin, 0.4):
+            pass
+        seen.append(tactic.views[-1])
+    np.testing.assert_allclose(seen[0].craft[:2], seen[1].craft[:2], atol=2e-3)
+    np.testing.assert_allclose(seen[0].puck.mean[:2], seen[1].puck.mean[:2], atol=5e-4)
+    np.testing.assert_allclose(seen[0].puck.mean[3:5], seen[1].puck.mean[3:5], atol=0.02)
+
+
+def test_a_turned_reference_is_the_same_motion_seen_from_the_other_side():
+    meet = Rendezvous(1.0, (0.3, 0.1, 0.2, 1.0, -0.5, 0.3), then=SetPoint(0.1, 0.2, 0.0))
+    times = np.array([0.1, 0.3, 0.5])
+    ours, other = course(meet, 0.4, times), course(TurnedReference(meet), 0.4, times)
+    np.testing.assert_allclose(other.states[:, :2], -ours.states[:, :2])
+    np.testing.assert_allclose(other.states[:, 2], ours.states[:, 2] + math.pi)
+    np.testing.assert_allclose(other.states[:, 3:5], -ours.states[:, 3:5])
+    assert other.arrival.remaining == ours.arrival.remaining
+    np.testing.assert_allclose(turned(turned(ours.states))[:, [0, 1, 3]], ours.states[:, [0, 1, 3]])
+
+
+def test_a_late_player_sees_what_was(plant):
+    player = Player(MODEL, PLAY, tactic := Noted(), level=Level(reaction_s=0.1))
+    twin = twin_of(player, puck_for(-1, 0.3, 0.0, 0, -1.0, 0.0, 0.0), plant)
+    for _ in control(player, twin, 0.5):
+        pass
+    ages = [view.time - view.puck.time for view in tactic.views if view.puck is not None]
+    assert min(ages) >= 0.1
+    assert max(ages) < 0.12
+
+
+def test_a_weaker_craft_has_less_thrust_and_needs_longer():
+    from airpuck.physics.thrust import thrust
+
+    def full(model):
+        top = np.full(6, model.vehicle.command_max)
+        return thrust(model.dynamics.thrust, top).sum()
+
+    assert full(weakened(MODEL, 0.5)) / full(MODEL) == pytest.approx(0.5, abs=0.01)
+    # From rest, half the acceleration takes √2 as long; from a speed v likewise as from √2 v.
+    times = read_minimal_times()
+    weak = slower(times, 0.5)
+    assert weak((0.7, 0.0), (0.0, 0.0)) == pytest.approx(2**0.5 * times((0.7, 0.0), (0.0, 0.0)))
+    assert weak((0.7, 0.0), (0.5, 0.5)) == pytest.approx(
+        2**0.5 * times((0.7, 0.0), (0.5 * 2**0.5, 0.5 * 2**0.5))
+    )
+    with pytest.raises(InputError, match="thrust"):
+        Level(thrust=0.0)
+    assert set(LEVELS) == {"easy", "medium", "hard"}
+
+
+def test_the_fence_is_the_own_half():
+    pitch = pitch_of(MODEL, PLAY)
+    assert pitch.fence[1, 0] <= -MODEL.vehicle.radius_m
+    assert pitch.inside(np.array([pitch.home])).all()
+
+
+def stepped(player, measure, steps, start=0.0):
+    """Step a player whose craft stands at home; `measure` gives the puck's poses."""
+    for k in range(steps):
+        for frame in range(3):
+            stamp = start + 0.01 * k + frame / 300
+            player.pose(stamp, np.array([*player.pitch.home, 0.0]))
+            measure(player, stamp)
+        step = player.step(start + 0.01 * (k + 1))
+        player.sent(start + 0.01 * (k + 1), step.command)
+        assert np.isfinite(step.command).all()
+
+
+def moving(player, stamp):
+    player.puck(stamp, np.array([0.5 - 0.5 * stamp, 0.1, 0.0]))
+
+
+def frozen(player, stamp):
+    player.puck(stamp, np.array([0.4, 0.1, 0.0]))
+
+
+def garbage(player, stamp):
+    player.puck(stamp, np.array([math.nan, 0.1, 0.0]))
+    player.puck(math.inf, np.array([0.2, 0.1, 0.0]))
+    player.puck(stamp, np.array([1e9, 0.1, 0.0]))
+    player.mallet(stamp, np.array([math.nan] * 3))
+
+
+@pytest.mark.parametrize(
+    ("then", "sight"), [(moving, "seen"), (frozen, "frozen"), (garbage, "lost")]
+)
+def test_a_puck_that_freezes_or_vanishes_is_noticed(then, sight):
+    player = Player(MODEL, PLAY)
+    stepped(player, moving, 20)
+    assert player.sight == "seen" and player.predicted is not None
+    stepped(player, then, 120, start=0.2)
+    assert player.sight == sight
+    if sight == "lost":
+        assert player.intention.kind == "home"
+        assert player.predicted is None
+
+
+def test_a_tactic_that_returns_nothing_is_refused_by_name():
+    class Idle:
+        def decide(self, view):
+            return None
+
+    player = Player(MODEL, PLAY, Idle())
+    player.pose(0.0, np.array([-0.9, 0.0, 0.0]))
+    with pytest.raises(InputError, match=r"Idle.*Intention"):
+        player.step(0.01)
+    with pytest.raises(InputError, match="side"):
+        Player(MODEL, PLAY, side=0)
+
+
+def test_noise_turns_a_shot_about_the_puck():
+    class Striker:
+        def decide(self, view):
+            state = (-0.4, 0.0, 0.0, 1.0, 0.0, 0.0)
+            return Intention("strike", Rendezvous(0.5, state), (0.5, -0.3, 0.0))
+
+    found = []
+    for seed in range(10):
+        player = Player(MODEL, PLAY, Striker(), level=Level(shot_noise_rad=0.2), seed=seed)
+        stepped(player, moving, 2)
+        first = player.intention.reference.state
+        stepped(player, moving, 2, start=0.02)
+        np.testing.assert_array_equal(first, player.intention.reference.state)
+        assert np.hypot(*(first[:2] - [-0.3, 0.0])) == pytest.approx(0.1)
+        angle = math.atan2(first[4], first[3])
+        np.testing.assert_allclose(
+            first[:2], [-0.3 - 0.1 * math.cos(angle), -0.1 * math.sin(angle)]
+        )
+        found.append(angle)
+    assert 0.08 < np.std(found) < 0.4
+    assert airpuck.Player is Player
