@@ -1,5 +1,6 @@
-"""Air hockey: where the puck is and where it will be, and a craft that plays.
+"""Air hockey: where the puck is and where it will be, a craft that plays, games.
 
 Entry points: `puck_filter.PuckFilter`, `prediction.predict_puck`,
-`prediction.predict_crossing`, `player.Player`, `level.Level`, `tactic.Tactic`.
+`prediction.predict_crossing`, `player.Player`, `level.Level`, `tactic.Tactic`, `game.Game`,
+`contestant.contestant`.
 """

@@ -1,26 +1,19 @@
-"""Craft, puck and the human's mallet on one table."""
+"""The discs of a table and its puck, as they move together: craft, and mallets of hands."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.craft.table import AirHockey, Contact, Mallet, Table
-from airpuck.physics.puck import Disc, PuckState, strike
-from airpuck.twin.plant import LONGEST_STEP, Plant
+from airpuck.physics.puck import PuckState, strike
+from airpuck.twin.craft import Craft
+from airpuck.twin.plant import LONGEST_STEP
 from airpuck.twin.puck import Moving, PuckOnTable
-
-#: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
-#: is straight to a micrometre.
-_SHORT_STEP = 1e-3
-#: What near is, beside what both move in a step [m].
-_NEAR = 5e-3
-
-State = Float[np.ndarray, " s"]
 
 
 class HandMallet:
@@ -69,7 +62,23 @@ class HandMallet:
         x = self._side * max(self.radius, min(self._side * x, x_reach))
         return x, max(-y_reach, min(y, y_reach))
 
-    def moving(self, duration: float) -> Moving:
+    def next_change(self, now: float) -> float:
+        """Return when its motion changes by itself: a hand may move it at any time."""
+        return math.inf
+
+    def longest_step(self, puck: PuckOnTable) -> float:
+        """Return how long a step may be; its way is straight [s]."""
+        return LONGEST_STEP
+
+    def pose(self) -> Float[np.ndarray, " 3"]:
+        """Return its pose; it does not turn."""
+        return np.array([self.x, self.y, 0.0])
+
+    def disc(self) -> Moving:
+        """Return it as a disc that others meet now."""
+        return Moving(self.x, self.y, self.vx, self.vy, radius=self.radius)
+
+    def moving(self, duration: float, now: float = 0.0) -> Moving:
         """Return its way during a step: straight, at a speed from which it can still stop."""
         fastest, hardest = self._limits
         x, y = self.allowed(*self.target)
@@ -94,126 +103,130 @@ class HandMallet:
             to_y=to_y,
         )
 
-    def arrive(self, way: Moving, duration: float) -> None:
+    def arrive(self, way: Moving, duration: float, hit: bool = False) -> None:
         """Be where its way has led; a wedged puck may have held it back."""
+        if not duration > 0:
+            return
         self.vx, self.vy = (way.x - self.x) / duration, (way.y - self.y) / duration
         self.x, self.y = way.x, way.y
 
 
-class Play:
-    """Craft, puck and mallet as they move together.
+class Observer(Protocol):
+    """Measures at times of its own."""
+
+    @property
+    def due(self) -> float:
+        """When it next measures [s]."""
+        ...
+
+    def observe(self, time: float) -> None:
+        """Measure now, if that is due."""
+        ...
+
+
+class World:
+    """A puck and the discs that play with it, on one table; time passes from event to event.
 
     Parameters
     ----------
     play : AirHockey
-        Table, puck and mallet; the settings of a twin.
-    plant : Plant
-        The craft.
-    puck : PuckState
-        The puck at first.
-    mallet : tuple of float, optional
-        Where the human's mallet is at first [m]; none by default.
-    logs : bool
-        Whether to keep all contacts.
+        Table, puck and mallet; settings of a twin are such, too.
+    puck : PuckState, optional
+        The puck at first; by default there is none.
+    logs : bool, default True
+        Whether to keep all contacts of the puck.
+
+    Attributes
+    ----------
+    puck : PuckOnTable or None
+        The puck.
+    bodies : list of Craft or HandMallet
+        The discs.
+    observers : list of Observer
+        Who measures; they are told at the times that they ask for.
+    time : float
+        Of the last event [s]; who asks for a later time moves nothing.
     """
 
     def __init__(
-        self,
-        play: AirHockey,
-        plant: Plant,
-        puck: PuckState,
-        mallet: tuple[float, float] | None,
-        logs: bool,
+        self, play: AirHockey, puck: PuckState | None = None, *, logs: bool = True
     ) -> None:
-        self._disc, self._dynamics = plant.disc, plant.dynamics
         rail = play.table
         self._rail = Contact(restitution=rail.restitution, grip=1.0, friction=rail.friction)
-        self.puck = PuckOnTable(play, puck, logs=logs)
-        self.mallet = None if mallet is None else HandMallet(play.mallet, play.table, *mallet)
+        self.puck = None if puck is None else PuckOnTable(play, puck, logs=logs)
+        self.bodies: list[Craft | HandMallet] = []
+        self.observers: list[Observer] = []
+        self.time = 0.0
 
-    def advance(
-        self, state: State, end: float, fly: Callable[[State, float], tuple[State, Any]]
-    ) -> tuple[State, Any]:
-        """Let time pass, at most until `end`; `PuckOnTable.time` says until when.
+    def other(self, body: Craft | HandMallet) -> Craft | HandMallet:
+        """Return the disc on the other side."""
+        return next(each for each in self.bodies if each is not body)
 
-        `fly` moves the craft without a puck for a duration and says whether it met a rail; returned
-        are its state and what `fly` said.
-        """
-        begin, longest = self.puck.time, self._longest(state)
-        if end - begin > longest:
-            end = begin + longest
-        duration = end - begin
-        after, met = fly(state, duration)
-        craft = self._craft(state, after, duration)
-        hand = None if self.mallet is None else self.mallet.moving(duration)
-        hit = self.puck.run(end, (craft,) if hand is None else (craft, hand))
-        duration = self.puck.time - begin
-        if hit is craft:
-            after, met = fly(state, duration) if duration > 0 else (state, False)
-            gained = [
-                craft.vx - craft.ax * duration,
-                craft.vy - craft.ay * duration,
-                craft.spin - craft.spinning_up * duration,
-            ]
-            after = np.concatenate([after[:3], after[3:6] + gained - state[3:6], after[6:]])
-        elif (craft.x, craft.y) != (after[0], after[1]):
-            after = np.concatenate([[craft.x, craft.y], after[2:]])
-        if self.mallet is not None and hand is not None and duration > 0:
-            self.mallet.arrive(hand, duration)
-            after = self._off_the_mallet(after, hand)
-        return after, met
+    @property
+    def mallet(self) -> HandMallet | None:
+        """The human's mallet, if there is one."""
+        return next((body for body in self.bodies if isinstance(body, HandMallet)), None)
 
-    def pose(self, kind: str) -> Float[np.ndarray, " 3"]:
-        """Return the true pose of the puck, NaN where it is in a goal, or of the mallet."""
-        if kind == "mallet":
-            assert self.mallet is not None
-            return np.array([self.mallet.x, self.mallet.y, 0.0])
+    def run(self, time: float) -> None:
+        """Let time pass until the last event that is not after a time [s]."""
+        while True:
+            following = min(observer.due for observer in self.observers)
+            for body in self.bodies:
+                following = min(following, body.next_change(self.time))
+            if following > time:
+                break
+            self._advance(following)
+            for observer in self.observers:
+                observer.observe(following)
+
+    def puck_pose(self) -> Float[np.ndarray, " 3"]:
+        """Return the true pose of the puck, NaN where it is in a goal."""
+        assert self.puck is not None
         return np.full(3, math.nan) if self.puck.goal else np.array(self.puck.state[:3])
 
-    def _longest(self, state: State) -> float:
-        """Return how long a step may be: shorter where the craft may soon hit the puck."""
-        puck = self.puck.state
-        x, y, _, vx, vy = state[:5].tolist()
-        apart = math.hypot(puck.x - x, puck.y - y) - self._disc.radius - self.puck.radius
-        moves = math.hypot(puck.vx - vx, puck.vy - vy) * LONGEST_STEP
-        return LONGEST_STEP if apart > moves + _NEAR else _SHORT_STEP
+    def _advance(self, time: float) -> None:
+        """Move everything on; nothing changes by itself in between."""
+        while self.time < time:
+            duration = min(time - self.time, LONGEST_STEP)
+            # The last piece ends at the time itself, not a rounding error before it.
+            end = time if duration == time - self.time else self.time + duration
+            if self.puck is not None:
+                for body in self.bodies:
+                    end = min(end, self.time + body.longest_step(self.puck))
+                duration = end - self.time
+            self._step(end, duration)
+            self._part()
 
-    def _craft(self, state: State, after: State, duration: float) -> Moving:
-        """Return the way of the craft during a step."""
-        x, y, yaw, vx, vy, spin = state[:6].tolist()
-        to_x, to_y, _, to_vx, to_vy, to_spin = after[:6].tolist()
-        rx, ry = map(float, self._dynamics.center_of_mass)
-        if self._dynamics.frame == "body":
-            cos, sin = math.cos(yaw), math.sin(yaw)
-            rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
-        return Moving(
-            x,
-            y,
-            vx,
-            vy,
-            spin,
-            self._disc.radius,
-            self._disc.mass,
-            self._disc.inertia,
-            (rx, ry),
-            to_x=to_x,
-            to_y=to_y,
-            ax=(to_vx - vx) / duration,
-            ay=(to_vy - vy) / duration,
-            spinning_up=(to_spin - spin) / duration,
-            kind="craft",
-        )
+    def _step(self, end: float, duration: float) -> None:
+        """Move on until a time, or until the puck hits a disc that gives way."""
+        begin, hit = self.time, None
+        ways = [body.moving(duration, begin) for body in self.bodies]
+        if self.puck is None:
+            for way in ways:
+                way.x, way.y = way.to_x, way.to_y
+            self.time = end
+        else:
+            hit = self.puck.run(end, ways)
+            self.time = self.puck.time
+            duration = duration if self.time == end else self.time - begin
+        for body, way in zip(self.bodies, ways, strict=True):
+            body.arrive(way, duration, way is hit)
 
-    def _off_the_mallet(self, state: State, mallet: Disc) -> State:
-        """Push a craft back that overlaps the mallet; it bounces as off a rail."""
-        craft = self._craft(state, state, 1.0)
-        dx, dy = craft.x - mallet.x, craft.y - mallet.y
-        distance = math.hypot(dx, dy)
-        overlap = craft.radius + mallet.radius - distance
-        if overlap <= 0 or not distance:
-            return state
-        nx, ny = dx / distance, dy / distance
-        if (craft.vx - mallet.vx) * nx + (craft.vy - mallet.vy) * ny < 0:
-            strike(craft, mallet, nx, ny, self._rail)
-        moved = [craft.x + overlap * nx, craft.y + overlap * ny, state[2]]
-        return np.concatenate([moved, [craft.vx, craft.vy, craft.spin], state[6:]])
+    def _part(self) -> None:
+        """Part discs that overlap; a craft bounces off the other as off a rail."""
+        for first, second in itertools.combinations(self.bodies, 2):
+            one, other = first.disc(), second.disc()
+            dx, dy = one.x - other.x, one.y - other.y
+            distance = math.hypot(dx, dy)
+            overlap = one.radius + other.radius - distance
+            share = 1 / one.mass + 1 / other.mass
+            if overlap <= 0 or not distance or not share:
+                continue
+            nx, ny = dx / distance, dy / distance
+            if (one.vx - other.vx) * nx + (one.vy - other.vy) * ny < 0:
+                strike(one, other, nx, ny, self._rail)
+            for body, disc, side in ((first, one, 1), (second, other, -1)):
+                if isinstance(body, Craft):
+                    part = side * overlap / (disc.mass * share)
+                    disc.x, disc.y = disc.x + part * nx, disc.y + part * ny
+                    body.take(disc)

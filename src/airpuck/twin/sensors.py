@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
@@ -91,6 +91,43 @@ class Sensor:
         stamps, arrivals, values = zip(*self._logged, strict=True) if self._logged else ((), (), ())
         table = np.array(values).reshape(-1, len(columns))
         return Stream(_nanoseconds(stamps), _nanoseconds(arrivals), table, columns)
+
+
+class SensorSet:
+    """Sensors, and what a perfect one of each kind would say."""
+
+    def __init__(
+        self, sensors: Sequence[Sensor], truth: Callable[[Kind], Float[np.ndarray, " k"]]
+    ) -> None:
+        self.sensors = sensors
+        self._truth = truth
+
+    @property
+    def due(self) -> float:
+        """When one next measures [s]."""
+        return min(sensor.due for sensor in self.sensors)
+
+    @property
+    def next_event(self) -> float:
+        """When one next measures or is heard [s]."""
+        return min(min(sensor.due, sensor.next_arrival) for sensor in self.sensors)
+
+    def observe(self, time: float) -> None:
+        """Take the samples that are due."""
+        for sensor in self.sensors:
+            if sensor.due <= time:
+                sensor.measure(self._truth(sensor.kind))
+
+    def arrived(self, now: float) -> list[Measurement]:
+        """Return what has arrived since the last call, in the order of arrival."""
+        found = [entry for sensor in self.sensors for entry in sensor.arrived(now)]
+        found.sort(key=lambda entry: entry[0])
+        return [measurement for _, measurement in found]
+
+    def streams(self) -> dict[str, Stream]:
+        """Return everything that was measured so far, by kind."""
+        streams = {sensor.kind: sensor.stream() for sensor in self.sensors}
+        return {kind: stream for kind, stream in streams.items() if len(stream)}
 
 
 def _nanoseconds(times: Sequence[float]) -> Int[np.ndarray, " N"]:

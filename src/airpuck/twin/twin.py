@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from numbers import Integral
 from typing import Any
 
@@ -19,12 +18,11 @@ from airpuck.model.model_file import Model
 from airpuck.physics.effects import Tilt
 from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import acceleration
-from airpuck.recording.stream import COLUMNS, POSES, Recording
-from airpuck.twin.motors import MotorUnit
-from airpuck.twin.plant import LONGEST_STEP, Plant, build_plant, scaled
-from airpuck.twin.play import Play
-from airpuck.twin.radio import RadioLink
-from airpuck.twin.sensors import build_sensors, command_stream, log_stream
+from airpuck.recording.stream import COLUMNS, Recording
+from airpuck.twin.craft import Craft
+from airpuck.twin.plant import Plant, build_plant, scaled
+from airpuck.twin.play import HandMallet, World
+from airpuck.twin.sensors import SensorSet, build_sensors, command_stream, log_stream
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 
@@ -49,12 +47,12 @@ class Twin:
         Where the human's mallet is at first [m]; by default there is none. It needs a puck.
     logs : bool, default True
         Whether to keep everything for `recording` and `truth`. One that runs for hours should not.
+    world : World, optional
+        The table that it shares with another disc; by default one of its own.
 
     Attributes
     ----------
-    contacts : list of float
-        When the craft met a rail [s].
-    play : Play or None
+    play : World or None
         Puck and mallet: ``play.puck.state``, ``play.puck.goal``, ``play.puck.place(…)``,
         ``play.mallet.target = x, y``.
 
@@ -75,6 +73,7 @@ class Twin:
         puck: PuckState | None = None,
         mallet: tuple[float, float] | None = None,
         logs: bool = True,
+        world: World | None = None,
     ) -> None:
         check_seed(seed)
         self.model = model
@@ -85,41 +84,58 @@ class Twin:
         # An accelerometer feels what pushes the craft, but not the pull of gravity along a slope.
         pushed = tuple(e for e in self.plant.dynamics.effects if not isinstance(e, Tilt))
         self._felt = replace(self.plant.dynamics, effects=pushed)
-        n = model.vehicle.n_propellers
+        if world is None:
+            world = World(settings, puck, logs=logs)
+            played = _played(puck, mallet)
+        elif puck is not None or mallet is not None:
+            raise InputError("are those of the world; leave them out", field="puck and mallet")
+        else:
+            played = ("puck", "mallet")
         self.now = 0.0
-        # As of the last frame, packet or other event: who asks for the time moves no state.
-        self.state = np.concatenate([pose, np.zeros(3 + n)])
-        self._state_time = 0.0
-        self._radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
-        self._motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
+        self.world = world
+        self.craft = Craft(model, settings, self.plant, seed, pose, logs)
+        world.bodies.append(self.craft)
+        if mallet is not None:
+            world.bodies.append(HandMallet(settings.mallet, settings.table, *mallet))
+        world.observers.append(self)
         self._logs = logs
-        played = _played(puck, mallet)
-        self.play = None if puck is None else Play(settings, self.plant, puck, mallet, logs)
-        self._sensors = build_sensors(settings, seed, logs, played)
+        self._sensors = SensorSet(build_sensors(settings, seed, logs, played), self._true_value)
         self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
         self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
         self._puck_truth: list[tuple[float, ...]] = []
-        self.contacts: list[float] = []
+
+    @property
+    def play(self) -> World | None:
+        """Puck and mallet, if there are any."""
+        return None if self.world.puck is None else self.world
+
+    @property
+    def state(self) -> Float[np.ndarray, " s"]:
+        """True pose, rates and motor speeds, as of the last frame, packet or other event."""
+        return self.craft.state
+
+    @property
+    def contacts(self) -> list[float]:
+        """When the craft met a rail [s]."""
+        return [time for time, _ in self.craft.contacts]
 
     def wait_until(self, time: float) -> list[Measurement]:
         """Simulate until a time; see `airpuck.flight.link.Link`."""
-        while True:
-            following = min(sensor.due for sensor in self._sensors)
-            following = min(following, self._radio.next_change(self._state_time))
-            following = min(following, self._motors.next_change(self._state_time))
-            if following > time:
-                break
-            self._advance(following)
-            for sensor in self._sensors:
-                if sensor.due <= following:
-                    if sensor.kind == "pose" and self._logs:
-                        self._log_truth(following)
-                    sensor.measure(self._true_value(sensor.kind))
+        self.world.run(time)
         self.now = time
-        arrived = [entry for sensor in self._sensors for entry in sensor.arrived(time)]
-        arrived.sort(key=lambda entry: entry[0])
-        return [measurement for _, measurement in arrived]
+        return self._sensors.arrived(time)
+
+    @property
+    def due(self) -> float:
+        """When a sensor next measures; see `airpuck.twin.play.Observer` [s]."""
+        return self._sensors.due
+
+    def observe(self, time: float) -> None:
+        """Take the samples that are due; see `airpuck.twin.play.Observer`."""
+        if self._logs and self._sensors.sensors[0].due <= time:
+            self._log_truth(time)
+        self._sensors.observe(time)
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
         """Send a command by radio, now; see `airpuck.flight.link.Link`.
@@ -141,7 +157,7 @@ class Twin:
         command = np.clip(command, 0.0, 1.0)
         if self._logs:
             self._sent.append((self.now, command))
-        self._radio.send(self.now, command)
+        self.craft.radio.send(self.now, command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
         """Log what the craft is asked to do; see `airpuck.flight.link.Link`."""
@@ -151,12 +167,12 @@ class Twin:
     @property
     def next_event(self) -> float:
         """When a sensor next measures or is heard; others may sleep until then [s]."""
-        return min(min(sensor.due, sensor.next_arrival) for sensor in self._sensors)
+        return self._sensors.next_event
 
     @property
     def in_contact(self) -> bool:
         """Whether the craft's electronics get commands, rather than having timed out."""
-        return self._radio.in_contact(self.now)
+        return self.craft.radio.in_contact(self.now)
 
     @property
     def truth(self) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N s"]]:
@@ -180,61 +196,33 @@ class Twin:
             recorder's clock.
         """
         names = self.model.vehicle.propeller_names
-        streams = {sensor.kind: sensor.stream() for sensor in self._sensors}
-        streams = {kind: stream for kind, stream in streams.items() if len(stream)}
+        streams = self._sensors.streams()
         if self._sent:
             streams["command"] = command_stream(self._sent, names)
         if self._announced:
             streams["reference"] = log_stream(self._announced, COLUMNS["reference"], latency=0.0)
         return Recording(streams=streams, source=f"twin of {self.model.name}")
 
-    def _advance(self, time: float) -> None:
-        """Integrate to a time; nothing is commanded in between."""
-        begin = self._state_time
-        while begin < time:
-            duration = min(time - begin, LONGEST_STEP)
-            command = self._motors.follow(begin, self._radio.command(begin))
-            fly = partial(self._fly, command, self._thrust_left(begin))
-            # The last piece ends at the time itself, not a rounding error before it.
-            end = time if duration == time - begin else begin + duration
-            if self.play is None:
-                self.state, met = fly(self.state, duration)
-                begin = end
-            else:
-                self.state, met = self.play.advance(self.state, end, fly)
-                begin = self.play.puck.time
-            if met and self._logs:
-                self.contacts.append(begin)
-        self._state_time = time
-
-    def _fly(self, command: Any, left: Any, state: Any, duration: float) -> tuple[Any, Any]:
-        """Move the craft alone; return its state, and whether it met a rail."""
-        state, met = self.plant.advance(state, command, duration, left)
-        return state, met
-
     def _log_truth(self, time: float) -> None:
         """Keep the states at a frame of the motion capture."""
         self._truth.append((time, self.state))
-        if self.play is not None:
-            puck = self.play.puck
+        puck = self.world.puck
+        if puck is not None:
             self._puck_truth.append((math.nan,) * 6 if puck.goal else puck.state)
-
-    def _thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
-        """Return the share of the thrust that battery and motors still give."""
-        battery = max(1 - self.settings.effects.battery_sag_1_s * time, 0.0)
-        return battery * self._motors.share(time)
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
         """Return what a perfect sensor would say."""
         if kind == "pose":
-            return self.state[:3]
-        if self.play is not None and kind in POSES:
-            return self.play.pose(kind)
+            return self.craft.pose()
+        if kind == "puck":
+            return self.world.puck_pose()
+        if kind == "mallet":
+            return self.world.other(self.craft).pose()
         yaw, vx, vy, spin = self.state[2:6].tolist()
         cos, sin = math.cos(yaw), math.sin(yaw)
         if kind == "mouse":
             return np.array([cos * vx + sin * vy, cos * vy - sin * vx])
-        felt = scaled(self._felt, self._thrust_left(self._state_time)[:, None])
+        felt = scaled(self._felt, self.craft.thrust_left(self.world.time)[:, None])
         ax, ay, _ = acceleration(np, felt, self.state[2:6], self.state[6:])
         return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
 

@@ -1,0 +1,324 @@
+"""A game of air hockey on the twin's table: two sides, a puck, the rules."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from airpuck.boundary.errors import InputError
+from airpuck.flight.link import Kind
+from airpuck.flight.loop import Action, control
+from airpuck.flight.pilot import Pilot
+from airpuck.hockey.contestant import Contestant
+from airpuck.hockey.hand import Hand
+from airpuck.hockey.rules import Referee, Rules
+from airpuck.model.model_file import Model, read_model
+from airpuck.physics.puck import PuckState
+from airpuck.recording.stream import Recording
+from airpuck.twin.craft import Craft
+from airpuck.twin.play import HandMallet, World
+from airpuck.twin.puck import PuckOnTable
+from airpuck.twin.sensors import SensorSet, pose_sensor
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin, check_seed
+
+#: Time between commands [s].
+PERIOD = 0.01
+#: Where discs stand at first, from their own line; where the puck is served, from the middle [m].
+_BEGIN, _SERVE = 0.25, 0.30
+#: It is served so far from the middle of the width at most [m].
+_ASIDE = 0.15
+#: A puck is followed for so long to find out whether it would have been a goal [s].
+_FOLLOWED = 3.0
+
+
+class GameEvent(NamedTuple):
+    """What happened in a game.
+
+    ``hit``: a side's disc touched the puck, with `value` as impulse [N s]; ``rail``, ``post``: the
+    puck did, near that side; ``goal``, ``own_goal``: the side scored, or conceded by its own touch;
+    ``foul``, ``stuck``, ``serve``, ``over``: as `Ruling`; ``contact``: the side's craft met a rail,
+    with `value` as speed [m/s]; ``crossed``: the middle of its disc is in the other half.
+    """
+
+    time: float
+    kind: Literal[
+        "hit",
+        "rail",
+        "post",
+        "goal",
+        "own_goal",
+        "foul",
+        "stuck",
+        "serve",
+        "over",
+        "contact",
+        "crossed",
+    ]
+    side: int
+    value: float = 0.0
+
+
+class Side:
+    """A side of a game: its disc, and who moves it.
+
+    Attributes
+    ----------
+    sign : int
+        Of the x of its half: -1 is left.
+    kind : str
+        ``craft`` or ``hand``.
+    player : Pilot or None
+        Who steers a craft.
+    hand : Hand or None
+        Who moves a mallet.
+    action : Action or None
+        The latest of a craft's player.
+    """
+
+    def __init__(self, sign: int, name: str, body: Craft | HandMallet) -> None:
+        self.sign, self.name = sign, name
+        self.kind: Literal["craft", "hand"] = "craft" if isinstance(body, Craft) else "hand"
+        self.body = body
+        self.player: Pilot | None = None
+        self.hand: Hand | None = None
+        self.twin: Twin | None = None
+        self.action: Action | None = None
+        self.radius = body.radius
+        self._actions: Iterator[Action] = iter(())
+        self.contacts = 0
+        self.beyond = False
+
+    def fly(self, player: Pilot, twin: Twin) -> None:
+        """Let a player steer the craft."""
+        self.player, self.twin = player, twin
+        self._actions = control(player, twin, math.inf, PERIOD)
+
+    @property
+    def state(self) -> tuple[float, float, float, float, float]:
+        """x, y [m], yaw [rad], vx, vy [m/s] of its disc."""
+        body = self.body
+        if isinstance(body, HandMallet):
+            return body.x, body.y, 0.0, body.vx, body.vy
+        x, y, yaw, vx, vy = body.state[:5].tolist()
+        return x, y, yaw, vx, vy
+
+    def act(self, time: float, puck: PuckState | None, opponent: tuple[float, float]) -> None:
+        """See, and send a command or move the mallet."""
+        if self.hand is None:
+            self.action = next(self._actions)
+            return
+        assert isinstance(self.body, HandMallet)
+        turn = -self.sign
+        own = turn * self.body.x, turn * self.body.y
+        if puck is not None:
+            x, y, yaw, vx, vy, spin = puck
+            puck = PuckState(turn * x, turn * y, yaw, turn * vx, turn * vy, spin)
+        x, y = self.hand.target(time, own, puck, (turn * opponent[0], turn * opponent[1]))
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError("target() must return two finite numbers", field=f"hand {self.name}")
+        self.body.target = turn * x, turn * y
+
+
+class Game:
+    """A game between two contestants, stepped one control period at a time.
+
+    Parameters
+    ----------
+    left, right : Contestant
+        Who plays; see `contestant`.
+    settings : TwinSettings, optional
+        Table, puck, radio, noise; by default the packaged ones.
+    rules : Rules, optional
+        By default first to seven.
+    model : Model, optional
+        The craft; by default the published M3.
+    seed : int, default 0
+        Of everything random: the same seed gives the same game.
+    logs : bool, default True
+        Whether to keep everything for `recording`.
+
+    Attributes
+    ----------
+    time : float
+        Now [s].
+    sides : tuple of Side
+        Left and right.
+    referee : Referee
+        Score and phase.
+    events : list of GameEvent
+        Everything that happened, if it is kept.
+
+    Raises
+    ------
+    InputError
+        If a contestant cannot play.
+    """
+
+    def __init__(
+        self,
+        left: Contestant,
+        right: Contestant,
+        *,
+        settings: TwinSettings | None = None,
+        rules: Rules | None = None,
+        model: Model | None = None,
+        seed: int = 0,
+        logs: bool = True,
+    ) -> None:
+        check_seed(seed)
+        settings = settings or default_twin_settings()
+        model = model or read_model("paper:M3")
+        self.settings, self.seed, self._logs = settings, seed, logs
+        self.time, self._steps = 0.0, 0
+        self._random = np.random.default_rng([seed, 20])
+        self.referee = Referee(rules or Rules(), settings, int(self._random.choice([-1, 1])))
+        self.events: list[GameEvent] = []
+        self.world = World(settings, PuckState(0.0, 0.0))
+        assert self.world.puck is not None
+        self._puck = self.world.puck
+        radii = [
+            model.vehicle.radius_m if c.player is not None else settings.mallet.radius_m
+            for c in (left, right)
+        ]
+        self.sides = (
+            self._side(-1, left, model, radii[1]),
+            self._side(1, right, model, radii[0]),
+        )
+        self._cameras: SensorSet | None = None
+        if all(side.twin is None for side in self.sides):
+            kinds: dict[Kind, int] = {"pose": 1, "puck": 4, "mallet": 5}
+            sensors = [
+                pose_sensor(settings.motion_capture, seed, logs, kind=kind, number=number)
+                for kind, number in kinds.items()
+            ]
+            self._cameras = SensorSet(sensors, self._pose)
+            self.world.observers.append(self._cameras)
+        #: Who touched the puck last, and whether it would have been a goal against them anyway.
+        self._touched: tuple[int, bool] = (0, False)
+        self._before = self._puck.state
+        self._serve(self.referee.server)
+
+    @property
+    def score(self) -> tuple[int, int]:
+        """Goals of left and right."""
+        return self.referee.score
+
+    @property
+    def phase(self) -> str:
+        """``play``, ``goal`` (waiting for the serve) or ``over``."""
+        return self.referee.phase
+
+    @property
+    def puck(self) -> PuckState | None:
+        """Where the puck is; None while it is in a goal."""
+        return None if self._puck.goal else self._puck.state
+
+    def step(self) -> list[GameEvent]:
+        """Let a control period pass; return what happened.
+
+        Returns
+        -------
+        list of GameEvent
+            In their order.
+        """
+        left, right = self.sides
+        puck, places = self.puck, (left.state[:2], right.state[:2])
+        left.act(self.time, puck, places[1])
+        right.act(self.time, puck, places[0])
+        self._before = self._puck.state
+        self._steps += 1
+        self.time = self._steps * PERIOD
+        self.world.run(self.time)
+        events = [*self._contacts(), *self._judged()]
+        if self._logs:
+            self.events += events
+        return events
+
+    def play(self) -> None:
+        """Play until the game is over."""
+        while self.phase != "over":
+            self.step()
+
+    def recording(self) -> Recording:
+        """Return what was recorded: see `Twin.recording`."""
+        twin = next((side.twin for side in self.sides if side.twin is not None), None)
+        if twin is not None:
+            return twin.recording()
+        assert self._cameras is not None
+        return Recording(streams=self._cameras.streams(), source="a game")
+
+    def _side(self, sign: int, contestant: Contestant, model: Model, opponent: float) -> Side:
+        """Put a disc on the table, and let the contestant move it."""
+        settings = self.settings
+        x = sign * (settings.table.length_m / 2 - _BEGIN)
+        seed = 2 * self.seed + (sign > 0)
+        if contestant.hand is not None:
+            mallet = HandMallet(settings.mallet, settings.table, x, 0.0)
+            self.world.bodies.append(mallet)
+            side = Side(sign, contestant.name, mallet)
+            side.hand = contestant.hand(settings, seed)
+            return side
+        pose = (x, 0.0, 0.0 if sign < 0 else math.pi)
+        assert contestant.player is not None
+        twin = Twin(model, settings, seed=seed, pose=pose, logs=self._logs, world=self.world)
+        side = Side(sign, contestant.name, twin.craft)
+        side.fly(contestant.player(model, settings, sign, seed, opponent), twin)
+        return side
+
+    def _pose(self, kind: Kind) -> np.ndarray:
+        """Return a true pose: of the left disc, the right one, the puck."""
+        if kind == "puck":
+            return self.world.puck_pose()
+        return self.sides[kind == "mallet"].body.pose()
+
+    def _contacts(self) -> Iterator[GameEvent]:
+        """Yield what the puck and the craft touched in the last period."""
+        x, y = self._puck.state[:2]
+        near = min(self.sides, key=lambda s: math.dist(s.state[:2], (x, y)) - s.radius).sign
+        for time, met, impulse in self._puck.touches:
+            if met in ("craft", "mallet"):
+                if self._touched[0] != near:
+                    self._touched = near, self._would_score(-near)
+                yield GameEvent(time, "hit", near, impulse)
+            elif met != "goal":
+                yield GameEvent(time, met, 1 if x > 0 else -1, impulse)
+        self._puck.touches.clear()
+        for side in self.sides:
+            if isinstance(side.body, Craft):
+                for time, speed in side.body.contacts[side.contacts :]:
+                    yield GameEvent(time, "contact", side.sign, speed)
+                side.contacts = len(side.body.contacts)
+            beyond = side.state[0] * side.sign < 0
+            if beyond and not side.beyond:
+                yield GameEvent(self.time, "crossed", side.sign)
+            side.beyond = beyond
+
+    def _would_score(self, side: int) -> bool:
+        """Return whether the puck would have been a goal for a side without the last touch."""
+        alone = PuckOnTable(self.settings, self._before, logs=False)
+        alone.run(_FOLLOWED)
+        return alone.goal == -side
+
+    def _judged(self) -> Iterator[GameEvent]:
+        """Yield what the referee says, and do it."""
+        state = self._puck.state
+        speed = math.hypot(state.vx, state.vy)
+        for kind, side in self.referee.judge(self.time, state.x, speed, self._puck.goal):
+            yield GameEvent(self.time, kind, side)
+            if kind == "goal" and self._touched == (-side, False):
+                yield GameEvent(self.time, "own_goal", -side)
+            if kind == "serve":
+                self._serve(side)
+
+    def _serve(self, side: int) -> None:
+        """Put the puck into a half, where no disc is."""
+        x, y = side * _SERVE, float(self._random.uniform(-_ASIDE, _ASIDE))
+        for one in self.sides:
+            if math.dist(one.state[:2], (x, y)) < one.radius + self._puck.radius:
+                y = math.copysign(one.radius + 2 * self._puck.radius, -one.state[1]) + one.state[1]
+        self._puck.place(PuckState(x, y))
+        self._touched = (0, False)

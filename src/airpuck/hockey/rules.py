@@ -1,0 +1,138 @@
+"""The rules of air hockey: score, whose puck it is, and when a game is over."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from airpuck.boundary.files import NonNegative, Positive, Section
+from airpuck.craft.table import AirHockey
+
+#: In play, waiting for the puck after a goal, or over.
+Phase = Literal["play", "goal", "over"]
+#: A puck that is slower than this rests [m/s].
+_RESTS = 0.05
+
+
+class Rules(Section):
+    """What a game is played by.
+
+    Attributes
+    ----------
+    goals : int
+        Who has so many first has won.
+    limit_s : float
+        A game lasts no longer; then who leads has won, and nobody with equal scores.
+    foul_s : float
+        A puck that stays on one side for so long is the other's.
+    stuck_s : float
+        One that rests at the centre line for so long is served anew.
+    pause_s : float
+        From a goal to the next serve.
+    """
+
+    goals: int = 7
+    limit_s: Positive = 300.0
+    foul_s: Positive = 15.0
+    stuck_s: Positive = 3.0
+    pause_s: NonNegative = 1.0
+
+
+class Ruling(NamedTuple):
+    """What the referee says."""
+
+    #: A goal, a foul, a puck that is stuck, a serve, the end.
+    kind: Literal["goal", "foul", "stuck", "serve", "over"]
+    #: Who scored, committed the foul, serves or has won; 0: nobody.
+    side: int
+
+
+class Referee:
+    """Keeps the score and applies the rules.
+
+    Parameters
+    ----------
+    rules : Rules
+        What is played by.
+    play : AirHockey
+        Table and puck.
+    first : int
+        Who serves first, -1 (left) or 1.
+
+    Attributes
+    ----------
+    score : tuple of int
+        Goals of left and right.
+    phase : str
+        ``play``, ``goal``, ``over``.
+    server : int
+        Whose puck it was, or will be, at the serve.
+    """
+
+    def __init__(self, rules: Rules, play: AirHockey, first: int) -> None:
+        self.rules = rules
+        self.score = (0, 0)
+        self.phase: Phase = "play"
+        self.server = first
+        self._centre = play.puck.radius_m
+        self._resumes = 0.0
+        self._side, self._side_since = 0, 0.0
+        self._stuck_since: float | None = None
+
+    def judge(self, time: float, x: float, speed: float, goal: int) -> list[Ruling]:
+        """Say what follows from where the puck is.
+
+        Parameters
+        ----------
+        time : float
+            Now [s].
+        x, speed : float
+            Of the puck [m, m/s].
+        goal : int
+            In which goal it is, by the sign of x; 0: in none.
+
+        Returns
+        -------
+        list of Ruling
+            In their order; empty as a rule.
+        """
+        if self.phase == "over":
+            return []
+        found: list[Ruling] = []
+        if self.phase == "play" and goal:
+            found.append(self._scored(time, -goal))
+        left, right = self.score
+        if max(self.score) >= self.rules.goals or time >= self.rules.limit_s:
+            self.phase = "over"
+            found.append(Ruling("over", (right > left) - (left > right)))
+        elif self.phase == "goal":
+            if time >= self._resumes:
+                found.append(self._serve(time, self.server))
+        elif broken := self._broken(time, x, speed):
+            found += [broken, self._serve(time, -broken.side or -self.server)]
+        return found
+
+    def _scored(self, time: float, side: int) -> Ruling:
+        left, right = self.score
+        self.score = (left + (side < 0), right + (side > 0))
+        self.phase, self.server, self._resumes = "goal", -side, time + self.rules.pause_s
+        return Ruling("goal", side)
+
+    def _serve(self, time: float, side: int) -> Ruling:
+        self.phase, self.server = "play", side
+        self._side, self._side_since, self._stuck_since = side, time, None
+        return Ruling("serve", side)
+
+    def _broken(self, time: float, x: float, speed: float) -> Ruling | None:
+        """Return a foul, or that the puck is stuck."""
+        side = (x > 0) - (x < 0)
+        if side != self._side:
+            self._side, self._side_since = side, time
+        if side and time - self._side_since >= self.rules.foul_s:
+            return Ruling("foul", side)
+        if abs(x) > self._centre or speed > _RESTS:
+            self._stuck_since = None
+        elif self._stuck_since is None:
+            self._stuck_since = time
+        elif time - self._stuck_since >= self.rules.stuck_s:
+            return Ruling("stuck", 0)
+        return None

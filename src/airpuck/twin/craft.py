@@ -1,0 +1,170 @@
+"""A craft on the simulated table: from the command that was sent to how it moves."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.model.model_file import Model
+from airpuck.twin.motors import MotorUnit
+from airpuck.twin.plant import LONGEST_STEP, Plant
+from airpuck.twin.puck import Moving, PuckOnTable
+from airpuck.twin.radio import RadioLink
+from airpuck.twin.settings import TwinSettings
+
+#: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
+#: is straight to a micrometre.
+_SHORT_STEP = 1e-3
+#: What near is, beside what both move in a step [m].
+_NEAR = 5e-3
+
+
+class Craft:
+    """A craft: radio, motors and plant; one of the discs of a `World`.
+
+    Parameters
+    ----------
+    model : Model
+        The truth.
+    settings : TwinSettings
+        Radio, motors, battery.
+    plant : Plant
+        Of both.
+    seed : int
+        Of the radio.
+    pose : tuple of float
+        Where it stands at first [m, m, rad].
+    logs : bool
+        Whether to keep contacts.
+
+    Attributes
+    ----------
+    state : array, shape (6 + n,)
+        Pose, rates and motor speeds.
+    contacts : list of (float, float)
+        When it met a rail [s], and how fast it was towards it [m/s].
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        settings: TwinSettings,
+        plant: Plant,
+        seed: int,
+        pose: tuple[float, float, float],
+        logs: bool,
+    ) -> None:
+        n = model.vehicle.n_propellers
+        self.state: Float[np.ndarray, " s"] = np.concatenate([pose, np.zeros(3 + n)])
+        self.plant, self.radius = plant, model.vehicle.radius_m
+        self.radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
+        self.motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
+        self.contacts: list[tuple[float, float]] = []
+        self._logs = logs
+        self._sag = settings.effects.battery_sag_1_s
+        # What a step that is under way began with, and where it would lead without a puck.
+        self._step: tuple[float, float, Any, Any] = (0.0, 0.0, None, None)
+        self._after, self._met = self.state, False
+
+    def next_change(self, now: float) -> float:
+        """Return when its motion next changes by itself: a packet, a timeout, a motor [s]."""
+        return min(self.radio.next_change(now), self.motors.next_change(now))
+
+    def thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
+        """Return the share of the thrust that battery and motors still give."""
+        return max(1 - self._sag * time, 0.0) * self.motors.share(time)
+
+    def pose(self) -> Float[np.ndarray, " 3"]:
+        """Return its true pose."""
+        return self.state[:3]
+
+    def longest_step(self, puck: PuckOnTable) -> float:
+        """Return how long a step may be: shorter where it may soon hit the puck [s]."""
+        other = puck.state
+        x, y, _, vx, vy = self.state[:5].tolist()
+        apart = math.hypot(other.x - x, other.y - y) - self.radius - puck.radius
+        moves = math.hypot(other.vx - vx, other.vy - vy) * LONGEST_STEP
+        return LONGEST_STEP if apart > moves + _NEAR else _SHORT_STEP
+
+    def moving(self, duration: float, now: float = 0.0) -> Moving:
+        """Begin a step, as if there were no puck; return its way."""
+        command = self.motors.follow(now, self.radio.command(now))
+        self._step = now, duration, command, self.thrust_left(now)
+        self._after, self._met = self._flown(duration)
+        return self._disc(self._after, duration)
+
+    def arrive(self, way: Moving, lasted: float, hit: bool = False) -> None:
+        """End the step after so much of it: where its way has led, or at a puck that it `hit`."""
+        now, duration, *_ = self._step
+        before = self.state
+        if hit or lasted < duration:
+            self._after, self._met = self._flown(lasted) if lasted > 0 else (before, False)
+        if hit:
+            gained = [
+                way.vx - way.ax * lasted,
+                way.vy - way.ay * lasted,
+                way.spin - way.spinning_up * lasted,
+            ]
+            velocity = self._after[3:6] + gained - before[3:6]
+            self._after = np.concatenate([self._after[:3], velocity, self._after[6:]])
+        elif lasted == duration and (way.x, way.y) != (self._after[0], self._after[1]):
+            self._after = np.concatenate([[way.x, way.y], self._after[2:]])
+        self.state = self._after
+        if self._met and self._logs:
+            self.contacts.append((now + lasted, self._towards_rail(before, self.state)))
+
+    def disc(self) -> Moving:
+        """Return it as a disc that others meet now."""
+        return self._disc(self.state, 1.0)
+
+    def take(self, disc: Moving) -> None:
+        """Be where a contact with another disc has left it, and move so."""
+        moved = [disc.x, disc.y, self.state[2], disc.vx, disc.vy, disc.spin]
+        self.state = np.concatenate([moved, self.state[6:]])
+
+    def _flown(self, duration: float) -> tuple[Any, bool]:
+        """Return where the craft alone gets to from here, and whether it meets a rail."""
+        _, _, command, left = self._step
+        state, met = self.plant.advance(self.state, command, duration, left)
+        return state, bool(met)
+
+    def _disc(self, after: Float[np.ndarray, " s"], duration: float) -> Moving:
+        """Return it on its way to a state."""
+        x, y, yaw, vx, vy, spin = self.state[:6].tolist()
+        to_x, to_y, _, to_vx, to_vy, to_spin = after[:6].tolist()
+        dynamics, disc = self.plant.dynamics, self.plant.disc
+        rx, ry = map(float, dynamics.center_of_mass)
+        if dynamics.frame == "body":
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+        return Moving(
+            x,
+            y,
+            vx,
+            vy,
+            spin,
+            disc.radius,
+            disc.mass,
+            disc.inertia,
+            (rx, ry),
+            to_x=to_x,
+            to_y=to_y,
+            ax=(to_vx - vx) / duration,
+            ay=(to_vy - vy) / duration,
+            spinning_up=(to_spin - spin) / duration,
+            kind="craft",
+        )
+
+    def _towards_rail(
+        self, before: Float[np.ndarray, " s"], after: Float[np.ndarray, " s"]
+    ) -> float:
+        """Return how fast it was towards the rail that it met in a step [m/s]."""
+        fastest = 0.0
+        for axis, reach in enumerate(self.plant.table.reach(self.radius)):
+            towards = math.copysign(1.0, after[axis]) * float(before[3 + axis])
+            beyond = abs(float(after[axis])) + abs(towards) * LONGEST_STEP >= reach
+            fastest = max(fastest, towards if beyond else 0.0)
+        return fastest
