@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
 from airpuck.flight.pilot import Pilot
 from airpuck.hockey.hand import SKILLS, Hand, ScriptedHand
+from airpuck.hockey.level import LEVELS, Level
+from airpuck.hockey.player import Player
+from airpuck.hockey.tactic import Intention, Tactic, View
 from airpuck.model.model_file import Model
 
 
@@ -39,7 +42,8 @@ def contestant(name: str) -> Contestant:
     Parameters
     ----------
     name : str
-        ``human`` or ``human:LEVEL``, scripted.
+        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``human`` or
+        ``human:LEVEL``, a scripted hand; ``FILE.py:NAME``, a craft with a tactic of the user's.
 
     Returns
     -------
@@ -55,10 +59,65 @@ def contestant(name: str) -> Contestant:
     if kind == "human":
         skill = _by_level(SKILLS, level or "medium", name)
         return Contestant(name, hand=lambda play, seed: ScriptedHand(play, skill, seed))
-    raise InputError("nobody is called so; give human or human:LEVEL", field=name)
+    if kind == "airpuck":
+        return _flown(name, lambda: None, _by_level(LEVELS, level or "hard", name))
+    if ".py" in name:
+        return _flown(name, tactic_maker(name), LEVELS["hard"])
+    raise InputError(
+        "nobody is called so; give airpuck, airpuck:LEVEL, human, human:LEVEL or FILE.py:NAME",
+        field=name,
+    )
 
 
-def _by_level(levels: dict[str, Any], level: str, name: str) -> Any:
+def tactic_maker(name: str) -> Callable[[], Tactic]:
+    """Return what makes a user's tactic, named FILE.py:NAME."""
+    kind = load_class(name, "tactic")
+
+    def make() -> Tactic:
+        try:
+            tactic = kind()
+        # Whatever goes wrong in a user's class is for the user to mend.
+        except Exception as error:
+            problem = f"cannot be made without arguments: {type(error).__name__}: {error}"
+            raise InputError(problem, file=name) from error
+        if not isinstance(tactic, Tactic):
+            raise InputError("lacks decide(view); see docs/hockey.md", file=name)
+        return _Named(tactic, name)
+
+    return make
+
+
+class _Named:
+    """A user's tactic, whose failures name it: a `Tactic`."""
+
+    def __init__(self, tactic: Tactic, name: str) -> None:
+        self._tactic, self._name = tactic, name
+
+    def decide(self, view: View) -> Intention:
+        """Return what to do now; see `Tactic.decide`."""
+        try:
+            intention = self._tactic.decide(view)
+        except Exception as error:
+            problem = f"decide() at {view.time:.2f} s: {type(error).__name__}: {error}"
+            raise InputError(problem, file=self._name) from error
+        if not isinstance(intention, Intention):
+            problem = f"decide() must return an Intention, not {type(intention).__name__}"
+            raise InputError(problem, file=self._name)
+        return intention
+
+
+def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Contestant:
+    """Return a craft whose player has a tactic and a level."""
+
+    def player(model: Model, play: AirHockey, side: int, seed: int, opponent: float) -> Pilot:
+        return Player(
+            model, play, tactic(), level=level, side=side, seed=seed, opponent_radius=opponent
+        )
+
+    return Contestant(name, player=player)
+
+
+def _by_level(levels: Mapping[str, Any], level: str, name: str) -> Any:
     """Return what is meant by the name of a level."""
     if level not in levels:
         raise InputError(f"has no such level; give {', '.join(levels)}", field=name)
