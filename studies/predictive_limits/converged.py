@@ -30,13 +30,6 @@ from airpuck.physics.rollout import step
 _FIRST = 0.3
 
 
-def errors_and_efforts(regulator: Regulator) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights of squared errors (6,) and accelerations (3,), per second."""
-    w = regulator.weights
-    errors = np.array([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
-    return errors, np.array([w.acceleration, w.acceleration, w.angular_acceleration])
-
-
 def accelerations(dynamics: Dynamics, state: Any) -> Any:
     """Return the accelerations of states (6 + n, B): x, y, yaw."""
     return np.stack(acceleration(np, dynamics, state[2:6], state[6:]))
@@ -147,8 +140,7 @@ def _posed(model: Model, regulator: Regulator, dynamics: Dynamics) -> dict[str, 
     moved = with_symbols(lambda z, u: step(np, dynamics, z, u, h), z, u)
     following = ca.Function("f", [z, u], [moved])
     felt = ca.Function("a", [z], [with_symbols(lambda z: accelerations(dynamics, z), z)])
-    errors, efforts = errors_and_efforts(regulator)
-    parts = np.diag(errors * h), np.diag(efforts * h)
+    parts = np.diag(w.errors * h), np.diag(w.efforts * h)
     terminal = cost_to_go(*point_mass(h), *parts)
     states = [ca.SX.sym("z", size) for _ in range(count + 1)]
     chosen = [ca.SX.sym("u", n) for _ in range(count)]

@@ -15,7 +15,7 @@ from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 
-from .converged import Converged, Problem, accelerations, errors_and_efforts
+from .converged import Converged, Problem, accelerations
 from .flights import Flight, Pose, calm, craft, flown
 
 #: No rails: they have a study of their own.
@@ -26,14 +26,13 @@ _AREA = np.array([0.9, 0.4, np.pi])
 
 def flight_cost(flight: Flight, tuning: Tuning) -> float:
     """Integrate the regulator's cost over a flight."""
-    regulator, n = tuning.regulator, flight.command.shape[1]
-    errors, efforts = errors_and_efforts(regulator)
+    weights, n = tuning.regulator.weights, flight.command.shape[1]
     felt = accelerations(craft().dynamics, flight.state.T)
     sent = flight.sent.searchsorted(flight.time - craft().transport_delay, side="right") - 1
     held = np.where((sent >= 0)[:, None], flight.command[sent], 0.0)
     used = np.maximum(held - craft().vehicle.command_min, 0.0)
-    rate = flight.error**2 @ errors + efforts @ felt**2
-    rate += regulator.weights.command * (used**2 @ np.ones(n))
+    rate = flight.error**2 @ weights.errors + weights.efforts @ felt**2
+    rate += weights.command * (used**2 @ np.ones(n))
     return float(np.trapezoid(rate, flight.time))
 
 

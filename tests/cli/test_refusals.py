@@ -119,6 +119,12 @@ def test_a_file_that_the_controller_refuses_is_named(tmp_path):
         (tmp_path / "mine.toml").write_text(f"[weights]\n{line}\n")
         process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", cwd=tmp_path)
         assert refused(process, "mine.toml", "weights.position")
+    # More commands than can be decided in time: that depends on file and craft.
+    (tmp_path / "mine.toml").write_text("[regulator]\nblock = 1\nhorizon_s = 0.8\n")
+    process = airpuck(
+        *track, "paper:M4", "--tuning", "mine.toml", "--regulator", "mpc", cwd=tmp_path
+    )
+    assert refused(process, "mine.toml: regulator.block", "240 commands; at most 200")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """The predicted problem: against the rollout, finite differences and the cost itself."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ SPEED = RANDOM.uniform(0.2, 0.8, 6)
 START = np.concatenate([STATE, SPEED])
 COMMANDS = RANDOM.uniform(0.1, 0.9, (8, 6))
 #: [m/s²].
-BRAKE = _brake(MODEL.dynamics, MODEL.vehicle.command_max)
+BRAKE = float(_brake(np, MODEL.dynamics, MODEL.vehicle.command_max))
 PUSH = np.array([0.3, -0.2, 1.5])
 DRAGGED = replace(MODEL.dynamics, effects=(Drag(0.4),))
 
@@ -78,14 +78,16 @@ def test_compiled_it_is_the_same():
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-def posed(plan, wanted, *, state=STATE, model=MODEL, blocks=None, way=0.0, **limits):
+def posed(
+    plan, wanted, *, state=STATE, model=MODEL, blocks=None, way=0.0, shares=(1,) * 6, **limits
+):
     """Pose a problem with equal weights, and a fence of ± 1 m and ± 0.4 m."""
     regulator = default_tuning().regulator.model_copy(update={"limits": Limits(**limits)})
     blocks = blocks or Blocks(0.02, (2, 2, 2))
     count = len(blocks.times)
     ask = np.tile(wanted, (count, 1)), np.zeros((count, 3)), np.ones((count, 6)), np.eye(6)
     fence = np.array([[-1.0, -0.4], [1.0, 0.4]])
-    believed = state, SPEED, np.zeros(3), np.ones(6)
+    believed = state, SPEED, np.zeros(3), np.array(shares)
     discs = np.array(regulator.limits.keep_out_m).reshape(-1, 3)
     pose = stages(model, blocks, regulator, True)
     return pose(np, *believed, np.array(way), plan, *ask, fence, discs)
@@ -121,6 +123,28 @@ def test_braking_is_half_of_what_the_propellers_give_in_the_weakest_direction():
     strongest = control_authority(MODEL).together
     weakest = min(strongest[way] for way in ("forward", "back", "left", "right"))
     assert 0.4 * weakest < BRAKE < 0.505 * weakest
+
+
+@pytest.mark.parametrize("motor", range(6))
+def test_a_motor_that_is_nearly_dead_does_not_brake(motor):
+    shares = np.where(np.arange(6) == motor, 0.05, 1.0)
+    # The same craft, made of weak propellers.
+    thrust = MODEL.parameters.thrust * shares[:, None]
+    weak = replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
+    # The most that any of them at full speed give together, all others still, in any direction.
+    chosen = np.array(list(product([0.0, 1.0], repeat=6))).T
+    x, y, _ = acceleration(np, weak.dynamics, np.zeros((4, 64)), chosen)
+    ways = np.linspace(0, 2 * np.pi, 500)[:, None]
+    weakest = (np.cos(ways) * x + np.sin(ways) * y).max(axis=1).min()
+    s = posed(PLAN, np.zeros(6), shares=shares)
+    headway = Limits().headway_s + np.abs(s.states[:, 3:5]) / weakest
+    rows = s.limited[:, [0, 1], [3, 4]]
+    np.testing.assert_allclose(rows, headway, rtol=0.03)  # to a moment of the offset mass
+    assert weakest < 0.6 * 2 * BRAKE
+
+
+def test_a_craft_without_thrust_has_finite_limits():
+    assert np.isfinite(posed(PLAN, np.zeros(6), shares=np.zeros(6)).limited).all()
 
 
 def test_limits_are_met_by_changes_that_reach_them():

@@ -48,7 +48,8 @@ def replay(
     json_file: options.Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with those sent."""
-    craft, settings = inputs.read_belief(model), inputs.read_controls(tuning, regulator)
+    craft = inputs.read_belief(model)
+    settings = inputs.read_controls(tuning, regulator, craft)
     result = airpuck.replay(
         inputs.read_flight(flight, mapping),
         craft,
@@ -177,9 +178,11 @@ def track(
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
-    plant = airpuck.read_model(truth)
+    beliefs, plant = [inputs.read_belief(name) for name in names], airpuck.read_model(truth)
+    if predicts:
+        inputs.check_predictive(tuning, controls, *beliefs)
     tracked = airpuck.tracking_study(
-        [inputs.read_belief(name) for name in names],
+        beliefs,
         plant,
         flights=[None if path is None else inputs.read_flight(path, None) for path in paths],
         set_points=None if setpoints is None else read_setpoints(setpoints),

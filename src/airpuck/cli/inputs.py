@@ -124,19 +124,32 @@ def model_or_nominal(
     return given or nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
 
 
-def read_controls(path: Path | None, kind: str | None = None) -> Tuning:
+def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:
     """Read a tuning file, by default the packaged one, and check that it gives a regulator.
 
-    `kind` is the law to take, whatever the tuning says.
+    `kind` is the law to take, whatever the tuning says; a predictive one must suit the models.
     """
     from airpuck.control.lqr import regulator
     from airpuck.control.tuning import default_tuning
 
     tuning = default_tuning() if path is None else airpuck.read_tuning(path)
+    tuning = tuning if kind is None else tuning.with_regulator(kind)
     if path is not None:
         with about(path):
             regulator(tuning.weights, tuning.period_s)
-    return tuning if kind is None else tuning.with_regulator(kind)
+    if tuning.regulator.kind == "mpc":
+        check_predictive(path, tuning, *models)
+    return tuning
+
+
+def check_predictive(path: Path | None, tuning: Tuning, *models: Model) -> None:
+    """Refuse a tuning file whose predictive law does not suit the models."""
+    from airpuck.control.mpc import MPC
+
+    if path is not None:
+        with about(path):
+            for model in models:
+                MPC(model, tuning, compiled=False)
 
 
 def read_excitation(

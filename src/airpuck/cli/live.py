@@ -165,7 +165,7 @@ def fly(
     craft = inputs.model_or_nominal(model, vehicle)
     fence = _fence(geofence, craft)
     optimal = None if planned is None else _time_optimal(planned, craft, fence)
-    controls = inputs.read_controls(tuning, regulator)
+    controls = inputs.read_controls(tuning, regulator, craft)
     points = _set_points(setpoints, dwell, setpoints_file)
     check_inside(points, fence)
     reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)

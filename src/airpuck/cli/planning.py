@@ -162,7 +162,7 @@ def race(
             seeds=seeds,
             regulator=regulator,
             settings=settings,
-            tuning=inputs.read_controls(tuning),
+            tuning=inputs.read_controls(tuning, regulator, belief),
             progress=progress,
         )
     if figure is not None:

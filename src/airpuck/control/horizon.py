@@ -25,6 +25,8 @@ from airpuck.physics.thrust import thrust, thrust_curvature
 _EFFECTIVENESS = (0.02, 1.5)
 #: Share of the thrust that is counted on for braking before a fence.
 _BRAKING = 0.5
+#: Where motors that are dead leave nothing against some direction [m/s²].
+_LEAST_BRAKING = 0.1
 #: Distance to a fence per spin, and at most [m s/rad, m].
 _TURNING, _MOST_ROOM = 8e-4, 0.015
 #: Errors of the yaw between which a plan keeps its way round: a little less than half a turn either
@@ -128,9 +130,7 @@ def stages(
     fence (2, 2), discs (D, 3)) → stages.
     """
     dynamics, limits, owner = model.dynamics, regulator.limits, blocks.owner
-    brake = _brake(dynamics, model.vehicle.command_max)
-    w = regulator.weights
-    effort = blocks.step * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
+    most, effort = model.vehicle.command_max, blocks.step * regulator.weights.efforts
 
     def posed(
         xp: Any,
@@ -158,6 +158,7 @@ def stages(
         turned_over = (apart * way < 0) & (xp.abs(way) > _UNDECIDED) & (xp.abs(apart) > _UNDECIDED)
         apart = apart + 2 * np.pi * xp.sign(way) * turned_over
         error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
+        brake = _brake(xp, believed, most)
         limited = _limits(xp, limits, brake, states[:, :6], fence, discs)
         asked = error, accelerations - feedforward, weights, terminal
         bend = _bend(xp, believed, effort, blocks.step, along, asked)
@@ -235,23 +236,24 @@ def linearised(
     return states, felt(after).T + pushed, by_state, by_motion
 
 
-def _brake(dynamics: Dynamics, most: float) -> float:
+def _brake(xp: Any, dynamics: Dynamics, most: float) -> Num[Any, ""]:
     """Return an acceleration that a craft can count on in every direction [m/s²].
 
-    A share of what the propellers together give in their weakest one: it turns and allocates as
-    well, and packets get lost.
+    A share of what the propellers that work give together in their weakest one: it turns and
+    allocates as well, and packets get lost.
     """
     ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     turned = np.column_stack([np.cos(ways), np.sin(ways)])
-    full = thrust(dynamics.thrust, np.full(len(dynamics.thrust), most))
-    pushes = turned @ (np.asarray(dynamics.configuration)[:2] * full)
-    return _BRAKING * float(pushes.clip(0.0).sum(axis=1).min())
+    full = thrust(dynamics.thrust, xp.full(len(dynamics.thrust), most))
+    pushes = (turned @ np.asarray(dynamics.configuration)[:2]) * full
+    weakest = xp.min(xp.sum(xp.maximum(pushes, 0.0), axis=1))
+    return xp.maximum(_BRAKING * weakest, _LEAST_BRAKING)
 
 
 def _limits(
     xp: Any,
     limits: Any,
-    brake: float,
+    brake: Num[Any, ""],
     states: Num[Any, "N 6"],
     fence: Num[Any, "2 2"],
     discs: Num[Any, "D 3"],

@@ -20,6 +20,10 @@ from airpuck.control.horizon import Blocks, Stages
 from airpuck.control.tuning import Regulator
 from airpuck.craft.vehicle import Vehicle
 
+#: What the squared change of a command costs, beside its effect. The linearisation holds near the
+#: plan only: without this, plans of a craft that turns fast jump between two ways to brake.
+_DAMPING = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Answer:
@@ -40,25 +44,22 @@ class _Common:
 
     def __init__(self, vehicle: Vehicle, blocks: Blocks, regulator: Regulator) -> None:
         w, n = regulator.weights, vehicle.n_propellers
-        self.blocks, self.n, self.m = blocks, n, n * len(blocks.lengths)
+        self.n, self.m = n, n * len(blocks.lengths)
         self.most = regulator.iterations
         self.penalty = regulator.limits.penalty
-        #: Weights of accelerations and commands.
-        efforts = np.array([w.acceleration, w.acceleration, w.angular_acceleration])
-        self.effort = efforts * blocks.step
+        #: Weights of accelerations, of commands, and of their changes.
+        self.effort = w.efforts * blocks.step
         self.used = np.repeat(w.command * blocks.step * np.array(blocks.lengths), n)
+        self.changed = self.used + _DAMPING
         self.least, self.greatest = vehicle.command_min, vehicle.command_max
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all but the solver's memory: what a compiled `form` is known by."""
-        return {k: v for k, v in vars(self).items() if k not in ("_model", "_solver")}
+        return {k: v for k, v in vars(self).items() if k not in ("_model", "_solver", "_astray")}
 
 
 #: A bound that nothing reaches [m, m/s, rad/s]: PIQP wants one on either side of every row.
 _FAR = 1e6
-#: What the squared change of a command costs, beside its effect. The linearisation holds near the
-#: plan only: without this, plans of a craft that turns fast jump between two ways to brake.
-_DAMPING = 0.5
 #: How DAQP takes a limit.
 _HARD, _SOFT = 0, 8
 #: What DAQP says of a solution within all limits, and beyond soft ones.
@@ -84,6 +85,7 @@ class Condensed(_Common):
         self._model = daqp.Model()
         self._model.setup(*empty, one, -one, self._senses)
         self._model.settings = {"iter_limit": self.most}
+        self._astray = False
         # To exceed by s costs w s + w s²/2. The settings of all at once are for scaled rows.
         linear, curved = self.penalty * one, one / self.penalty
         self._model.soft_weights(rho_l=curved, rho_u=curved, w_l=linear, w_u=linear)
@@ -110,7 +112,7 @@ class Condensed(_Common):
         rows = [part.reshape(-1, m) for part in (weighted, effort, bent, pose, pushes, speeds)]
         left = xp.concatenate([xp.ravel(s.error), xp.ravel(s.excess)])
         product = xp.concatenate(rows[:3]).T
-        hessian = product @ xp.concatenate(rows[3:]) + xp.diag(self.used + _DAMPING)
+        hessian = product @ xp.concatenate(rows[3:]) + xp.diag(self.changed)
         plan = xp.ravel(s.plan)
         gradient = product[:, : len(left)] @ left + self.used * (plan - self.least)
         limited = (s.limited @ pose).reshape(-1, m)
@@ -119,19 +121,21 @@ class Condensed(_Common):
         return hessian, gradient, limited, lower, upper, pose
 
     def solve(self, formed: Sequence[Float[np.ndarray, "..."]]) -> Answer | None:
-        """Solve from the last active set, or else anew."""
+        """Solve from the last active set; anew after one that led nowhere."""
         hessian, gradient, rows, lower, upper, pose = formed
         if not math.isfinite(hessian.sum() + gradient.sum() + rows.sum()):
             return None
         given = {"H": hessian, "f": gradient, "A": rows, "bupper": upper, "blower": lower}
-        # The active set of a very different problem can send it round in circles.
-        for start in ({}, {"sense": self._senses}):
-            if self._model.update(**given, **start) < 0:
-                continue
+        # The active set of a very different problem can send it round in circles; but one that was
+        # found anew and not to the end is worth going on with. One attempt a period: it is to end.
+        start = {"sense": self._senses} if self._astray else {}
+        if self._model.update(**given, **start) >= 0:
             x, _, flag, info = self._model.solve()
             if flag in (_OPTIMAL, _SOFTENED):
+                self._astray = False
                 binding, exceeded = info["lam"] != 0, flag == _SOFTENED
                 return Answer(x.reshape(-1, self.n), pose @ x, binding, exceeded)
+        self._astray = not self._astray
         return None
 
 
@@ -166,7 +170,7 @@ class Multistage(_Common):
 
     def __init__(self, vehicle: Vehicle, blocks: Blocks, regulator: Regulator, count: int) -> None:
         super().__init__(vehicle, blocks, regulator)
-        self._size, self._count = 6 + self.n, count
+        self._size = 6 + self.n
         lengths = np.array(blocks.lengths)
         # In turn: the commands of a block, then state and slacks of each of its steps.
         held, each = np.arange(len(lengths)), self._size + count
@@ -235,7 +239,7 @@ class Multistage(_Common):
         if not math.isfinite(cost.sum() + slope.sum() + moved.sum()):
             return None
         ones, penalties = np.ones(lower.size), np.full(lower.size, self.penalty)
-        p = self._cost.filled(np.concatenate([cost.ravel(), self.used + _DAMPING, penalties]))
+        p = self._cost.filled(np.concatenate([cost.ravel(), self.changed, penalties]))
         total = p.shape[0]
         c, least, most = np.zeros(total), np.full(total, -np.inf), np.full(total, np.inf)
         c[self._z], c[self._u], c[self._s] = slope, push.reshape(-1, self.n), self.penalty

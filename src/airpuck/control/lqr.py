@@ -75,10 +75,7 @@ def regulator(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:
     InputError
         If the weights give no stabilising regulator.
     """
-    w = weights
-    q = np.diag([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
-    r = np.diag([w.acceleration, w.acceleration, w.angular_acceleration])
-    return lqr(*point_mass(period), q, r)
+    return lqr(*point_mass(period), np.diag(weights.errors), np.diag(weights.efforts))
 
 
 class LQR:

@@ -81,7 +81,7 @@ class MPC:
         #: Steers where there is no plan.
         self.fallback = LQR(model, tuning, gain=gain, **options)
         regulator, vehicle = tuning.regulator, model.vehicle
-        limits, w = regulator.limits, regulator.weights
+        limits = regulator.limits
         self._blocks = blocks = Blocks.of(regulator)
         decided = vehicle.n_propellers * len(blocks.lengths)
         if decided > _MOST_COMMANDS:
@@ -102,10 +102,9 @@ class MPC:
         posed = stages(model, blocks, regulator, reject_disturbance)
         #: See `airpuck.control.law.Law`.
         self.stage = _stage(posed, self._solver.form)
-        errors = np.array([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
-        self._efforts = np.array([w.acceleration, w.acceleration, w.angular_acceleration])
-        parts = np.diag(errors * blocks.step), np.diag(self._efforts * blocks.step)
-        self._weights = np.tile(errors * blocks.step, (count, 1))
+        errors, self._efforts = regulator.weights.errors * blocks.step, regulator.weights.efforts
+        self._weights = np.tile(errors, (count, 1))
+        parts = np.diag(errors), np.diag(self._efforts * blocks.step)
         self._terminal = cost_to_go(*point_mass(blocks.step), *parts)
         self._range = vehicle.command_min, vehicle.command_max
         self._first = np.full((len(blocks.lengths), vehicle.n_propellers), _FIRST).clip(

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pydantic
+from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import (
@@ -45,6 +47,17 @@ class Weights(Section):
     acceleration: PositiveWeight
     angular_acceleration: PositiveWeight
 
+    @property
+    def errors(self) -> Float[np.ndarray, " 6"]:
+        """Those on x, y, γ and their rates."""
+        pose, rates = [self.position, self.position, self.yaw], [self.speed, self.speed, self.spin]
+        return np.array(pose + rates)
+
+    @property
+    def efforts(self) -> Float[np.ndarray, " 3"]:
+        """Those on the accelerations of x, y and γ."""
+        return np.array([self.acceleration, self.acceleration, self.angular_acceleration])
+
 
 class Allocation(Section):
     """Settings of the thrust allocation."""
@@ -59,7 +72,7 @@ class PredictiveWeights(Weights):
     """Weights of the predictive law: those of the regulator mean the same; and of the commands."""
 
     #: On what commands are above idle.
-    command: PositiveWeight = 1e-3
+    command: PositiveWeight = 0.05
 
 
 class Limits(Section):
@@ -110,7 +123,7 @@ class Regulator(Section):
     ] = (1, 1, 2, 2, 3)
     solver: Literal["daqp", "piqp"] = "daqp"
     #: Of the solver, at most.
-    iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 500
+    iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 400
     weights: PredictiveWeights
     limits: Limits = Limits()
 
@@ -204,9 +217,7 @@ class Tuning(Section):
         InputError
             If there is none of this name.
         """
-        _known(estimator, ESTIMATORS, "estimation.estimator")
-        estimation = self.estimation.model_copy(update={"estimator": estimator})
-        return self.model_copy(update={"estimation": estimation})
+        return self._with("estimation", "estimator", estimator, ESTIMATORS)
 
     def with_regulator(self, kind: str) -> Tuning:
         """Return the same tuning with a law.
@@ -226,9 +237,15 @@ class Tuning(Section):
         InputError
             If there is none of this name.
         """
-        _known(kind, REGULATORS, "regulator.kind")
-        regulator = self.regulator.model_copy(update={"kind": kind})
-        return self.model_copy(update={"regulator": regulator})
+        return self._with("regulator", "kind", kind, REGULATORS)
+
+    def _with(self, section: str, key: str, name: str, names: tuple[str, ...]) -> Tuning:
+        """Exchange a name; refuse one that is none of those."""
+        if name not in names:
+            problem = f"must be {' or '.join(map(repr, names))}, not {name!r}"
+            raise InputError(problem, field=f"{section}.{key}")
+        changed = getattr(self, section).model_copy(update={key: name})
+        return self.model_copy(update={section: changed})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the tuning as TOML.
@@ -240,12 +257,6 @@ class Tuning(Section):
         """
         content = self.model_dump(mode="json", exclude_none=True)
         write_toml(path, content, header="An airpuck controller tuning.")
-
-
-def _known(name: str, names: tuple[str, ...], field: str) -> None:
-    """Refuse a name that is not one of those."""
-    if name not in names:
-        raise InputError(f"must be {' or '.join(map(repr, names))}, not {name!r}", field=field)
 
 
 def read_tuning(path: str | os.PathLike[str]) -> Tuning:
