@@ -125,6 +125,19 @@ def test_a_craft_and_the_mallet_do_not_overlap(plant):
     assert twin.state[3] < -0.01
 
 
+def test_steps_of_a_rounding_error_do_not_change_the_speed_of_a_hand():
+    hand = HandMallet(Mallet(), Table(), 0.85, 0.0)
+    hand.target = 0.3, 0.35
+    for k in range(60):
+        h = (0.0041, 5.6e-17)[k % 2]  # times of events differ by roundings
+        way = hand.moving(h)
+        way.x, way.y = way.to_x, way.to_y
+        before = hand.vx, hand.vy
+        hand.arrive(way, h)
+        change = math.hypot(hand.vx - before[0], hand.vy - before[1])
+        assert change <= 40.0 * h + 1e-9
+
+
 @pytest.mark.parametrize("target", [(0.2, 0.3), (0.9, -0.4), (5.0, 5.0), (-5.0, 0.0)])
 def test_a_hand_keeps_to_its_limits_and_arrives(target):
     limits, table = Mallet(speed_m_s=3.0, acceleration_m_s2=30.0), Table()

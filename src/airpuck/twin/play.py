@@ -15,6 +15,9 @@ from airpuck.twin.craft import Craft
 from airpuck.twin.plant import LONGEST_STEP
 from airpuck.twin.puck import Moving, PuckOnTable
 
+#: A step that lasts no longer is a rounding error of times: it tells nothing of speed [s].
+_NO_TIME = 1e-9
+
 
 class HandMallet:
     """The human's mallet: it goes to where the hand wants it, as fast as a hand can.
@@ -105,9 +108,8 @@ class HandMallet:
 
     def arrive(self, way: Moving, duration: float, hit: bool = False) -> None:
         """Be where its way has led; a wedged puck may have held it back."""
-        if not duration > 0:
-            return
-        self.vx, self.vy = (way.x - self.x) / duration, (way.y - self.y) / duration
+        if duration > _NO_TIME:
+            self.vx, self.vy = (way.x - self.x) / duration, (way.y - self.y) / duration
         self.x, self.y = way.x, way.y
 
 
