@@ -35,6 +35,7 @@ ORDER = (
     "live",
     "campaigns",
     "report",
+    "arena",
     "cli",
 )
 LEVEL = {room: level for level, room in enumerate(ORDER)}
@@ -83,6 +84,7 @@ def test_imports_go_downwards(path):
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),
         ("viser", {"live"}),
+        ("websockets", {"live", "arena"}),
         ("mcap", {"recording"}),
         ("dask", {"campaigns"}),
         ("distributed", {"campaigns"}),

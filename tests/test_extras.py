@@ -20,6 +20,7 @@ FIRST_USE = (
         "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
         "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
     },
+    {"play": "airpuck play --no-browser --port 8392 --duration 0.2 --quiet"},
     {"campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet"},
 )
 SPEC = 'kind = "tracking"\nseeds = 1\nbase.dwell_s = 0.2\n'

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.compute.process import prioritize
 from airpuck.live import process
 from airpuck.live.clock import Clock
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, Graph, Sample
-from airpuck.live.process import Inbox, LiveSettings, Process, prioritize
+from airpuck.live.process import Inbox, LiveSettings, Process
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 

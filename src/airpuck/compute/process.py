@@ -8,9 +8,11 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
+#: Priority above ordinary processes, below the system's own.
+_PRIORITY = 10
 #: After this time a signal is sent again whose exception was lost [s].
 _AGAIN = 0.01
 
@@ -57,6 +59,13 @@ def stoppable() -> Iterator[None]:
         for number in taken:
             signal.signal(number, usual[number])
         sys.unraisablehook = hook
+
+
+def prioritize(*, first: bool) -> None:
+    """Ask the system to run this thread before all others, or as any other; it may refuse."""
+    with suppress(OSError, AttributeError):
+        policy, priority = (os.SCHED_FIFO, _PRIORITY) if first else (os.SCHED_OTHER, 0)
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
 
 
 def usable_cores() -> int:

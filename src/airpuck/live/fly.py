@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.compute.process import prioritize
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.link import Measurement
@@ -24,7 +25,7 @@ from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.clock import LoopTiming
 from airpuck.live.plan import PlanOutbox
-from airpuck.live.process import Inbox, LiveSettings, Outbox, Process, prioritize
+from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
 from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.model.model_file import Model

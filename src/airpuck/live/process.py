@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import math
-import os
 import signal
 import time
 from collections.abc import Iterator
@@ -33,8 +31,6 @@ _QUALITY = {"estimate": STATE, "reference": STATE}
 _HEARTBEAT = 1.0
 #: Time for discovery to find who is there, before one may say that nobody is [s].
 _LOOK_AROUND = 0.6
-#: Priority above ordinary processes, below the system's own.
-_PRIORITY = 10
 #: A difference between clocks that is worth a warning [s].
 _NOTABLE_OFFSET = 0.1
 #: A process that did not look for this long stood still [s]; messages that waited for it in the
@@ -268,10 +264,3 @@ class Outbox:
         """Send the last numbers again, if that was a second ago, for those that came late."""
         if self._last is not None and self._clock.now - self.sent > _REMIND:
             self.send(self._last)
-
-
-def prioritize(*, first: bool) -> None:
-    """Ask the system to run this thread before all others, or as any other; it may refuse."""
-    with contextlib.suppress(OSError, AttributeError):
-        policy, priority = (os.SCHED_FIFO, _PRIORITY) if first else (os.SCHED_OTHER, 0)
-        os.sched_setscheduler(0, policy, os.sched_param(priority))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from airpuck.live.process import Inbox, LiveSettings, Outbox, Process, prioritize
+from airpuck.compute.process import prioritize
+from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings

@@ -1,0 +1,94 @@
+"""What the page of a game and its server tell each other.
+
+Where everything is goes as packed numbers, a hundred times a second; all else is JSON. What comes
+from a page is checked here: it may be anything.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+#: What a page may ask for, beside where the mallet shall be.
+Deed = Literal["go", "pause", "restart", "level", "sit", "think"]
+DEEDS = get_args(Deed)
+#: The longest message of a page that may be meant [bytes].
+LONGEST = 64
+
+_WISH = struct.Struct("<Iff")
+_STATE = struct.Struct("<dIB3x")
+
+
+class Wish(NamedTuple):
+    """Where a page wants the mallet."""
+
+    #: The how manieth of the page it is.
+    number: int
+    #: [m].
+    x: float
+    y: float
+
+
+class Order(NamedTuple):
+    """Something else that a page asks for."""
+
+    do: Deed
+    #: A level, where one is chosen.
+    level: str = ""
+    #: Whether thoughts are to be shown.
+    on: bool = False
+
+
+def read_message(message: str | bytes) -> Wish | Order | None:
+    """Return what a page asks for; None for what no page of ours sends."""
+    if len(message) > LONGEST:
+        return None
+    return _read_wish(message) if isinstance(message, bytes) else _read_order(message)
+
+
+def packed_wish(wish: Wish) -> bytes:
+    """Return the message of a wish."""
+    return _WISH.pack(*wish)
+
+
+def packed_state(
+    time: float,
+    heard: int,
+    hidden: bool,
+    puck: Sequence[float],
+    mallet: Sequence[float],
+    craft: Sequence[float],
+    commands: Sequence[float],
+) -> bytes:
+    """Return the message of a state.
+
+    Puck: x, y, yaw; mallet: x, y and their rates; craft: x, y, yaw. `heard` is the number of the
+    newest wish that the game has taken.
+    """
+    numbers = [*puck[:3], *mallet[:4], *craft[:3], *commands]
+    return _STATE.pack(time, heard, hidden) + struct.pack(f"<{len(numbers)}f", *numbers)
+
+
+def _read_wish(data: bytes) -> Wish | None:
+    """Return a wish, if it is one."""
+    if len(data) != _WISH.size:
+        return None
+    wish = Wish(*_WISH.unpack(data))
+    return wish if math.isfinite(wish.x) and math.isfinite(wish.y) else None
+
+
+def _read_order(text: str) -> Order | None:
+    """Return an order, if it is one."""
+    try:
+        order: Any = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(order, dict) or order.get("do") not in DEEDS:
+        return None
+    level, on = order.get("level", ""), order.get("on", False)
+    if not isinstance(level, str) or not isinstance(on, bool):
+        return None
+    return Order(order["do"], level, on)

@@ -1,0 +1,59 @@
+"""Commands that play air hockey with a person."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from typer import Option
+
+from airpuck.boundary import numbers
+from airpuck.cli import inputs, options
+from airpuck.cli.app import app
+from airpuck.cli.output import report, say
+
+
+@app.command(rich_help_panel="Air hockey")
+def play(
+    level: Annotated[
+        Literal["easy", "medium", "hard"],
+        Option(help="Of the craft: thrust, reaction, aim; the page can change it."),
+    ] = "medium",
+    port: Annotated[int, options.number("N", "Port of the page.", numbers.PORT)] = 8088,
+    no_browser: Annotated[
+        bool, Option("--no-browser", help="Serve the page, but do not open it.")
+    ] = False,
+    interface: Annotated[
+        str | None,
+        Option(
+            metavar="NAME",
+            help="Network interface, such as wlan0, for a phone; by default this machine alone.",
+        ),
+    ] = None,
+    model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
+    settings: options.TwinFile = None,
+    seed: options.Seed = 0,
+    duration: Annotated[
+        float | None,
+        options.number(
+            "S", "How long to serve; by default until Ctrl-C.", numbers.LIVE_DURATION, "--duration"
+        ),
+    ] = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Play air hockey against the craft, in the browser; Ctrl-C ends."""
+    from airpuck.arena.session import ArenaSettings, play_in_browser
+    from airpuck.compute.process import low_latency
+
+    arena = ArenaSettings(port, interface, not no_browser, duration)
+    craft, table = inputs.read_belief(model), inputs.read_twin(settings)
+    low_latency()
+    figures = play_in_browser(craft, arena, level=level, settings=table, seed=seed, tell=say(quiet))
+    left, right = figures["score"]
+    report(
+        figures,
+        json_file,
+        f"airpuck {left} : {right} you; physics behind real time at most "
+        f"{figures['behind_real_time_ms']['max']:.1f} ms",
+        quiet=quiet,
+    )

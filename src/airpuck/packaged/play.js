@@ -1,0 +1,335 @@
+// The page of a game. The server has the authority: it sends where everything is, and is sent where
+// the hand is. Between its states this page interpolates; the own mallet it predicts.
+"use strict";
+
+const byId = name => document.getElementById(name);
+// So much behind the newest state is drawn [s]: one period of the server and some jitter.
+const BEHIND = 0.012;
+// States farther apart than this are no motion, but a puck that was put somewhere [m].
+const JUMP = 0.15;
+// On a touch screen the mallet is this far before the finger, to be seen [pixels].
+const BEFORE_FINGER = 56;
+// The trail of the puck [s].
+const TRAIL = 0.35;
+
+let table, hello, socket, role = "watcher";
+let status = { phase: "waiting", score: [0, 0], level: "" };
+const states = [];          // oldest first
+const arrivals = [];        // [when, how far this page's clock is ahead of the state's] [s]
+const trail = [];           // [x, y, when]
+let thought = null, thinking = false;
+
+// The connection -------------------------------------------------------------------------------
+function connect() {
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/`);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = ({ data }) => typeof data === "string" ? hear(JSON.parse(data)) : see(data);
+  socket.onclose = () => {
+    role = "lost";
+    states.length = arrivals.length = 0;
+    showCard();
+    setTimeout(connect, 1000);
+  };
+}
+function tell(what) {
+  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(what));
+}
+function hear(news) {
+  if (news.is === "hello") begin(news);
+  else if (news.is === "role") { role = news.role; showCard(); }
+  else if (news.is === "status") showStatus(news);
+  else if (news.is === "event") notice(news);
+  else if (news.is === "thought") thought = news;
+}
+
+// A state: time f64, wishes heard u32, flags u8 …, then f32: puck x, y, yaw; mallet x, y, vx, vy; craft
+// x, y, yaw; commands of its motors.
+function see(data) {
+  const view = new DataView(data);
+  const numbers = Array.from({ length: (data.byteLength - 16) / 4 },
+    (_, k) => view.getFloat32(16 + 4 * k, true));
+  const state = {
+    time: view.getFloat64(0, true), heard: view.getUint32(8, true), hidden: view.getUint8(12) & 1,
+    puck: numbers.slice(0, 3), mallet: numbers.slice(3, 7), craft: numbers.slice(7, 10),
+    commands: numbers.slice(10),
+  };
+  const now = performance.now() / 1000, newest = states.at(-1);
+  if (newest && state.time < newest.time) states.length = 0;
+  const ahead = now - state.time;
+  // After a pause this page's clock is ahead by more.
+  if (arrivals.length && (now - arrivals.at(-1)[0] > 0.25 || ahead - arrivals.at(-1)[1] > 0.25))
+    arrivals.length = 0;
+  arrivals.push([now, ahead]);
+  while (now - arrivals[0][0] > 2) arrivals.shift();
+  states.push(state);
+  while (states.length > 2 && states[1].time < state.time - 0.5) states.shift();
+}
+function clockAhead() {
+  let least = Infinity;
+  for (const [, ahead] of arrivals) least = Math.min(least, ahead);
+  return least;
+}
+
+// What is seen at a moment on the server's clock -----------------------------------------------
+function stateAt(time) {
+  let k = states.length - 1;
+  while (k > 0 && states[k].time > time) k--;
+  const before = states[k], after = states[k + 1];
+  if (!after || time <= before.time) return before;
+  const share = (time - before.time) / (after.time - before.time);
+  const between = (from, to) => Math.hypot(to[0] - from[0], to[1] - from[1]) > JUMP ? to
+    : from.map((value, i) => value + share * (i === 2 ? turn(to[i] - value) : to[i] - value));
+  return { ...before, hidden: before.hidden || after.hidden, puck: between(before.puck, after.puck),
+    craft: between(before.craft, after.craft), mallet: between(before.mallet, after.mallet) };
+}
+function turn(angle) {
+  return angle - TURN * Math.round(angle / TURN);
+}
+
+// The own mallet: the server's law of motion, from its newest state on, towards where the hand is ----
+const wishes = [];          // [when sent on this page's clock, x, y]
+let wishNumber = 0;
+const sentAt = new Map();   // number of a wish: time of its pointer event [ms]
+function wish(event) {
+  if (role !== "player" || !table) return;
+  const box = table.canvas.getBoundingClientRect();
+  let px = event.clientX - box.left, py = event.clientY - box.top;
+  if (event.pointerType === "touch") table.tall ? py -= BEFORE_FINGER : px -= BEFORE_FINGER;
+  const [x, y] = table.toMetres(px, py), data = new DataView(new ArrayBuffer(12));
+  wishNumber++;
+  data.setUint32(0, wishNumber, true);
+  data.setFloat32(4, x, true);
+  data.setFloat32(8, y, true);
+  if (socket.readyState === WebSocket.OPEN) socket.send(data.buffer);
+  wishes.push([performance.now() / 1000, x, y]);
+  while (wishes.length > 200) wishes.shift();
+  sentAt.set(wishNumber, event.timeStamp);
+}
+function allowed(x, y) {
+  const [length, width] = hello.table, r = hello.hockey.mallet;
+  return [Math.max(r, Math.min(x, length / 2 - r)),
+    Math.max(r - width / 2, Math.min(y, width / 2 - r))];
+}
+// One step of the mallet, as in `twin/play.py`.
+function moved([x, y, vx, vy], [wantedX, wantedY], duration) {
+  const { speed: fastest, acceleration: hardest } = hello.mallet;
+  const [toX, toY] = allowed(wantedX, wantedY), dx = toX - x, dy = toY - y;
+  const distance = Math.hypot(dx, dy), reserve = hardest * duration;
+  const brakes = Math.sqrt(reserve ** 2 / 4 + 2 * hardest * distance) - reserve / 2;
+  const pace = distance ? Math.min(fastest, brakes, distance / duration) / distance : 0;
+  const changeX = pace * dx - vx, changeY = pace * dy - vy, change = Math.hypot(changeX, changeY);
+  const share = change ? Math.min(1, reserve / change) : 0;
+  const [atX, atY] = allowed(x + (vx + share * changeX) * duration,
+    y + (vy + share * changeY) * duration);
+  return [atX, atY, (atX - x) / duration, (atY - y) / duration];
+}
+function predictedMallet(ahead, now) {
+  const newest = states.at(-1);
+  if (role !== "player" || status.phase !== "play" || !wishes.length) return newest.mallet;
+  // A wish of this moment is heard after the way to the server, which takes as long as that back.
+  const until = Math.min(now - ahead + 0.005, newest.time + 0.1);
+  let mallet = newest.mallet;
+  for (let time = newest.time; time < until - 1e-4; time += hello.period) {
+    let k = wishes.length - 1;
+    while (k > 0 && wishes[k][0] - ahead > time) k--;
+    mallet = moved(mallet, wishes[k].slice(1), Math.min(hello.period, until - time));
+  }
+  return mallet;
+}
+
+// Drawing --------------------------------------------------------------------------------------
+const figures = { frames: [], latencies: [] };   // [ms]
+window.airpuck = { figures, states, status: () => status };
+function resize() {
+  table.tall = innerHeight > innerWidth;
+  table.resize();
+}
+function draw(stamp) {
+  requestAnimationFrame(draw);
+  figures.frames.push(stamp);
+  if (figures.frames.length > 3600) figures.frames.shift();
+  if (!states.length) return;
+  const now = performance.now() / 1000, ahead = clockAhead();
+  const seen = stateAt(now - ahead - BEHIND), mallet = predictedMallet(ahead, now);
+  table.clear();
+  leaveTrail(seen, now);
+  table.drawTrail(trail.map(point => point && [point[0], point[1], (now - point[2]) / TRAIL]));
+  if (thinking && thought && status.phase === "play") {
+    if (thought.predicted) table.drawPath(thought.predicted, hello.colors.grey);
+    table.drawIntention(thought);
+  }
+  table.drawCraft(seen.craft, true, hello.colors.left);
+  table.drawThrusts(seen.craft, thrustsOf(hello.craft, seen.commands));
+  if (!seen.hidden) table.drawPuck(seen.puck);
+  table.drawMallet(mallet);
+  for (const [number, sent] of sentAt) {
+    if (number > seen.heard) break;
+    sentAt.delete(number);
+    figures.latencies.push(performance.now() - sent);
+  }
+  if (figures.latencies.length > 3600) figures.latencies.splice(0, 600);
+  showFigures(now);
+}
+function leaveTrail({ hidden, puck: [x, y] }, now) {
+  const last = trail.at(-1);
+  if (hidden) { if (last) trail.push(null); }
+  else {
+    if (last && Math.hypot(x - last[0], y - last[1]) > JUMP) trail.push(null);
+    trail.push([x, y, now]);
+  }
+  while (trail.length && (!trail[0] || now - trail[0][2] > TRAIL)) trail.shift();
+}
+let figuresShown = 0;
+function showFigures(now) {
+  if (now - figuresShown < 0.5) return;
+  figuresShown = now;
+  const { frames, latencies } = figures, recent = frames.slice(-61);
+  const rate = 1000 * (recent.length - 1) / (recent.at(-1) - recent[0]);
+  const late = latencies.slice(-200).sort((a, b) => a - b);
+  const p95 = late.length ? `, pointer to pixel ${late[Math.floor(0.95 * late.length)].toFixed(0)} ms` : "";
+  byId("figures").textContent = thinking ? `${rate.toFixed(0)} frames/s${p95}` : "";
+  byId("said").textContent = thinking && thought ? thought.said : "";
+}
+
+// Score, cards, calls --------------------------------------------------------------------------
+function begin(news) {
+  hello = news;
+  if (!table) {
+    table = new TableCanvas(byId("table"), { ...hello, bare: true });
+    requestAnimationFrame(draw);
+  }
+  Object.assign(table, hello);
+  byId("left-name").textContent = hello.names[0];
+  byId("levels").replaceChildren(...hello.levels.map(level => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = level;
+    button.onclick = () => tell({ do: "level", level });
+    return button;
+  }));
+  document.title = `airpuck – ${hello.names[0]}`;
+  resize();
+  if (thinking) tell({ do: "think", on: true });
+}
+function showStatus(news) {
+  status = news;
+  byId("left").textContent = status.score[0];
+  byId("right").textContent = status.score[1];
+  for (const button of byId("levels").children)
+    button.setAttribute("aria-pressed", button.textContent === status.level);
+  showCard();
+}
+const POINTER = matchMedia("(pointer: coarse)").matches ? "your finger" : "the mouse";
+function card() {
+  const [left, right] = status.score;
+  const keys = POINTER === "the mouse" ? "Space pauses, R begins again, T shows what the craft thinks." : "";
+  if (role === "lost") return ["Connection lost", "Is airpuck play still running? This page keeps trying.", ""];
+  if (role === "watcher")
+    return status.phase === "waiting"
+      ? ["The seat is free", "Whoever had it has left.", "Play"] : null;
+  switch (status.phase) {
+    case "starting": return ["One moment", "The craft is getting ready.", ""];
+    case "ready": return ["You against the craft",
+      `Move the orange mallet with ${POINTER}. First to ${hello.first_to}; a puck that stays on one ` +
+      `side for ${hello.foul_s} s goes to the other.`, "Play", keys];
+    case "paused": return ["Paused", `${left} : ${right}`, "Go on", keys];
+    case "over": return right > left
+      ? ["You win", `${right} : ${left}. Well played.`, "Play again"]
+      : ["The craft wins", `${left} : ${right}. Another one?`, "Play again"];
+    default: return null;
+  }
+}
+function showCard() {
+  const content = card(), watching = role === "watcher" && status.phase !== "waiting";
+  byId("card").hidden = !content;
+  document.body.classList.toggle("plays", !content && role === "player");
+  for (const button of document.querySelectorAll("#pause, #restart, #levels button"))
+    button.disabled = role !== "player";
+  byId("right-name").textContent = role === "player" ? "you" : watching ? "player (you watch)" : "player";
+  if (!content) return;
+  const [title, words, go, hint] = content;
+  byId("title").textContent = title;
+  byId("words").textContent = words;
+  byId("go").textContent = go;
+  byId("go").hidden = !go;
+  byId("hint").textContent = hint || "";
+  byId("hint").hidden = !hint;
+}
+function call(words, color) {
+  const element = byId("call");
+  element.textContent = words;
+  element.style.color = color;
+  element.classList.remove("shown");
+  void element.offsetWidth;  // starts the animation again
+  element.classList.add("shown");
+}
+function notice({ kind, side, strength }) {
+  const { left, right } = hello.colors;
+  if (kind === "goal") {
+    call("Goal!", side > 0 ? right : left);
+    sound(side > 0 ? [523, 659, 784] : [392, 330, 262], 0.12, 0.18, "triangle");
+  } else if (kind === "foul") {
+    call("Foul", "#66707a");
+    sound([220, 220], 0.15, 0.12, "square");
+  } else sound([{ rail: 900, post: 1400, mallet: 340, craft: 260 }[kind]], 0.045,
+    Math.min(0.3, strength), "sine");
+}
+
+// Sound ----------------------------------------------------------------------------------------
+let audio = null, loud = localStorage.getItem("sound") !== "off";
+function sound(tones, lasts, volume, shape) {
+  if (!loud || !audio || audio.state !== "running") return;
+  tones.forEach((tone, k) => {
+    const begins = audio.currentTime + 0.8 * k * lasts;
+    const source = audio.createOscillator(), gain = audio.createGain();
+    source.type = shape;
+    source.frequency.setValueAtTime(tone, begins);
+    if (tones.length === 1) source.frequency.exponentialRampToValueAtTime(tone / 2, begins + lasts);
+    gain.gain.setValueAtTime(volume, begins);
+    gain.gain.exponentialRampToValueAtTime(1e-3, begins + lasts);
+    source.connect(gain).connect(audio.destination);
+    source.start(begins);
+    source.stop(begins + lasts);
+  });
+}
+function wakeSound() {
+  audio ??= window.AudioContext ? new AudioContext() : null;
+  if (audio?.state === "suspended") audio.resume();
+}
+
+// Hands and buttons ----------------------------------------------------------------------------
+function press(button, on) {
+  byId(button).setAttribute("aria-pressed", on);
+}
+const actions = {
+  go: () => tell({ do: role === "watcher" ? "sit" : status.phase === "over" ? "restart" : "go" }),
+  pause: () => tell({ do: status.phase === "paused" ? "go" : "pause" }),
+  restart: () => tell({ do: "restart" }),
+  think: () => { thinking = !thinking; thought = null; press("think", thinking); tell({ do: "think", on: thinking }); },
+  sound: () => { loud = !loud; localStorage.setItem("sound", loud ? "on" : "off"); press("sound", loud); },
+};
+const keys = { " ": "pause", p: "pause", r: "restart", t: "think", m: "sound" };
+for (const name of Object.keys(actions))
+  byId(name).onclick = event => { wakeSound(); actions[name](); event.currentTarget.blur(); };
+addEventListener("keydown", event => {
+  const name = keys[event.key.toLowerCase()];
+  if (!name || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+  event.preventDefault();
+  const offered = !byId("card").hidden && !byId("go").hidden;
+  wakeSound();
+  actions[name === "pause" && offered ? "go" : name]();
+});
+press("sound", loud);
+byId("table").addEventListener("pointerdown", event => {
+  wakeSound();
+  byId("table").setPointerCapture(event.pointerId);
+  wish(event);
+});
+byId("table").addEventListener("pointermove", wish);
+addEventListener("contextmenu", event => event.preventDefault());
+addEventListener("resize", () => table && resize());
+// A page that is not seen does not play.
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden && role === "player" && status.phase === "play") tell({ do: "pause" });
+});
+connect();

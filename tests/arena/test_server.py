@@ -1,0 +1,274 @@
+"""The page's server against hostile pages; the test is the game at the other end of its pipe."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import json
+import multiprocessing
+import os
+import signal
+import socket
+import struct
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from airpuck.arena.address import listen
+from airpuck.arena.server import NEWS, ORDER, STATE, THOUGHT, WISH, serve
+from tests.live.test_same_origin import websocket as opened
+
+client = pytest.importorskip("websockets.sync.client")
+exceptions = pytest.importorskip("websockets.exceptions")
+
+HELLO = {"names": ["airpuck", "you"]}
+
+
+class Arena:
+    """A server, and the game's end of its pipe."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, far = context.Pipe()
+        with listen(None, 0) as listening:
+            self.port = listening.getsockname()[1]
+            self.process = context.Process(target=serve, args=(far, listening, "127.0.0.1", HELLO))
+            self.process.start()
+        far.close()
+
+    def page(self, **options):
+        """Open a page."""
+        return client.connect(f"ws://127.0.0.1:{self.port}/", compression=None, **options)
+
+    def heard(self, timeout: float = 5.0) -> tuple[bytes, object]:
+        """What the game hears next."""
+        assert self.pipe.poll(timeout)
+        message = self.pipe.recv_bytes()
+        kind, content = message[:1], message[1:]
+        return kind, json.loads(content) if kind == ORDER else struct.unpack("<Iff", content)
+
+    def hears(self, *orders: str) -> None:
+        """The game hears these orders next."""
+        for order in orders:
+            kind, content = self.heard()
+            assert (kind, content["do"]) == (ORDER, order)
+
+    def silent(self) -> bool:
+        """Whether the game hears nothing more."""
+        return not self.pipe.poll(0.2)
+
+    def close(self) -> None:
+        """End it."""
+        self.pipe.close()
+        self.process.join(5)
+        ended = self.process.exitcode
+        self.process.kill()
+        assert ended == 0
+
+
+@pytest.fixture
+def arena() -> Iterator[Arena]:
+    """A server of its own for each test: some end a connection with prejudice."""
+    made = Arena()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def news(page, kind: str) -> dict:
+    """The next news of a kind."""
+    while True:
+        message = page.recv(timeout=5)
+        if isinstance(message, str) and (found := json.loads(message))["is"] == kind:
+            return found
+
+
+def test_the_files_and_nothing_else(arena):
+    connection = http.client.HTTPConnection("127.0.0.1", arena.port, timeout=5)
+
+    def get(path: str, **headers: str) -> http.client.HTTPResponse:
+        connection.close()
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        answer.body = answer.read()
+        return answer
+
+    for path, kind in [("/", "html"), ("/play.js", "javascript"), ("/play.css", "css")]:
+        answer = get(path)
+        assert answer.status == 200
+        assert kind in answer.headers["Content-Type"]
+        assert len(answer.headers.get_all("Content-Length")) == 1
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+        # Nothing is asked of another host.
+        assert b"//" not in answer.body.replace(b"http://www.w3.org/2000/svg", b"") or path != "/"
+    assert b"class TableCanvas" in get("/table_canvas.js").body
+    for path in ("/../pyproject.toml", "/paper.toml", "/%2e%2e/x", "//", "/x" * 500):
+        assert get(path).status == 404
+    assert get("/", Host="evil.example").status == 403
+    assert get("/play.js", Origin="http://evil.example").status == 403
+
+
+def test_another_site_cannot_play(arena):
+    here = f"127.0.0.1:{arena.port}"
+    assert opened(arena.port, {"Origin": f"http://{here}"}) == 101
+    arena.hears("sit", "leave")
+    assert opened(arena.port, {"Origin": "http://evil.example"}) == 403
+    assert opened(arena.port, {"Host": "evil.example", "Origin": "http://evil.example"}) == 403
+    assert arena.silent()
+
+
+def test_the_second_page_watches_until_the_seat_is_free(arena):
+    with arena.page() as first:
+        assert news(first, "hello")["names"] == HELLO["names"]
+        assert news(first, "role")["role"] == "player"
+        arena.hears("sit")
+        with arena.page() as second:
+            assert news(second, "role")["role"] == "watcher"
+            second.send(struct.pack("<Iff", 1, 0.5, 0.0))
+            for deed in ("pause", "restart", "go", "sit"):
+                second.send(json.dumps({"do": deed}))
+            assert news(second, "role")["role"] == "watcher"  # the answer to "sit"
+            first.send(struct.pack("<Iff", 3, 0.25, 0.5))
+            assert arena.heard() == (WISH, (3, 0.25, 0.5))  # and nothing of the second's
+            first.send('{"do": "pause"}')
+            arena.hears("pause")
+            # Both see.
+            arena.pipe.send_bytes(STATE + b"where")
+            assert first.recv(timeout=5) == second.recv(timeout=5) == b"where"
+            first.close()
+            arena.hears("leave")
+            second.send('{"do": "sit"}')
+            assert news(second, "role")["role"] == "player"
+            arena.hears("sit")
+    arena.hears("leave")
+
+
+def test_a_page_that_comes_late_hears_the_status(arena):
+    status = {"is": "status", "phase": "play", "score": [2, 3]}
+    with arena.page() as first:
+        arena.pipe.send_bytes(NEWS + json.dumps(status).encode())
+        assert news(first, "status") == status
+        with arena.page() as second:
+            assert news(second, "status") == status
+
+
+def test_thoughts_go_to_those_who_ask(arena):
+    with arena.page() as first, arena.page() as second:
+        arena.hears("sit")
+        news(second, "role")
+        second.send('{"do": "think", "on": true}')
+        assert arena.heard() == (ORDER, {"do": "think", "on": True})
+        arena.pipe.send_bytes(THOUGHT + b'{"is": "thought"}')
+        arena.pipe.send_bytes(NEWS + b'{"is": "event"}')
+        news(second, "thought")
+        assert [json.loads(first.recv(timeout=5))["is"] for _ in range(3)] == [
+            "hello",
+            "role",
+            "event",
+        ]
+        second.close()
+        assert arena.heard() == (ORDER, {"do": "think", "on": False})
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    ["", "{", '{"do": "leave"}', "x" * 200, b"\xff" * 12, b"\0" * 100, "\N{BILLIARDS}" * 20],
+)
+def test_garbage_ends_the_connection_and_nothing_else(arena, garbage):
+    with arena.page() as good:
+        news(good, "role")
+        arena.hears("sit")
+        with arena.page() as bad:
+            bad.send(garbage)
+            with pytest.raises(exceptions.ConnectionClosed):
+                while True:
+                    bad.recv(timeout=5)
+        good.send('{"do": "pause"}')
+        arena.hears("pause")
+        assert arena.silent()
+
+
+def test_an_endless_message_ends_the_connection(arena):
+    with arena.page() as bad, contextlib.suppress(exceptions.ConnectionClosed, OSError):
+        # Never whole: a fragment after the other.
+        bad.send(b"\0" * 1000 for _ in range(10_000))
+        while True:
+            bad.recv(timeout=5)
+    arena.hears("sit", "leave")
+
+
+def test_bytes_that_are_no_frames(arena):
+    with socket.create_connection(("127.0.0.1", arena.port), timeout=5) as bare:
+        bare.sendall(os.urandom(4096))
+        with contextlib.suppress(OSError):
+            while bare.recv(4096):
+                pass
+    with arena.page() as page:
+        assert news(page, "role")["role"] == "player"
+
+
+def test_a_flood_is_cut_off_and_others_play_on(arena):
+    with arena.page() as good:
+        news(good, "role")
+        arena.hears("sit")
+        with arena.page() as flood:
+            began = time.monotonic()
+            with contextlib.suppress(exceptions.ConnectionClosed):
+                for _ in range(100_000):
+                    flood.send(b"\0" * 12)
+            assert time.monotonic() - began < 5
+        good.send(struct.pack("<Iff", 1, 0.5, 0.5))
+        assert arena.heard() == (WISH, (1, 0.5, 0.5))
+
+
+def test_no_more_pages_than_it_can_serve(arena):
+    from websockets.asyncio.client import connect
+
+    async def come() -> list[int]:
+        statuses = []
+        async with contextlib.AsyncExitStack() as stack:
+            for _ in range(40):
+                try:
+                    await stack.enter_async_context(connect(f"ws://127.0.0.1:{arena.port}/"))
+                    statuses.append(101)
+                except exceptions.InvalidStatus as error:
+                    statuses.append(error.response.status_code)
+        return statuses
+
+    assert asyncio.run(come()) == [101] * 32 + [503] * 8
+
+
+def test_a_slow_page_gets_the_newest_state_not_a_queue(arena):
+    """It reads nothing for two seconds, in which 60 MB are sent."""
+    size, count = 30_000, 2000
+    with arena.page(max_queue=1) as slow, arena.page() as quick:
+        news(slow, "role"), news(quick, "role")
+        arena.hears("sit")
+        seen = []
+        for k in range(count):
+            arena.pipe.send_bytes(STATE + struct.pack("<I", k) + b"\0" * size)
+            if k % 4 == 0:
+                seen.append(struct.unpack_from("<I", quick.recv(timeout=5))[0])
+        while seen[-1] < count - 1:
+            seen.append(struct.unpack_from("<I", quick.recv(timeout=5))[0])
+        late = []
+        while not late or late[-1] < count - 1:
+            late.append(struct.unpack_from("<I", slow.recv(timeout=5))[0])
+        assert late == sorted(late)
+        # What the system and the client hold are some megabytes; all else was left out.
+        assert len(late) < count / 4
+
+
+def test_it_ends_with_the_game(arena):
+    with arena.page() as page:
+        news(page, "role")
+        os.kill(arena.process.pid, signal.SIGINT)  # of Ctrl-C only the game takes note
+        page.send('{"do": "pause"}')
+        arena.hears("sit", "pause")
+        arena.pipe.close()
+        arena.process.join(5)
+        assert arena.process.exitcode == 0
+    arena.pipe = multiprocessing.Pipe()[0]
