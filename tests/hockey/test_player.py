@@ -61,8 +61,8 @@ def test_a_shot_is_saved_on_either_side_within_the_own_half(plant, side):
     twin = twin_of(player, puck_for(side, 0.6, 0.0, 0, -2.0, -0.17, 0), plant)
     for _ in control(player, twin, 1.2):
         assert side * twin.state[0] > MODEL.vehicle.radius_m
-    assert twin.play.puck.goal == 0
-    assert side * twin.play.puck.state.vx < 0
+    assert twin.play.puck.goal != side  # it may have scored
+    assert twin.play.puck.goal or side * twin.play.puck.state.vx < 0
 
 
 def test_both_sides_see_the_same_game_turned(plant):

@@ -1,4 +1,4 @@
-"""Keeping the goal: between puck and goal, and where the puck will cross."""
+"""Keeping the goal: where the puck will come, and between puck and goal while it does not."""
 
 from __future__ import annotations
 
@@ -7,29 +7,103 @@ import math
 import numpy as np
 
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.hockey.prediction import predict_crossing
+from airpuck.hockey.interception import Outlook, around, slack, standing
+from airpuck.hockey.possession import Catch
 from airpuck.hockey.tactic import Intention, View
 
-#: The yaw does not count, velocities little.
-_BLOCK = (0.005, 0.005, math.inf, 0.5, 0.5, math.inf)
+#: The yaw does not count in a block, velocities little.
+_BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
+#: A puck that is no longer seen is waited for on its line, so long [s].
+_BLIND = 1.0
 
 
-class Goalkeeper:
-    """Stays before the goal beside the puck, and goes to where it will cross: a `Tactic`."""
+class Guard:
+    """Stops a puck that is on its way into the own goal: slows it down, or stands in its way.
 
-    def decide(self, view: View) -> Intention:
-        """Return where to stand; see `Tactic.decide`."""
-        home = SetPoint(*view.pitch.home, 0.0)
-        if view.puck is None:
-            return Intention("home", home)
+    Parameters
+    ----------
+    reserve : float, default 0.05
+        By how much the craft must be able to be early to slow it down [s].
+    """
+
+    def __init__(self, reserve: float = 0.05) -> None:
+        self._catch = Catch(reserve)
+
+    def propose(self, view: View, outlook: Outlook) -> Intention | None:
+        """Return how to stop the puck; None: there is no danger."""
+        if outlook.threat is None:
+            return None
+        caught = self._catch.propose(view, outlook)
+        if caught is not None:
+            return caught
+        return block(view, outlook)
+
+
+def block(view: View, outlook: Outlook) -> Intention:
+    """Stand in the way of the puck where there is most time for it."""
+    pitch = view.pitch
+    assert outlook.threat is not None
+    # Before it is in the goal.
+    count = max(int(np.searchsorted(outlook.times, outlook.threat)), 2)
+    times, motions = outlook.times[1:count], outlook.motions[1:count, :2]
+    speed = np.maximum(np.hypot(motions[:, 0], motions[:, 1]), 1e-6)
+    places = outlook.places[1:count] + pitch.contact_distance * motions / speed[:, None]
+    places = pitch.clipped(places)
+    apart = np.linalg.norm(places - outlook.places[1:count], axis=1)
+    late = slack(view, times, places, np.zeros_like(places))
+    # What is beyond the fence covers less; of places with time enough the one nearest to here.
+    near = np.linalg.norm(places - view.craft[:2], axis=1)
+    late = np.minimum(late, 0.1) - 0.2 * near - 2.0 * np.maximum(apart - pitch.contact_distance, 0)
+    best = int(np.argmax(late))
+    place, time = places[best], float(times[best])
+    there = standing(place)
+    reference = Rendezvous(
+        time, (*place, view.craft[2], 0.0, 0.0, 0.0), precision=_BLOCK, then=there
+    )
+    return Intention("defend", reference, (time, *outlook.places[1 + best].tolist()))
+
+
+class Wait:
+    """Waits at home, between puck and goal; goes round a puck that lies in the way."""
+
+    def propose(self, view: View, outlook: Outlook) -> Intention | None:
+        """Return where to wait."""
+        pitch, puck = view.pitch, outlook.places[0]
+        x, y = pitch.home
+        before = x + pitch.goal_line
+        if puck[0] > x + pitch.contact_distance:
+            y = puck[1] * before / (puck[0] + pitch.goal_line)
+        goal = pitch.clipped(np.array([x, y]))
+        near = np.linalg.norm(puck - goal) < pitch.contact_distance + 0.02
+        kind = "wait" if puck[0] < 0 else "home"
+        radius = pitch.contact_distance + 0.01
+        if near and outlook.speed < 0.3:
+            # Someone else's strategy will move the puck; it must not be pushed backwards.
+            goal = puck + (goal - puck) / max(np.linalg.norm(goal - puck), 1e-6) * (radius + 0.02)
+        if outlook.speed > 0.5 or puck[0] > 0.1:
+            return Intention(kind, standing(goal))
+        return Intention(kind, around(view, outlook, goal), avoid=(*puck.tolist(), radius))
+
+
+class Blind:
+    """Defends where the puck was last believed to come, and then goes home."""
+
+    def __init__(self) -> None:
+        self._since = -math.inf
+        self._line = 0.0
+
+    def seen(self, view: View, outlook: Outlook) -> None:
+        """Take note of where the puck goes while it is seen."""
+        self._since = view.time
+        x = view.pitch.home[0]
+        before = outlook.places[:, 0] < x
+        half = view.pitch.play.table.goal_width_m / 2
+        y = outlook.places[int(np.argmax(before)), 1] if before.any() else 0.0
+        self._line = float(np.clip(y, -half, half))
+
+    def propose(self, view: View) -> Intention:
+        """Return where to stand without a puck."""
         x, y = view.pitch.home
-        crossing = None
-        if view.puck.mean[3] < -0.1:
-            crossing = predict_crossing(view.puck_model, view.puck, x, 1.0)
-        if crossing is None or crossing.time < view.time:
-            half = view.pitch.play.table.goal_width_m / 2
-            return Intention("wait", SetPoint(x, float(np.clip(view.puck.mean[1], -half, half)), 0))
-        y = float(view.pitch.clipped(np.array([x, crossing.state.y]))[1])
-        there = SetPoint(x, y, 0.0)
-        block = Rendezvous(crossing.time, (x, y, 0, 0, 0, 0), precision=_BLOCK, then=there)
-        return Intention("defend", block, (crossing.time, x, crossing.state.y))
+        if view.time - self._since < _BLIND:
+            return Intention("defend", SetPoint(x, self._line, 0.0))
+        return Intention("home", SetPoint(x, y, 0.0))

@@ -19,7 +19,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import AirHockey
 from airpuck.flight.pilot import Pilot
-from airpuck.hockey.goalkeeper import Goalkeeper
+from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.prediction import predict_path
 from airpuck.hockey.puck_filter import PuckFilter
@@ -43,6 +43,8 @@ _DRAWN = np.arange(0.0, 1.2, 0.02)
 _NOWHERE = np.array([[50.0, 50.0, 0.1]])
 #: The craft keeps to its half by this beyond its radius [m].
 _MARGIN = 0.01
+#: A way on which the craft's acceleration is measured [m].
+_SHORT = 0.3
 #: Home lies so far before the line of the own goal [m].
 _HOME = 0.16
 
@@ -100,11 +102,11 @@ class Player(Pilot):
     ) -> None:
         if side not in (-1, 1):
             raise InputError(f"must be -1 or 1, not {side!r}", field="side")
-        self.tactic: Tactic = tactic or Goalkeeper()
+        self.tactic: Tactic = tactic or AllRounder()
         self.level, self.side, self.play = level, side, play
         self.filter = PuckFilter(play)
-        self.pitch = pitch_of(model, play, opponent_radius)
-        self._times = _times_of(model, level.thrust)
+        self._times = slower(read_minimal_times(), level.thrust)
+        self.pitch = pitch_of(model, play, self._times, opponent_radius)
         controls = _predictive(tuning or default_tuning())
         self._controller = TrackingController(
             weakened(model, level.thrust), SetPoint(*self.pitch.home, 0.0), controls
@@ -340,8 +342,16 @@ class TurnedReference:
         return Course(turned(own.states), own.accelerations * [-1.0, -1.0, 1.0], own.arrival)
 
 
-def pitch_of(model: Model, play: AirHockey, opponent_radius: float | None = None) -> Pitch:
+def pitch_of(
+    model: Model,
+    play: AirHockey,
+    times: MinimalTimes | None = None,
+    opponent_radius: float | None = None,
+) -> Pitch:
     """Return what does not change during a game."""
+    times = times or read_minimal_times()
+    # There and back at full thrust: d = a T² / 4.
+    acceleration = 4 * _SHORT / float(times((_SHORT, 0.0), (0.0, 0.0))) ** 2
     vehicle = model.vehicle
     x, y = play.table.reach(vehicle.radius_m + _MARGIN)
     # A craft that is too large for the table stays in the middle of its half.
@@ -357,12 +367,8 @@ def pitch_of(model: Model, play: AirHockey, opponent_radius: float | None = None
         fence=fence,
         home=(min(home, front - 5e-4), 0.0),
         delay=model.transport_delay,
+        acceleration=acceleration,
     )
-
-
-def _times_of(model: Model, share: float) -> MinimalTimes:
-    """Return the shortest times of a craft with a share of its thrust."""
-    return slower(read_minimal_times(), share)
 
 
 def _predictive(tuning: Tuning) -> Tuning:

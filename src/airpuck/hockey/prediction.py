@@ -75,11 +75,12 @@ class PuckModel:
 
     def __init__(self, play: AirHockey) -> None:
         self.play = play
-        self._spread = {
+        #: How uncertain each number is.
+        self.spread = {
             name: play.puck.standard_error.get(name, assumed) for name, assumed in _ASSUMED.items()
         }
         #: How uncertain the drag is [1/s].
-        self.drag_error = self._spread["drag_1_s"]
+        self.drag_error = self.spread["drag_1_s"]
 
     @cached_property
     def variants(self) -> list[tuple[AirHockey, AirHockey]]:
@@ -90,7 +91,7 @@ class PuckModel:
                 self.play.model_copy(update={"puck": _changed(puck, name, spread)}),
                 self.play.model_copy(update={"puck": _changed(puck, name, -spread)}),
             )
-            for name, spread in self._spread.items()
+            for name, spread in self.spread.items()
         ]
 
 

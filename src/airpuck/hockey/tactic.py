@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +39,8 @@ class Pitch:
         Where it waits: x, y [m].
     delay : float
         From a decision until the propellers begin to act on it [s].
+    acceleration : float
+        That the craft has on short ways [m/s²].
     """
 
     play: AirHockey
@@ -49,6 +51,7 @@ class Pitch:
     fence: Float[np.ndarray, "2 2"]
     home: tuple[float, float]
     delay: float
+    acceleration: float
 
     @cached_property
     def contact_distance(self) -> float:
@@ -60,7 +63,7 @@ class Pitch:
         """Where the other's goal is along x [m]; the own one is at the negative of that."""
         return self.play.table.length_m / 2
 
-    def inside(self, places: Float[np.ndarray, "*n 2"], margin: float = 0.0) -> np.ndarray:
+    def inside(self, places: Float[np.ndarray, "*n 2"], margin: float = 0.0) -> Any:
         """Return whether the craft's middle may be at places."""
         low, high = self.fence
         return np.all((places >= low + margin) & (places <= high - margin), axis=-1)

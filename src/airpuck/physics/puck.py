@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
 from airpuck.physics.contact import PlainNumbers, contact_impulse, mobility
@@ -48,12 +48,12 @@ class Meeting(NamedTuple):
 class Disc:
     """A disc that a puck can meet; one with infinite mass gives no way."""
 
-    #: Its middle [m], its velocity [m/s], its spin [rad/s].
+    #: Its middle [m], its velocity [m/s], its spin [rad/s]; of many at once as arrays.
     x: float
     y: float
-    vx: float = 0.0
-    vy: float = 0.0
-    spin: float = 0.0
+    vx: Any = 0.0
+    vy: Any = 0.0
+    spin: Any = 0.0
     radius: float = 0.0
     mass: float = math.inf
     inertia: float = math.inf
@@ -168,10 +168,13 @@ def walls_of(play: AirHockey) -> Walls:
     return Walls(play.table, play.puck.radius_m)
 
 
-def strike(first: Disc, second: Disc, nx: float, ny: float, law: Contact) -> float:
+def strike(
+    first: Disc, second: Disc, nx: Any, ny: Any, law: Contact, xp: Any = PlainNumbers
+) -> Any:
     """Let two discs that meet bounce; return the normal impulse [N s].
 
     The normal points from the second to the first. A disc of no radius stands for a rail or a post.
+    With NumPy as namespace, motions and normals may be arrays.
     """
     mobilities = [0.0, 0.0, 0.0]
     for disc, side in ((first, -1.0), (second, 1.0)):
@@ -185,7 +188,7 @@ def strike(first: Disc, second: Disc, nx: float, ny: float, law: Contact) -> flo
     slip = vy * nx - vx * ny - first.radius * first.spin - second.radius * second.spin
     k_nn, k_tt, k_nt = mobilities
     impulse_n, impulse_t = contact_impulse(
-        PlainNumbers,
+        xp,
         (k_nn, k_tt, k_nt),
         vx * nx + vy * ny,
         slip,
@@ -198,7 +201,7 @@ def strike(first: Disc, second: Disc, nx: float, ny: float, law: Contact) -> flo
     return impulse_n
 
 
-def push(disc: Disc, impulse_n: float, impulse_t: float, nx: float, ny: float, arm: float) -> None:
+def push(disc: Disc, impulse_n: Any, impulse_t: Any, nx: Any, ny: Any, arm: float) -> None:
     """Change a disc's motion by an impulse at its edge, `arm` along the normal from its middle."""
     if math.isinf(disc.mass):
         return

@@ -1,0 +1,48 @@
+"""The package's own tactic: the first of its strategies that has something to propose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+from airpuck.hockey.attack import Shoot
+from airpuck.hockey.goalkeeper import Blind, Guard, Wait
+from airpuck.hockey.interception import Outlook
+from airpuck.hockey.possession import Catch, Free
+from airpuck.hockey.tactic import Intention, View
+
+
+@runtime_checkable
+class Strategy(Protocol):
+    """Knows one thing to do."""
+
+    def propose(self, view: View, outlook: Outlook) -> Intention | None:
+        """Return what to do; None: nothing of this kind."""
+        ...
+
+
+class AllRounder:
+    """Plays: shoots, defends, slows the puck down, frees it, waits: a `Tactic`.
+
+    Parameters
+    ----------
+    strategies : sequence of Strategy, optional
+        What it can do; of those that have something to propose, the first one does. By default
+        `Shoot`, `Guard`, `Catch`, `Free`, `Wait`.
+    """
+
+    def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:
+        self.strategies = strategies or (Shoot(), Guard(), Catch(), Free(), Wait())
+        self._blind = Blind()
+
+    def decide(self, view: View) -> Intention:
+        """Return what to do now; see `Tactic.decide`."""
+        if view.puck is None:
+            return self._blind.propose(view)
+        outlook = Outlook(view)
+        self._blind.seen(view, outlook)
+        for strategy in self.strategies:
+            intention = strategy.propose(view, outlook)
+            if intention is not None:
+                return intention
+        return self._blind.propose(view)

@@ -1,0 +1,186 @@
+"""Getting the puck under control: slowing it down, and moving it off a rail."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.hockey.attack import after_contact
+from airpuck.hockey.interception import (
+    Meeting,
+    Outlook,
+    around,
+    effort,
+    slack,
+    stays_inside,
+    way_is_free,
+)
+from airpuck.hockey.prediction import PuckBelief, predict_path
+from airpuck.hockey.shot import Contacts, struck, unit
+from airpuck.hockey.tactic import Intention, View
+
+#: Directions of a contact beside the one against the puck's motion [rad].
+_BESIDE = np.array([0.0, -0.25, 0.25])
+#: A puck leaves the craft this fast, so that it does not stay at it [m/s].
+_LEAVES = 0.05
+#: Slower than this, a puck is under control [m/s].
+_SLOW = 0.15
+#: A contact is kept while the way to it needs at most this share of the craft's acceleration.
+_STRAINED = 1.3
+#: A plan is kept so long before a contact, whatever else turns up [s].
+_COMMITTED = 0.15
+
+
+class Catch:
+    """Slows a puck down: the craft recedes at the contact, so that nearly nothing is given back.
+
+    Parameters
+    ----------
+    reserve : float, default 0
+        By how much the craft must be able to be early [s].
+    """
+
+    def __init__(self, reserve: float = 0.0) -> None:
+        self.reserve = reserve
+        self._meeting: Meeting | None = None
+
+    def propose(self, view: View, outlook: Outlook) -> Intention | None:
+        """Return a contact that slows the puck down; None: there is none, or it is slow."""
+        meeting = self._still(view, outlook) or self._search(view, outlook)
+        self._meeting = meeting
+        if meeting is None:
+            return None
+        puck = outlook.at(meeting.time)
+        meet = (meeting.time, *puck[:2].tolist())
+        path = after_contact(view, meeting, puck)
+        return Intention("prepare", meeting.reference(view, puck), meet, path)
+
+    def _still(self, view: View, outlook: Outlook) -> Meeting | None:
+        """Return the contact under way if it can still be kept, for the puck as it moves now."""
+        if self._meeting is None or self._meeting.time < view.time - 0.03 or not outlook.known:
+            return None
+        puck = outlook.at(self._meeting.time)
+        speed = float(np.hypot(*puck[3:5]))
+        if speed < _SLOW:
+            return None
+        normal = math.atan2(-puck[4], -puck[3])
+        turned = math.remainder(self._meeting.normal - normal, 2 * math.pi)
+        if abs(turned) > 0.4:
+            return None
+        kept = Meeting(self._meeting.time, self._meeting.normal, _receding(view, speed, turned))
+        if kept.time - view.time < _COMMITTED:
+            return kept
+        place = kept.place(view, puck)
+        velocity = kept.speed * unit(kept.normal)
+        able = effort(view, kept.time, place, velocity) < _STRAINED
+        return kept if able and view.pitch.inside(place) else None
+
+    def _search(self, view: View, outlook: Outlook) -> Meeting | None:
+        """Return the contact with the most time to spare, at a good place."""
+        if not outlook.known:
+            return None
+        motion = outlook.motions[4::3]
+        speed = np.hypot(motion[:, 0], motion[:, 1])
+        against = np.arctan2(-motion[:, 1], -motion[:, 0])
+        normal = against[:, None] + _BESIDE
+        recede = _receding(view, speed[:, None], _BESIDE)
+        velocity = recede[..., None] * unit(normal)
+        place = outlook.places[4::3, None] - view.pitch.contact_distance * unit(normal)
+        times = np.broadcast_to(outlook.times[4::3, None], normal.shape)
+        fits = stays_inside(view, place, velocity) & (speed[:, None] > _SLOW)
+        if not fits.any():
+            return None
+        late = np.full(normal.shape, -np.inf)
+        late[fits] = slack(view, times[fits], place[fits], velocity[fits])
+        # Enough time matters more than much; soon is better than late, head-on than aslant.
+        value = np.minimum(late - self.reserve, 0.15) - 0.15 * (times - view.time)
+        value = (
+            value - 0.05 * np.abs(_BESIDE) + 0.1 * _good_place(view, outlook.places[4::3])[:, None]
+        )
+        value[late < self.reserve] = -np.inf
+        for index in np.argsort(value, axis=None)[::-1][:6].tolist():
+            k, j = divmod(index, len(_BESIDE))
+            if not np.isfinite(value[k, j]):
+                return None
+            meeting = Meeting(float(times[k, j]), float(normal[k, j]), float(recede[k, j]))
+            if way_is_free(view, outlook, meeting):
+                return meeting
+        return None
+
+
+def _receding(view: View, speed, aslant):
+    """Return the craft's speed along the normal after which the puck leaves it slowly."""
+    pitch, puck = view.pitch, view.pitch.play.puck
+    gives = pitch.craft_mass / (pitch.craft_mass + puck.mass_kg) * (1 + puck.craft.restitution)
+    along = speed * np.cos(aslant)
+    return (_LEAVES + along) / gives - along
+
+
+def _good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
+    """Return from 0 to 1 how good a place of the puck is to shoot from."""
+    pitch = view.pitch
+    x = place[:, 0] / pitch.goal_line
+    y = np.abs(place[:, 1]) / (pitch.play.table.width_m / 2)
+    return np.clip((0.95 - np.abs(x + 0.45) * 1.5), 0, 1) * np.clip(1.6 - 1.6 * y, 0, 1)
+
+
+class Free:
+    """Moves a slow puck away from where it cannot be shot: off a rail, out of a corner.
+
+    Parameters
+    ----------
+    speed : float, default 0.35
+        Of the craft at the contact [m/s].
+    """
+
+    def __init__(self, speed: float = 0.35) -> None:
+        self.speed = speed
+        self._meeting: Meeting | None = None
+
+    def propose(self, view: View, outlook: Outlook) -> Intention | None:
+        """Return a gentle push; None: the puck is fast, or out of reach."""
+        if outlook.speed > 2 * _SLOW or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
+            self._meeting = None
+            return None
+        kept = self._meeting
+        if kept is None or kept.time < view.time - 0.03:
+            kept = self._search(view, outlook)
+        self._meeting = kept
+        if kept is None:
+            return None
+        puck = outlook.at(kept.time)
+        meet = (kept.time, *puck[:2].tolist())
+        if kept.time - view.time > _COMMITTED and not way_is_free(view, outlook, kept):
+            behind = kept.place(view, puck) - 0.08 * unit(kept.normal)
+            self._meeting = None
+            avoid = (*puck[:2].tolist(), view.pitch.contact_distance + 0.01)
+            return Intention("free", around(view, outlook, behind), meet, avoid=avoid)
+        path = after_contact(view, kept, puck)
+        return Intention("free", kept.reference(view, puck), meet, path)
+
+    def _search(self, view: View, outlook: Outlook) -> Meeting | None:
+        """Return the push after which the puck is at the best place a second later."""
+        normals = np.arange(24) * (2 * math.pi / 24)
+        velocity = self.speed * unit(normals)
+        best, found = -0.5, None
+        for wait in (0.5, 0.9, 1.3):
+            time = view.time + wait
+            puck = outlook.at(time)
+            place = puck[:2] - view.pitch.contact_distance * unit(normals)
+            late = slack(view, np.full(24, time), place, velocity)
+            able = view.pitch.inside(place) & (late > 0)
+            for j in np.flatnonzero(able).tolist():
+                contact = Contacts(puck[:2], puck[3:], normals[j], velocity[j])
+                state = np.concatenate([puck[:3], struck(view.pitch, contact)])
+                belief = PuckBelief(time, state, np.zeros((6, 6)))
+                end = predict_path(view.pitch.play, belief, time + np.array([0.5, 1.0, 1.5]))
+                if end[:, 0].min() < -view.pitch.goal_line:
+                    continue
+                worth = float(_good_place(view, end[:, :2]).mean()) - 0.2 * wait
+                if worth > best:
+                    best, found = worth, Meeting(time, float(normals[j]), self.speed)
+            if found is not None:
+                break
+        return found

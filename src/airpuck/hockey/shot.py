@@ -1,0 +1,297 @@
+"""Shots: what a contact does to the puck, where it flies, and how probably it scores.
+
+Everything takes arrays over shots, in the player's own frame: the goal is at x = +length / 2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import ndtr, ndtri
+
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.prediction import PuckModel
+from airpuck.hockey.tactic import Pitch
+from airpuck.physics.puck import Disc, strike
+
+#: Of rails, before the line of the goal.
+MOST_BOUNCES = 2
+#: An opponent begins to move this late, and then accelerates and goes so fast [s, m/s², m/s].
+_REACTION, _PUSH, _FASTEST = 0.2, 6.0, 1.5
+#: How well that is known: [m], and as a share of the way.
+_REACH_ERROR, _REACH_SHARE = 0.04, 0.5
+#: What contacts of the craft do that nobody identified: standard deviations.
+_RESTITUTION, _GRIP = 0.03, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Touches of the puck by the craft; arrays of one shape.
+
+    Attributes
+    ----------
+    place : array, shape (..., 2)
+        Of the puck's middle [m].
+    puck : array, shape (..., 3)
+        Its velocity and spin before [m/s, rad/s].
+    normal : array, shape (...)
+        Direction from the craft's middle to the puck's [rad].
+    craft : array, shape (..., 2)
+        Velocity of the craft [m/s].
+    """
+
+    place: Float[np.ndarray, "*n 2"]
+    puck: Float[np.ndarray, "*n 3"]
+    normal: Any
+    craft: Float[np.ndarray, "*n 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """Where pucks go; arrays over shots.
+
+    Attributes
+    ----------
+    scores : array of bool
+        Whether one goes into the other's goal, posts untouched.
+    bounces : array of int
+        Off side rails until then.
+    passes : array
+        Probability of getting past the opponent.
+    """
+
+    scores: Bool[np.ndarray, "*n"]
+    bounces: Float[np.ndarray, "*n"]
+    passes: Float[np.ndarray, "*n"]
+
+
+def unit(angle: Any) -> Float[np.ndarray, "*n 2"]:
+    """Return the unit vectors of directions."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def struck(
+    pitch: Pitch,
+    contacts: Contacts,
+    restitution: Float[np.ndarray, "*n"] | None = None,
+    grip: Float[np.ndarray, "*n"] | None = None,
+) -> Float[np.ndarray, "*n 3"]:
+    """Return velocity and spin of the puck after contacts; by the law of the table, or another."""
+    puck, law = pitch.play.puck, pitch.play.puck.craft
+    if restitution is not None or grip is not None:
+        law = law.model_copy(update={"restitution": restitution, "grip": grip})
+    vx, vy, spin = np.moveaxis(contacts.puck.copy(), -1, 0)
+    body = Disc(0.0, 0.0, vx, vy, spin, puck.radius_m, puck.mass_kg, puck.inertia)
+    craft_x, craft_y = np.moveaxis(contacts.craft.copy(), -1, 0)
+    craft = Disc(
+        0.0,
+        0.0,
+        craft_x,
+        craft_y,
+        np.zeros_like(vx),
+        pitch.craft_radius,
+        pitch.craft_mass,
+        pitch.craft_inertia,
+    )
+    nx, ny = np.cos(contacts.normal), np.sin(contacts.normal)
+    # One that moves away already does not bounce.
+    closing = (vx - craft_x) * nx + (vy - craft_y) * ny < 0
+    strike(body, craft, nx, ny, law, np)
+    after = np.stack([body.vx, body.vy, body.spin], axis=-1)
+    return np.where(closing[..., None], after, contacts.puck)
+
+
+def flown(
+    play: AirHockey,
+    place: Float[np.ndarray, "*n 2"],
+    motion: Float[np.ndarray, "*n 3"],
+    opponent: tuple[Float[np.ndarray, " 4"], float] | None = None,
+    *,
+    restitution: Float[np.ndarray, "*n"] | None = None,
+    grip: Float[np.ndarray, "*n"] | None = None,
+) -> Flights:
+    """Fly pucks over side rails to the line of the other's goal.
+
+    Parameters
+    ----------
+    play : AirHockey
+        Table and puck.
+    place, motion : array
+        Where they start [m], and velocity and spin [m/s, rad/s].
+    opponent : tuple, optional
+        x, y, vx, vy of the other's disc when they start, and its radius [m].
+    restitution, grip : array, optional
+        Of the rails, shot by shot; by default the table's.
+
+    Returns
+    -------
+    Flights
+        Which score.
+    """
+    puck, table = play.puck, play.table
+    rail = puck.rail
+    if restitution is not None or grip is not None:
+        rail = rail.model_copy(update={"restitution": restitution, "grip": grip})
+    reach, line = table.reach(puck.radius_m)[1], table.length_m / 2
+    x, y = place[..., 0].copy(), place[..., 1].copy()
+    vx, vy, spin = (motion[..., k].copy() for k in range(3))
+    elapsed = np.zeros_like(x)
+    bounces, scores = np.zeros_like(x), np.zeros(x.shape, dtype=bool)
+    passes, going = np.ones_like(x), vx > 0
+    drag = puck.drag_1_s
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for bounce in range(MOST_BOUNCES + 1):
+            to_line = (line - x) / vx
+            to_rail = (np.copysign(reach, vy) - y) / vy
+            to_rail = np.where(np.isfinite(to_rail), np.maximum(to_rail, 0.0), np.inf)
+            arrives = to_line <= to_rail
+            sigma = np.where(arrives, to_line, to_rail)
+            going &= drag * sigma < 0.98
+            sigma = np.where(going, sigma, 0.0)
+            if opponent is not None:
+                past = _passes((x, y, vx, vy), sigma, elapsed, opponent, puck.radius_m)
+                passes = np.where(going, np.minimum(passes, past), passes)
+            left = 1 - drag * sigma
+            lasted = -np.log(left) / drag if drag else sigma
+            x, y, elapsed = x + vx * sigma, y + vy * sigma, elapsed + lasted
+            # A post is not touched if it is a radius from the path.
+            room = table.goal_width_m / 2 - puck.radius_m * np.hypot(vx, vy) / np.abs(vx)
+            scores |= going & arrives & (np.abs(y) < room)
+            going &= ~arrives
+            if bounce == MOST_BOUNCES:
+                break
+            bounces += going
+            vx, vy, spin = vx * left, vy * left, spin * np.exp(-puck.spin_drag_1_s * lasted)
+            body = Disc(0.0, 0.0, vx, vy, spin, puck.radius_m, puck.mass_kg, puck.inertia)
+            strike(body, Disc(0.0, 0.0), np.zeros_like(vy), -np.sign(vy), rail, np)
+            vx, vy, spin = body.vx, body.vy, body.spin
+            going &= vx > 0
+    return Flights(scores, bounces, passes)
+
+
+def _passes(
+    start: tuple[Any, Any, Any, Any],
+    sigma: Float[np.ndarray, "*n"],
+    elapsed: Float[np.ndarray, "*n"],
+    opponent: tuple[Float[np.ndarray, " 4"], float],
+    radius: float,
+) -> Float[np.ndarray, "*n"]:
+    """Return the probability that an opponent cannot cover straight ways in time."""
+    x, y, vx, vy = start
+    state, size = opponent
+    # Where it would be without any reaction.
+    ahead = np.minimum(elapsed, _REACTION)
+    dx, dy = state[0] + state[2] * ahead - x, state[1] + state[3] * ahead - y
+    square = np.maximum(vx * vx + vy * vy, 1e-12)
+    nearest = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
+    apart = np.hypot(dx - vx * nearest, dy - vy * nearest)
+    moving = np.maximum(elapsed + nearest - _REACTION, 0.0)
+    reached = np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)
+    return ndtr((apart - size - radius - reached) / (_REACH_ERROR + _REACH_SHARE * reached))
+
+
+@cache
+def _quantiles(count: int, dimensions: int) -> Float[np.ndarray, "n d"]:
+    """Return points that fill a standard normal distribution evenly: a rank-one lattice."""
+    generator = np.array([1.0 / _plastic(dimensions) ** (k + 1) for k in range(dimensions)])
+    points = (0.5 + np.arange(1, count + 1)[:, None] * generator) % 1.0
+    return ndtri(points)
+
+
+def _plastic(dimensions: int) -> float:
+    """Return the root of x^(d+1) = x + 1, whose powers spread best (Roberts 2018)."""
+    x = 2.0
+    for _ in range(50):
+        x = (1 + x) ** (1 / (dimensions + 1))
+    return x
+
+
+@dataclass(frozen=True)
+class ArrivalError:
+    """How well the craft keeps a rendezvous: standard deviations."""
+
+    #: Across the way, of its middle [m].
+    place: float = 0.004
+    #: Of its velocity [m/s].
+    speed: float = 0.06
+
+
+def chances(
+    pitch: Pitch,
+    model: PuckModel,
+    contacts: Contacts,
+    covariance: Float[np.ndarray, "n 6 6"],
+    error: ArrivalError,
+    opponent: tuple[Float[np.ndarray, " 4"], float] | None = None,
+    count: int = 64,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the probability that contacts score, and the mean number of bounces.
+
+    Each contact is tried with evenly spread errors of the puck's place and motion, of the craft's,
+    of the law of contact and of that of the rails.
+
+    Parameters
+    ----------
+    pitch : Pitch
+        Sizes.
+    model : PuckModel
+        Table and puck, and how well the rails are known.
+    contacts : Contacts
+        One after the other, shape (n,).
+    covariance : array, shape (n, 6, 6)
+        Of the puck at the contacts: x, y, yaw and their rates.
+    error : ArrivalError
+        Of the craft.
+    opponent : tuple, optional
+        See `flown`.
+    count : int
+        Trials of each contact.
+    """
+    drawn = _quantiles(count, 14)
+    # A covariance from differences may lack a rank.
+    root = _root(covariance)
+    puck = np.einsum("nij,cj->nci", root, drawn[:, :6])
+    craft = drawn[:, 6:8] * error.place
+    # The normal turns with what is across it of the difference of places.
+    across = unit(contacts.normal + math.pi / 2)
+    offset = np.einsum("nci,ni->nc", puck[..., :2] - craft, across)
+    turned = np.arcsin(np.clip(offset / pitch.contact_distance, -0.95, 0.95))
+    law, rail = pitch.play.puck.craft, pitch.play.puck.rail
+    spread = model.spread
+    shape = turned.shape
+
+    def varied(value: float, deviation: float, axis: int) -> Float[np.ndarray, "n c"]:
+        return np.broadcast_to(np.clip(value + deviation * drawn[:, axis], 0.0, 1.0), shape)
+
+    tried = Contacts(
+        place=contacts.place[:, None] + puck[..., :2],
+        puck=contacts.puck[:, None] + puck[..., 3:],
+        normal=contacts.normal[:, None] + turned,
+        craft=contacts.craft[:, None] + drawn[:, 8:10] * error.speed,
+    )
+    after = struck(
+        pitch,
+        tried,
+        varied(law.restitution, _RESTITUTION, 10),
+        varied(law.grip, _GRIP, 11),
+    )
+    flights = flown(
+        pitch.play,
+        tried.place,
+        after,
+        opponent,
+        restitution=varied(rail.restitution, spread["rail.restitution"], 12),
+        grip=varied(rail.grip, spread["rail.grip"], 13),
+    )
+    return (flights.scores * flights.passes).mean(axis=1), flights.bounces.mean(axis=1)
+
+
+def _root(covariance: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n 6 6"]:
+    """Return matrices whose squares are covariances."""
+    variance, axes = np.linalg.eigh(covariance)
+    return axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]

@@ -1,0 +1,257 @@
+"""Skills: episodes in the manner of the Robot Air Hockey Challenge, on this table.
+
+Distributions of the starts, ends and criteria: docs/hockey.md, "Skills".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import binomtest
+
+from airpuck.craft.table import AirHockey
+from airpuck.flight.loop import control
+from airpuck.hockey.all_rounder import AllRounder
+from airpuck.hockey.attack import Shoot
+from airpuck.hockey.goalkeeper import Guard, Wait
+from airpuck.hockey.player import Player, pitch_of
+from airpuck.hockey.possession import Catch, Free
+from airpuck.hockey.tactic import Pitch, Tactic
+from airpuck.model.model_file import Model
+from airpuck.physics.puck import PuckState
+from airpuck.twin.plant import Plant, build_plant
+from airpuck.twin.puck import PuckOnTable
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin
+
+#: Length and width of the Challenge's table, radii of its mallet and its puck [m].
+_LENGTH, _WIDTH = 1.948, 1.038
+#: An episode ends after so long [s].
+_LONGEST = 10.0
+#: A puck slower than this is under control [m/s].
+_STOPPED = 0.1
+#: Farther in the other half than this, the craft does not touch a puck any more that goes on [m].
+_GONE = 0.05
+
+SkillName = Literal["defend", "hit", "prepare"]
+
+
+@dataclass(frozen=True)
+class Skill:
+    """Episodes of one kind, and how many of them succeeded.
+
+    Attributes
+    ----------
+    successes, episodes : int
+        How many.
+    stopped : int
+        Those that ended with a puck under control on the own half.
+    """
+
+    successes: int
+    episodes: int
+    stopped: int
+
+    @property
+    def interval_95(self) -> tuple[float, float]:
+        """Wilson's interval of the probability of success."""
+        found = binomtest(self.successes, self.episodes).proportion_ci(method="wilson")
+        return float(found.low), float(found.high)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        return {
+            "successes": self.successes,
+            "episodes": self.episodes,
+            "stopped": self.stopped,
+            "interval_95": list(self.interval_95),
+        }
+
+
+def skills(
+    model: Model,
+    *,
+    settings: TwinSettings | None = None,
+    episodes: int = 100,
+    seed: int = 0,
+    names: tuple[SkillName, ...] = ("defend", "hit", "prepare"),
+    progress: Callable[[SkillName, int, int], None] | None = None,
+) -> Mapping[SkillName, Skill]:
+    """Measure how well a craft defends, hits and prepares, on the twin.
+
+    Parameters
+    ----------
+    model : Model
+        The craft, and the truth of the twin.
+    settings : TwinSettings, optional
+        Table, puck, radio, noise; by default the packaged ones.
+    episodes : int, default 100
+        Of each skill.
+    seed : int, default 0
+        Of everything random; episode k of two runs with one seed is the same.
+    names : tuple of str, optional
+        Which skills; by default all.
+    progress : callable, optional
+        Called with name, episodes done and successes after each episode.
+
+    Returns
+    -------
+    mapping of str to Skill
+        The skills by name.
+    """
+    settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
+    play = AirHockey(table=settings.table, puck=settings.puck, mallet=settings.mallet)
+    table = Stage(model, settings, play, build_plant(model, settings), pitch_of(model, play))
+    found = {}
+    for name in names:
+        ends = []
+        for k in range(episodes):
+            ends.append(episode(table, name, [seed, k]))
+            if progress is not None:
+                progress(name, k + 1, sum(success for success, _ in ends))
+        successes, stopped = (sum(part) for part in zip(*ends, strict=True))
+        found[name] = Skill(successes, episodes, stopped)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What all episodes share."""
+
+    model: Model
+    settings: TwinSettings
+    play: AirHockey
+    plant: Plant
+    pitch: Pitch
+
+    def twin(self, puck: PuckState, seed: int) -> Twin:
+        """Return a twin with a craft at home and a puck."""
+        return Twin(
+            self.model,
+            self.settings,
+            seed=seed,
+            pose=(*self.pitch.home, 0.0),
+            plant=self.plant,
+            puck=puck,
+            logs=False,
+        )
+
+
+def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]:
+    """Play one episode; return whether it succeeded, and whether it ended with a stopped puck."""
+    rng = np.random.default_rng(seed)
+    puck = _STARTS[name](stage, rng)
+    player = Player(stage.model, stage.play, _TACTICS[name](), seed=int(rng.integers(2**31)))
+    twin = stage.twin(puck, int(rng.integers(2**31)))
+    assert twin.play is not None
+    body = twin.play.puck
+    for _ in control(player, twin, _LONGEST):
+        state = body.state
+        if body.goal or (state.x > _GONE and state.vx > 0):
+            break
+        if name != "hit" and math.hypot(state.vx, state.vy) < _STOPPED:
+            if name == "defend" and state.x < 0:
+                break
+            if name == "prepare" and _in_zone(stage, state):
+                break
+    state = body.state
+    slow = not body.goal and math.hypot(state.vx, state.vy) < _STOPPED and state.x < 0
+    if name == "defend":
+        return body.goal >= 0, slow
+    if name == "prepare":
+        return slow and _in_zone(stage, state), slow
+    return _scores(stage.play, body), slow
+
+
+def _scores(play: AirHockey, body: PuckOnTable) -> bool:
+    """Return whether a puck that goes on alone is in the other's goal before it comes back."""
+    if body.goal:
+        return body.goal > 0
+    alone = PuckOnTable(play, body.state, logs=False)
+    while not alone.goal and alone.state.vx > 0 and alone.time < _LONGEST:
+        alone.run(min(alone.next_meeting + 1e-8, _LONGEST))
+    return alone.goal > 0
+
+
+def _scaled(stage: Stage) -> tuple[float, float]:
+    """Return by how much this table is longer and wider than the Challenge's."""
+    table = stage.play.table
+    return table.length_m / _LENGTH, table.width_m / _WIDTH
+
+
+def _beside_rail(stage: Stage) -> float:
+    """Return how near a puck can be to the middle that leaves no room for the craft behind it."""
+    table, puck = stage.play.table, stage.play.puck
+    return table.width_m / 2 - puck.radius_m - 2 * stage.pitch.craft_radius
+
+
+def _in_zone(stage: Stage, state: PuckState) -> bool:
+    """Return whether a puck is where it can be shot from."""
+    along, _ = _scaled(stage)
+    return -0.8 * along < state.x <= -0.2 * along and abs(state.y) < _beside_rail(stage)
+
+
+def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
+    """Return a shot that would be in the own goal, directly or over rails."""
+    along, across = _scaled(stage)
+    while True:
+        x, y = rng.uniform([0.29 * along, -0.4 * across], [0.65 * along, 0.4 * across])
+        speed, angle = rng.uniform(1.0, 3.0), rng.uniform(-0.5, 0.5)
+        spin = rng.uniform(-10.0, 10.0)
+        start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
+        alone = PuckOnTable(stage.play, start, logs=False)
+        alone.run(_LONGEST)
+        if alone.goal < 0:
+            return start
+
+
+def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
+    """Return a resting or slow puck in the own half."""
+    along, _ = _scaled(stage)
+    width = _beside_rail(stage)
+    while True:
+        x, y = rng.uniform([-0.7 * along, -width], [-0.2 * along, width])
+        speed = rng.uniform(0.0, 0.5)
+        angle, spin = rng.uniform(-math.pi / 2 - 0.1, math.pi / 2 + 0.1), rng.uniform(-2.0, 2.0)
+        start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
+        if _free(stage, start):
+            return start
+
+
+def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
+    """Return a resting puck near a rail, where it cannot be shot."""
+    along, _ = _scaled(stage)
+    table, puck = stage.play.table, stage.play.puck
+    outer, inner = table.width_m / 2 - puck.radius_m - 0.002, _beside_rail(stage)
+    side = np.array([[-0.8 * along, -0.2 * along], [inner, outer]])
+    bottom = np.array([[-0.94 * along, -0.8 * along], [table.goal_width_m / 2, outer]])
+    areas = [float(np.prod(area[:, 1] - area[:, 0])) for area in (side, bottom)]
+    while True:
+        area = side if rng.random() < areas[0] / sum(areas) else bottom
+        x, y = rng.uniform(area[:, 0], area[:, 1])
+        start = PuckState(x, y * rng.choice([-1.0, 1.0]))
+        if _free(stage, start):
+            return start
+
+
+def _free(stage: Stage, start: PuckState) -> bool:
+    """Return whether a puck does not overlap the craft at home."""
+    x, y = stage.pitch.home
+    return math.hypot(start.x - x, start.y - y) > stage.pitch.contact_distance + 0.01
+
+
+_STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] = {
+    "defend": _defend,
+    "hit": _hit,
+    "prepare": _prepare,
+}
+#: To stop the puck is the task in two of them, so nobody shoots there.
+_TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {
+    "defend": lambda: AllRounder((Guard(), Catch(), Wait())),
+    "hit": lambda: AllRounder((Shoot(least=0.05), Wait())),
+    "prepare": lambda: AllRounder((Guard(), Catch(), Free(), Wait())),
+}
