@@ -77,7 +77,16 @@ def test_imports_go_downwards(path):
         ("optax", {"identification"}),
         (
             "scipy",
-            {"control", "evaluation", "faults", "flight", "identification", "planning", "twin"},
+            {
+                "control",
+                "evaluation",
+                "faults",
+                "flight",
+                "hockey",
+                "identification",
+                "planning",
+                "twin",
+            },
         ),
         ("casadi", {"compute", "planning"}),
         ("typer", {"cli"}),
