@@ -8,7 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from airpuck.compute.compiled import double_precision, for_batches, program
+from airpuck.compute.compiled import (
+    double_precision,
+    for_batches,
+    for_samples,
+    lengthened,
+    program,
+)
 from airpuck.model.model_file import published_model
 from airpuck.physics.rollout import step
 
@@ -157,3 +163,36 @@ def test_batches_are_in_double_precision_and_nothing_else_is():
     with double_precision():
         assert jnp.ones(2).dtype == np.float64
     assert jax.config.read("jax_enable_x64") == before
+
+
+def test_a_pass_from_sample_to_sample_is_compiled_once_for_all_lengths():
+    traced = []
+
+    def step(known, carry, sample):
+        traced.append(sample)
+        total, product = carry
+        value, weights = sample
+        # What fills up the last stretch must not reach the results, not even as nan.
+        return (total + known * value, product / weights.sum()), (total, weights)
+
+    run, random = for_samples(step), np.random.default_rng(0)
+    for count in (3, 512, 513, 1100):
+        value, weights = random.normal(size=count), random.uniform(0.4, 0.6, (count, 2))
+        (total, product), (before, same) = run(2.0, (1.0, 1.0), (value, weights))
+        np.testing.assert_allclose(total, 1 + 2 * value.sum(), rtol=1e-12)
+        np.testing.assert_allclose(product, np.prod(1 / weights.sum(axis=1)), rtol=1e-12)
+        np.testing.assert_allclose(before, 1 + 2 * (np.cumsum(value) - value), rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(same, weights)
+        assert before.dtype == np.float64
+        if count == 3:
+            once = len(traced)
+    assert len(traced) == once
+
+
+@pytest.mark.parametrize(("count", "length"), [(1, 4), (4, 4), (5, 8), (8, 8), (9, 16)])
+def test_rows_are_repeated_up_to_a_power_of_two(count, length):
+    values = np.arange(2 * count).reshape(count, 2)
+    longer = lengthened(values, 4)
+    assert len(longer) == length
+    np.testing.assert_array_equal(longer[:count], values)
+    assert (longer[count:] == values[-1]).all()

@@ -204,3 +204,13 @@ def test_what_is_not_known_of_yaw_spreads_to_x_and_y(flight, filtered):
         np.sqrt(variance), sigma * np.abs(plus - minus) / 2e-4, rtol=1e-4, atol=1e-10
     )
     assert (np.sqrt(variance[-1, :2]) > 1e-5).any()
+
+
+def test_another_window_changes_nothing_in_a_prediction(flight, filtered):
+    entries, one = np.zeros(len(TRUTH.free), dtype=bool), STARTS[:1]
+    entries[:2] = True
+    alone = predict_with_errors(TRUTH, flight, filtered, one, STEPS, entries)
+    both = predict_with_errors(TRUTH, flight, filtered, STARTS, STEPS, entries)
+    for single, pair in zip(alone, both, strict=True):
+        assert single.shape[2] == 1
+        np.testing.assert_allclose(single[:, :, 0], pair[:, :, 0], rtol=1e-12, atol=1e-15)

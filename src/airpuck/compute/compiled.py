@@ -3,7 +3,8 @@
 Two kinds. `program` is for real time: a NumPy call costs a microsecond whatever the size of its
 arrays, and a control step has hundreds of them; one call of a compiled program costs eight, most
 of it inside JAX. So a step makes few calls, and each takes one vector and gives one, since every
-further array costs a microsecond too. `for_batches` is for passes over many samples.
+further array costs a microsecond too. `for_batches` is for passes over many samples side by side,
+`for_samples` for passes from one sample to the next.
 
 The functions stay plain array operations over a namespace; tests run them under NumPy. Programs are
 kept by code and content: a second controller of the same craft compiles nothing.
@@ -47,6 +48,8 @@ _OPTIONS: dict[str, Any] = {
 #: Programs by what they compute, the last used last: those of a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
+#: Samples that a pass from sample to sample takes at a time.
+_STRETCH = 512
 
 
 def double_precision() -> contextlib.AbstractContextManager[Any]:
@@ -82,6 +85,58 @@ def for_batches(function: Callable[..., Any], **settings: Any) -> Callable[..., 
             return compiled(*arguments, **named)
 
     return call
+
+
+def for_samples(step: Callable[[Any, Any, Any], tuple[Any, Any]]) -> Callable[..., Any]:
+    """Compile a pass from sample to sample; one program serves recordings of any length.
+
+    It takes `_STRETCH` samples at a time. What the last ones lack is filled up, and left out of the
+    results.
+
+    Parameters
+    ----------
+    step : callable
+        ``(known, carry, sample) -> (carry, output)``, trees of arrays; pure.
+
+    Returns
+    -------
+    callable
+        ``(known, carry, samples) -> (carry, outputs)``, with the samples along the first axis of
+        each array, as `jax.lax.scan`.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    def stretch(known: Any, carry: Any, samples: Any, real: Any) -> Any:
+        def one(carry: Any, given: Any) -> Any:
+            sample, real = given
+            after, output = step(known, carry, sample)
+            return jax.tree.map(lambda new, old: jnp.where(real, new, old), after, carry), output
+
+        return jax.lax.scan(one, carry, (samples, real))
+
+    compiled = for_batches(stretch)
+
+    def call(known: Any, carry: Any, samples: Any) -> tuple[Any, Any]:
+        count, parts = len(jax.tree.leaves(samples)[0]), []
+        # JAX takes a plain number for another type.
+        carry = jax.tree.map(np.asarray, carry)
+        for first in range(0, count, _STRETCH):
+            chosen = np.arange(first, first + _STRETCH)
+            real, within = chosen < count, np.minimum(chosen, count - 1)
+            part = jax.tree.map(lambda values, rows=within: values[rows], samples)
+            carry, outputs = compiled(known, carry, part, real)
+            parts.append(outputs)
+        outputs = jax.tree.map(lambda *values: np.concatenate(values)[:count], *parts)
+        return jax.tree.map(np.asarray, carry), outputs
+
+    return call
+
+
+def lengthened(values: np.ndarray, shortest: int = 1) -> np.ndarray:
+    """Repeat the last row up to a power of two, so that one program serves many recordings."""
+    missing = max(shortest, 1 << (len(values) - 1).bit_length()) - len(values)
+    return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
 def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Callable[..., Any]:

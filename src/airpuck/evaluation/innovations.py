@@ -16,15 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.arrays import scan
-from airpuck.compute.compiled import for_batches
+from airpuck.compute.compiled import for_samples
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.estimate.axis_filter import Noise, correct, spread
 from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.noise_likelihood import initial_covariance, most_likely_noise
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import Dynamics, register_pytrees
+from airpuck.physics.rigid_body import register_pytrees
 from airpuck.physics.rollout import rollout
 
 #: Fewest innovations that a likelihood is made from.
@@ -186,8 +185,8 @@ def _run_filter(
     speed = speed_before(float(time[0]), acts, trajectory.command, *lag)
     pieces = cut_at_commands(time, acts, trajectory.command)
     inputs = (trajectory.state[:, :3], restart, begin, np.diff(time, prepend=time[0]), *pieces)
-    found = _compiled_filter()(model.dynamics, *squares, covariance, speed, inputs)
-    return tuple(np.array(part) for part in found)
+    known, begun = (model.dynamics, *squares, covariance), (np.zeros((3, 3)), covariance, speed)
+    return _compiled_filter()(known, begun, inputs)[1]
 
 
 @cache
@@ -197,35 +196,25 @@ def _compiled_filter() -> Any:
 
     register_pytrees()
 
-    def program(
-        dynamics: Dynamics,
-        pose_variance: Any,
-        acceleration: Any,
-        disturbance: Any,
-        start: Any,
-        speed: Any,
-        inputs: Any,
-    ) -> Any:
-        def advance(carry: Any, given: Any) -> Any:
-            mean, covariance, speed = carry
-            pose, restart, begin, h, durations, commands = given
-            p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
-            state = jnp.concatenate([p, v, speed])
-            end = rollout(jnp, dynamics, state, commands, durations)[-1]
-            added = jnp.stack([end[:3] - p - h * v, end[3:6] - v], axis=1)
-            mean = jnp.stack([end[:3] + h * h / 2 * d, end[3:6] + h * d, d], axis=1)
-            covariance = spread(jnp, covariance, h, acceleration, disturbance)
-            innovation = pose - mean[:, 0]
-            variance = covariance[:, 0, 0] + pose_variance
-            mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
-            mean = jnp.where(restart, begin, mean)
-            covariance = jnp.where(restart, start, covariance)
-            carry = mean, covariance, end[6:]
-            return carry, (innovation, variance, added, *carry)
+    def advance(known: Any, carry: Any, given: Any) -> Any:
+        dynamics, pose_variance, acceleration, disturbance, start = known
+        mean, covariance, speed = carry
+        pose, restart, begin, h, durations, commands = given
+        p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
+        state = jnp.concatenate([p, v, speed])
+        end = rollout(jnp, dynamics, state, commands, durations)[-1]
+        added = jnp.stack([end[:3] - p - h * v, end[3:6] - v], axis=1)
+        mean = jnp.stack([end[:3] + h * h / 2 * d, end[3:6] + h * d, d], axis=1)
+        covariance = spread(jnp, covariance, h, acceleration, disturbance)
+        innovation = pose - mean[:, 0]
+        variance = covariance[:, 0, 0] + pose_variance
+        mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
+        mean = jnp.where(restart, begin, mean)
+        covariance = jnp.where(restart, start, covariance)
+        carry = mean, covariance, end[6:]
+        return carry, (innovation, variance, added, *carry)
 
-        return scan(jnp, advance, (jnp.zeros((3, 3)), start, speed), inputs)[1]
-
-    return for_batches(program)
+    return for_samples(advance)
 
 
 def cut_at_commands(
@@ -233,13 +222,16 @@ def cut_at_commands(
     event_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
 ) -> tuple[Float[np.ndarray, "N S"], Float[np.ndarray, "N S n"]]:
-    """Cut the time before each sample into pieces with one command each."""
+    """Cut the time before each sample into pieces with one command each.
+
+    Their number S is a power of two, so that few programs serve many recordings.
+    """
     inside = (event_time > time[0]) & (event_time < time[-1])
     moments, which = event_time[inside], np.flatnonzero(inside)
     interval = np.searchsorted(time, moments, side="left")
     counts = np.bincount(interval, minlength=len(time))
     place = np.arange(len(moments)) - (np.cumsum(counts) - counts)[interval]
-    size = int(counts.max(initial=0)) + 1
+    size = 1 << int(counts.max(initial=0)).bit_length()
     ends = np.repeat(time[:, None], size, axis=1)
     ends[interval, place] = moments
     begins = np.concatenate([[time[0]], time[:-1]])

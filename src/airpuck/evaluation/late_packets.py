@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.compute.arrays import scan
-from airpuck.compute.compiled import for_batches
+from airpuck.compute.compiled import for_samples
 from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.axis_filter import process_noise
 from airpuck.estimate.motor_regression import accelerations_by_motor
@@ -72,7 +71,7 @@ def late_packets(
     lag = max(float(model.dynamics.motor_time_constant), _LEAST_LAG)
     pose, directions = trajectory.state[:, :3], _directions(model, trajectory, found)
     per_sample = kicks, steps, found.restart, found.used.astype(float)
-    one = pose[..., None], found.added[:, :, None], *per_sample
+    one = pose, found.added[:, :, None], *per_sample
     known = 1 + directions.shape[2]
     added = np.concatenate(
         [found.added[:, :, None], directions, _over_steps(others, steps)], axis=2
@@ -80,8 +79,7 @@ def late_packets(
 
     def filtered(wanders: bool) -> tuple[Float[np.ndarray, "N 3 s"], Float[np.ndarray, " 3"]]:
         ratios, variance = _most_likely(found, one, lag, period, wanders)
-        given = pose[..., None], added if not wanders else added[:, :, :1], *per_sample
-        scaled = np.asarray(_compiled()(ratios[None], lag, period, given)[2])
+        scaled = _passed(ratios[None], lag, period, (pose, added, *per_sample))[2]
         scaled = np.where(found.used[:, None, None], scaled / np.sqrt(variance)[:, None], 0.0)
         return scaled, np.sqrt(ratios[:, 2] * variance)
 
@@ -161,7 +159,7 @@ def _most_likely(
     def costs(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ratios = np.where(points > _LOWEST, 10.0**points, 0.0) * units
         ratios[..., 1] *= wanders
-        squares, logs = (np.asarray(a) for a in _compiled()(ratios, lag, period, given)[:2])
+        squares, logs, _ = _passed(ratios, lag, period, given)
         return 0.5 * (count * np.log(squares / count) + logs), squares / count, ratios
 
     densities = np.square([found.noise.acceleration, found.noise.disturbance]).T / pose[:, None]
@@ -188,55 +186,56 @@ def _most_likely(
     return ratios[best, axis], variance[best, axis]
 
 
+def _passed(
+    ratios: Float[np.ndarray, "C 3 3"], lag: float, period: float, given: tuple[np.ndarray, ...]
+) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"], Float[np.ndarray, "N 3 s"] | None]:
+    """Return sums of squares and of logarithms, and the innovations if there is one candidate."""
+    ratios, signals = ratios.reshape(-1, 3), given[1].shape[2]
+    none, start = np.zeros(len(ratios)), np.zeros((len(ratios), 4, 4))
+    start[:, :3, :3] = initial_covariance(np, none + 1, ratios[:, 1], period)
+    carry = np.zeros((len(ratios), signals, 4)), start, none, none
+    (*_, squares, logs), scaled = _compiled()((ratios, lag, start), carry, given)
+    return squares.reshape(-1, 3), logs.reshape(-1, 3), scaled
+
+
 @cache
 def _compiled() -> Any:
     """Compile the pass over the samples, for some candidates of the noises and some signals."""
     import jax.numpy as jnp
 
-    def program(ratios: Any, lag: Any, typical: Any, given: Any) -> Any:
-        count, signals = ratios.shape[0] * 3, given[1].shape[2]
-        acceleration, disturbance, lateness = ratios.reshape(count, 3).T
-        one = jnp.ones(count)
-        start = jnp.zeros((count, 4, 4))
-        start = start.at[:, :3, :3].set(initial_covariance(jnp, one, disturbance, typical))
+    def advance(known: Any, carry: Any, now: Any) -> Any:
+        (ratios, lag, start), (mean, covariance, squares, logs) = known, carry
+        pose, added, kicks, h, restart, used = now
+        (count, signals, _), (acceleration, disturbance, lateness) = mean.shape, ratios.T
+        pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
+        # The first signal is the measured pose; of the others only what they add is seen.
+        pose = jnp.pad(pose[:, None], ((0, 0), (0, signals - 1)))
+        left = jnp.exp(-h / lag)
+        gone = lag * (1 - left)
+        step = jnp.array(
+            [
+                [1, h, h * h / 2, lag * (h - gone)],
+                [0, 1, h, gone],
+                [0, 0, 1, 0],
+                [0, 0, 0, left],
+            ]
+        )
+        late = lateness * jnp.tile(kicks, count // 3)
+        covariance = step @ covariance.at[:, 3, 3].add(late) @ step.T
+        grown = process_noise(jnp, h, acceleration, disturbance)
+        covariance = covariance.at[:, :3, :3].add(grown)
+        mean = (mean @ step.T).at[..., :2].add(added)
+        innovation, variance = pose - mean[..., 0], covariance[:, 0, 0] + 1.0
+        squares = squares + used * innovation[:, 0] ** 2 / variance
+        logs = logs + used * jnp.log(variance)
+        gain = covariance[:, :, 0] / variance[:, None]
+        mean = mean + gain[:, None] * innovation[..., None]
+        covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
+        fresh = jnp.zeros_like(mean).at[..., 0].set(pose)
+        mean = jnp.where(restart, fresh, mean)
+        covariance = jnp.where(restart, start, covariance)
+        # A search needs only the sums.
+        scaled = innovation / jnp.sqrt(variance)[:, None] if count == 3 else None
+        return (mean, covariance, squares, logs), scaled
 
-        def advance(carry: Any, now: Any) -> Any:
-            mean, covariance, squares, logs = carry
-            pose, added, kicks, h, restart, used = now
-            pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
-            # The first signal is the measured pose; of the others only what they add is seen.
-            pose = jnp.pad(pose, ((0, 0), (0, signals - 1)))
-            left = jnp.exp(-h / lag)
-            gone = lag * (1 - left)
-            step = jnp.array(
-                [
-                    [1, h, h * h / 2, lag * (h - gone)],
-                    [0, 1, h, gone],
-                    [0, 0, 1, 0],
-                    [0, 0, 0, left],
-                ]
-            )
-            late = lateness * jnp.tile(kicks, count // 3)
-            covariance = step @ covariance.at[:, 3, 3].add(late) @ step.T
-            grown = process_noise(jnp, h, acceleration, disturbance)
-            covariance = covariance.at[:, :3, :3].add(grown)
-            mean = (mean @ step.T).at[..., :2].add(added)
-            innovation, variance = pose - mean[..., 0], covariance[:, 0, 0] + 1.0
-            squares = squares + used * innovation[:, 0] ** 2 / variance
-            logs = logs + used * jnp.log(variance)
-            gain = covariance[:, :, 0] / variance[:, None]
-            mean = mean + gain[:, None] * innovation[..., None]
-            covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
-            fresh = jnp.zeros_like(mean).at[..., 0].set(pose)
-            mean = jnp.where(restart, fresh, mean)
-            covariance = jnp.where(restart, start, covariance)
-            # A search needs only the sums.
-            scaled = innovation / jnp.sqrt(variance)[:, None] if count == 3 else None
-            return (mean, covariance, squares, logs), scaled
-
-        zero = jnp.zeros(count)
-        first = jnp.zeros((count, signals, 4)), start, zero, zero
-        (_, _, squares, logs), scaled = scan(jnp, advance, first, given)
-        return squares.reshape(-1, 3), logs.reshape(-1, 3), scaled
-
-    return for_batches(program)
+    return for_samples(advance)

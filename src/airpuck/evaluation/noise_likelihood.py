@@ -9,14 +9,13 @@ once.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.compute.arrays import scan
-from airpuck.compute.compiled import for_batches
+from airpuck.compute.compiled import for_samples
 from airpuck.estimate.axis_filter import Noise, correct, spread
 
 #: Ranges of log₁₀ λ₁ and λ₂; at the lower end a noise is none.
@@ -56,8 +55,9 @@ def most_likely_noise(
         point = np.where(better[:, None], candidates[best, axis], point)
         least = np.where(better, cost[best, axis], least)
         step = np.where(better[:, None], step, step / 2)
-    # A noise that does not pay for itself is none: Akaike's criterion, among those left away.
-    candidates = np.repeat(point[None], 4, axis=0)
+    # A noise that does not pay for itself is none: Akaike's criterion, among those left away. As
+    # many candidates as in the search, for one program.
+    candidates = np.repeat(point[None], len(around), axis=0)
     candidates[1::2, :, 0], candidates[2:, :, 1] = _LOWEST[0], _LOWEST[1]
     cost, variance = _costs(candidates, typical, given)
     ratios = _ratios(candidates)
@@ -95,44 +95,38 @@ def _costs(
 ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
     """Return minus the concentrated log-likelihood, up to a constant, and r."""
     ratios = _ratios(candidates).reshape(-1, 2) / typical ** np.array([3, 5])
-    sums = _compiled()(ratios[:, 0], ratios[:, 1], typical, given)
-    squares, logs = (np.asarray(part).reshape(len(candidates), 3) for part in sums)
-    count = given[-1].sum()
-    variance = squares / count
-    return 0.5 * (count * np.log(variance) + logs), variance
+    none, one = np.zeros(len(ratios)), np.ones(len(ratios))
+    start = initial_covariance(np, one, ratios[:, 1], typical)
+    carry = np.zeros((len(ratios), 3)), start, none, none
+    *_, squares, logs = _compiled()((*ratios.T, start), carry, given)[0]
+    variance = squares.reshape(-1, 3) / (count := given[-1].sum())
+    return 0.5 * (count * np.log(variance) + logs.reshape(-1, 3)), variance
 
 
-@lru_cache(maxsize=1)
+@cache
 def _compiled() -> Any:
     """Compile the pass over the samples: sums of squares and of logarithms."""
     import jax.numpy as jnp
 
-    def program(acceleration: Any, disturbance: Any, typical: Any, given: Any) -> Any:
-        count = len(acceleration) // 3
-        one = jnp.ones_like(acceleration)
-        start = initial_covariance(jnp, one, disturbance, typical)
+    def advance(known: Any, carry: Any, now: Any) -> Any:
+        (acceleration, disturbance, start), (mean, covariance, squares, logs) = known, carry
+        pose, added, h, restart, used = now
+        count, one = len(acceleration) // 3, jnp.ones_like(acceleration)
+        pose, added = jnp.tile(pose, count), jnp.tile(added, (count, 1))
+        p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
+        p = p + h * v + h * h / 2 * d + added[:, 0]
+        mean = jnp.stack([p, v + h * d + added[:, 1], d], axis=1)
+        covariance = spread(jnp, covariance, h, acceleration, disturbance)
+        innovation, variance = pose - p, covariance[:, 0, 0] + 1.0
+        mean, covariance = correct(mean, covariance, 0, innovation, one)
+        squares = squares + used * innovation**2 / variance
+        logs = logs + used * jnp.log(variance)
+        fresh = jnp.stack([pose, 0 * pose, 0 * pose], axis=1)
+        mean = jnp.where(restart, fresh, mean)
+        covariance = jnp.where(restart, start, covariance)
+        return (mean, covariance, squares, logs), None
 
-        def advance(carry: Any, now: Any) -> Any:
-            mean, covariance, squares, logs = carry
-            pose, added, h, restart, used = now
-            pose, added = jnp.tile(pose, count), jnp.tile(added, (count, 1))
-            p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
-            p = p + h * v + h * h / 2 * d + added[:, 0]
-            mean = jnp.stack([p, v + h * d + added[:, 1], d], axis=1)
-            covariance = spread(jnp, covariance, h, acceleration, disturbance)
-            innovation, variance = pose - p, covariance[:, 0, 0] + 1.0
-            mean, covariance = correct(mean, covariance, 0, innovation, one)
-            squares = squares + used * innovation**2 / variance
-            logs = logs + used * jnp.log(variance)
-            fresh = jnp.stack([pose, 0 * pose, 0 * pose], axis=1)
-            mean = jnp.where(restart, fresh, mean)
-            covariance = jnp.where(restart, start, covariance)
-            return (mean, covariance, squares, logs), None
-
-        first = jnp.zeros((len(one), 3)), start, 0 * one, 0 * one
-        return scan(jnp, advance, first, given)[0][2:]
-
-    return for_batches(program)
+    return for_samples(advance)
 
 
 def initial_covariance(xp: Any, pose_variance: Any, disturbance: Any, period: Any) -> Any:

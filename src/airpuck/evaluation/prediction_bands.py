@@ -11,21 +11,25 @@ grows by as much as the next one shrinks.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.arrays import scan
-from airpuck.compute.compiled import for_batches
+from airpuck.compute.arrays import register_pytree, scan
+from airpuck.compute.compiled import for_batches, lengthened
+from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.axis_filter import spread
 from airpuck.evaluation.evaluate import by_channel, delay_for
 from airpuck.evaluation.fit_measures import RESTART
 from airpuck.evaluation.innovations import Innovations, cut_at_commands, innovations
 from airpuck.model.model_file import Model
+from airpuck.model.parameters import Parameters
 from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import CenterOfMassFrame
 from airpuck.physics.rollout import rollout
 
 #: 97.5 % quantile of the normal distribution: half of a 95 % band, in standard deviations.
@@ -34,6 +38,8 @@ BAND = 1.959963984540054
 HORIZONS = (0.2, RESTART)
 #: Samples before a start over which motor speeds are followed, for what they owe to the lag.
 _LEAD = 40
+#: Windows that a program predicts at least; a few more cost nothing, another program seconds.
+_FEWEST = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,17 +214,19 @@ def predict_with_errors(
 
     Returns x, y [m], γ [rad], their variances, and their derivatives by the chosen `entries` of θ.
     """
-    import jax
-
     acts = trajectory.command_time + delay_for(model, trajectory)
     durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
-    later = _growth(commands)
+    later, count, starts = _growth(commands), len(starts), lengthened(starts, _FEWEST)
     # The first sample has pieces of no length, so it may stand for those before.
     lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)
     ahead = starts[:, None] + np.arange(1, steps + 1)
     mean = filtered.mean[starts]
     densities = np.square([filtered.noise.acceleration, filtered.noise.disturbance])
-    found = for_batches(jax.vmap(_one_prediction(model, entries, densities)))(
+    estimate = model.parameters
+    found = _compiled()(
+        model.vehicle,
+        model.frame,
+        (estimate, estimate.to_vector(), np.flatnonzero(entries), densities),
         np.concatenate([mean[:, :, 0], mean[:, :, 1]], axis=1),
         mean[:, :, 2],
         filtered.covariance[starts],
@@ -226,7 +234,7 @@ def predict_with_errors(
         (commands[lead], durations[lead], later[lead]),
         (commands[ahead], durations[ahead], later[ahead]),
     )
-    predicted, variance, sensitivity = (np.moveaxis(np.array(part), 0, 2) for part in found)
+    predicted, variance, sensitivity = (np.moveaxis(np.array(a)[:count], 0, 2) for a in found)
     return predicted, variance, sensitivity
 
 
@@ -240,18 +248,38 @@ def _growth(commands: Float[np.ndarray, "N S n"]) -> Float[np.ndarray, "N S"]:
     return np.diff(changes.astype(float), axis=1, prepend=0.0, append=0.0)
 
 
+@cache
+def _compiled() -> Any:
+    """Compile predictions of windows; models of one craft and structure share the program."""
+    import jax
+
+    register_pytree(Parameters)
+
+    def windows(vehicle: Vehicle, frame: CenterOfMassFrame, known: Any, *each: Any) -> Any:
+        return jax.vmap(_one_prediction(vehicle, frame, *known))(*each)
+
+    return for_batches(windows, static_argnums=(0, 1))
+
+
 def _one_prediction(
-    model: Model, entries: Bool[np.ndarray, " P"], densities: Float[np.ndarray, "2 3"]
+    vehicle: Vehicle,
+    frame: CenterOfMassFrame,
+    estimate: Parameters,
+    vector: Any,
+    chosen: Any,
+    densities: Any,
 ) -> Any:
-    """Return the function that predicts one window."""
+    """Return the function that predicts one window.
+
+    `vector` is the estimate's, `chosen` are the entries of θ to differentiate by.
+    """
     import jax
     import jax.numpy as jnp
 
-    chosen, estimate = np.flatnonzero(entries), model.parameters
-    count, n = len(chosen), model.vehicle.n_propellers
+    count, n = len(chosen), vehicle.n_propellers
 
-    def parameters(free: Any) -> Any:
-        return estimate.with_vector(jnp.asarray(estimate.to_vector()).at[chosen].set(free))
+    def parameters(free: Any) -> Parameters:
+        return estimate.with_vector(vector.at[chosen].set(free))
 
     def delayed(free: Any, durations: Any, later: Any) -> Any:
         return durations + later * (parameters(free).transport_delay - estimate.transport_delay)
@@ -270,7 +298,7 @@ def _one_prediction(
     def move(free: Any, state: Any, disturbance: Any, held: tuple[Any, Any, Any]) -> Any:
         commands, *lengths = held
         durations = delayed(free, *lengths)
-        dynamics = parameters(free).dynamics(jnp, model.vehicle, model.frame)
+        dynamics = parameters(free).dynamics(jnp, vehicle, frame)
         end = rollout(jnp, dynamics, state, commands, durations)[-1]
         h = durations.sum()
         return end + jnp.concatenate([h * h / 2 * disturbance, h * disturbance, jnp.zeros(n)])
@@ -278,7 +306,7 @@ def _one_prediction(
     def predict(
         motion: Any, disturbance: Any, covariance: Any, speed: Any, lead: Any, ahead: Any
     ) -> Any:
-        free = jnp.asarray(estimate.to_vector()[chosen])
+        free = vector[chosen]
 
         def advance(carry: Any, held: Any) -> Any:
             state, slope, covariance = carry

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.compute.compiled import double_precision
+from airpuck.compute.compiled import double_precision, lengthened
 from airpuck.compute.process import usable_cores
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.windows import Windows
@@ -202,7 +202,11 @@ class PredictionLoss:
         with double_precision():
             # Put, not made by jax.numpy, which would compile a program for each shape.
             model, data, weights = jax.device_put(
-                ((dynamics, slopes), tuple(map(_lengthened, samples)), np.array(self.weights))
+                (
+                    (dynamics, slopes),
+                    tuple(lengthened(values, _SHORTEST) for values in samples),
+                    np.array(self.weights),
+                )
             )
 
         normal_equations = partial(
@@ -244,12 +248,6 @@ class PredictionLoss:
                 batches.append((starting, np.pad(counted[part], missing)))
                 owner.append(cluster)
         return batches, owner
-
-
-def _lengthened(values: Float[np.ndarray, "N *shape"]) -> Float[np.ndarray, "M *shape"]:
-    """Repeat the last sample up to a power of two, so that one program serves many recordings."""
-    missing = max(_SHORTEST, 1 << (len(values) - 1).bit_length()) - len(values)
-    return np.pad(values, [(0, missing)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
 
 def _summed(parts: Sequence[Any], owner: Sequence[int]) -> Float[np.ndarray, "G *shape"]:
