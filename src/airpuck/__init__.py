@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     # isort: off
     from airpuck.boundary.errors import InputError as InputError
     from airpuck.campaigns.campaign import campaign as campaign
+    from airpuck.campaigns.match import match as match
     from airpuck.control.reference import (
         Rendezvous as Rendezvous,
         SetPoint as SetPoint,
@@ -58,9 +59,12 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.flight.pilot import Pilot as Pilot
     from airpuck.flight.preflight import preflight as preflight
     from airpuck.flight.replay import Replay as Replay, replay as replay
+    from airpuck.hockey.contestant import contestant as contestant
+    from airpuck.hockey.game import Game as Game
     from airpuck.hockey.level import Level as Level
     from airpuck.hockey.player import Player as Player
     from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
+    from airpuck.hockey.rules import Rules as Rules
     from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
     from airpuck.identification.adam import Adam as Adam
     from airpuck.identification.bootstrap import bootstrap as bootstrap
@@ -111,6 +115,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
 _NAMES = {
     "boundary.errors": "InputError",
     "campaigns.campaign": "campaign",
+    "campaigns.match": "match",
     "control.law": "Step",
     "control.reference": "Rendezvous SetPoint SetPoints TimedPath",
     "control.tracking": "TrackingController",
@@ -132,9 +137,12 @@ _NAMES = {
     "flight.pilot": "Pilot",
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
+    "hockey.contestant": "contestant",
+    "hockey.game": "Game",
     "hockey.level": "Level",
     "hockey.player": "Player",
     "hockey.puck_filter": "PuckFilter",
+    "hockey.rules": "Rules",
     "hockey.tactic": "Intention Tactic View",
     "identification.adam": "Adam",
     "identification.bootstrap": "bootstrap",

@@ -142,7 +142,7 @@ def test_metadata_as_ros2_bag_wants_it(tmp_path: Path):
         topic = entry["topic_metadata"]
         assert topic["serialization_format"] == "cdr"
         (quality,) = YAML(typ="safe").load(topic["offered_qos_profiles"])
-        sent_once = topic["name"] in ("/control/state_ref", "/navigation/state")
+        sent_once = topic["name"] in ("/control/state_ref", "/navigation/state", "/game/event")
         assert quality["reliability"] == (1 if sent_once else 2)
         assert quality["durability"] == 2
 

@@ -71,6 +71,8 @@ PULSE_ROUNDS = Range(1, 100, "the battery lasts for some minutes")
 SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")
 DOMAIN = Range(0, 232, "each DDS domain has its own ports, from 7400 + 250 per domain on")
 PORT = Range(1, 65_535, "TCP has as many ports")
+GAMES = Range(1, 100_000, "each takes about a minute of one core")
+GOALS = Range(1, 1000, "somebody must be able to win")
 WORKERS = Range(1, 1024, "each is a process of its own")
 
 # What fits and judgements are made of.

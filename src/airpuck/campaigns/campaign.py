@@ -7,8 +7,9 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -120,20 +121,32 @@ def campaign(
     if workers is not None:
         numbers.WORKERS.check(workers, "workers")
     entries, folder = read_spec(spec), Path(output)
+    compute = partial(dispatch, scheduler=scheduler, workers=workers)
+    done = completed(entries, folder, compute, retry=retry, progress=progress)
+    done.write_table(folder / "results.csv")
+    return done
+
+
+def completed(
+    entries: Sequence[Entry],
+    folder: Path,
+    compute: Callable[[list[Entry]], Iterable[tuple[Entry, Result]]],
+    *,
+    retry: bool = False,
+    progress: Callable[[int, int, int], None] = lambda done, of, failed: None,
+) -> Campaign:
+    """Compute the items that have no result in a folder yet."""
     found = {entry.key: read_result(folder, entry.key) for entry in entries}
     results = {k: r for k, r in found.items() if r and (r.failure is None or not retry)}
     missing = [entry for entry in entries if entry.key not in results]
     failed = sum(result.failure is not None for result in results.values())
     progress(len(results), len(entries), failed)
-    computed = dispatch(missing, scheduler=scheduler, workers=workers) if missing else ()
-    for entry, result in computed:
+    for entry, result in compute(missing) if missing else ():
         write_result(folder, entry, result)
         results[entry.key] = result
         failed += result.failure is not None
         progress(len(results), len(entries), failed)
-    done = Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
-    done.write_table(folder / "results.csv")
-    return done
+    return Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
 
 
 def read_result(folder: Path, key: str) -> Result | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -21,10 +22,14 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.boundary.numbers import Range
+from airpuck.compute.process import low_latency
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import evaluate
+from airpuck.hockey.contestant import contestant
+from airpuck.hockey.game import Game
+from airpuck.hockey.rules import Rules
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
@@ -35,6 +40,7 @@ from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
 from airpuck.planning.minimal_time import Arrival, shortest_time
 from airpuck.preprocessing.pipeline import load_trajectory, preprocess
+from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.files import sha256
 from airpuck.twin.experiments import excite
 from airpuck.twin.fleet import fly_fleet
@@ -112,17 +118,19 @@ class Item(Section):
         content = self.model_dump(mode="json")
         for field in self.SOURCES:
             names = content[field] if isinstance(content[field], list) else [content[field]]
-            content[field] = [
-                name if name is None or name.startswith("paper:") else fingerprint(name)
-                for name in names
-            ]
+            content[field] = [fingerprint(name) if is_file(name) else name for name in names]
         text = json.dumps([type(self).__name__, __version__, content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
+def is_file(name: str | None) -> bool:
+    """Tell names of files from those of what comes with the package."""
+    return name is not None and name.partition(":")[0] not in ("paper", "airpuck", "human")
+
+
 def fingerprint(name: str) -> str:
-    """Hash a file, or all files in a folder."""
-    path = Path(name)
+    """Hash a file, all files in a folder, or FILE.py:NAME."""
+    path = Path(re.sub(r"(?<=\.py):[^:/]*$", "", name))
     if not path.is_dir():
         return sha256(path)
     files = sorted(file for file in path.rglob("*") if file.is_file())
@@ -359,12 +367,46 @@ class ShortestTime(Item):
         return [{"time_s": time}]
 
 
+class Match(Item):
+    """One game of air hockey between two players."""
+
+    SOURCES: ClassVar = ("left", "right", "model")
+
+    #: Who plays; see `airpuck.hockey.contestant.contestant`.
+    left: str = "airpuck"
+    right: str = "human"
+    #: What a craft is.
+    model: str = "paper:M3"
+    rules: Rules = pydantic.Field(default_factory=Rules)
+    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+    #: Folder to write the game to; no part of what is computed.
+    bag: Annotated[str | None, pydantic.Field(exclude=True)] = None
+
+    def run(self) -> list[Row]:
+        """Play; see `Item.run`."""
+        low_latency()
+        game = Game(
+            contestant(self.left),
+            contestant(self.right),
+            settings=self.twin,
+            rules=self.rules,
+            model=read_model(self.model),
+            seed=self.seed,
+        )
+        game.play()
+        # The same game gives the same bag.
+        if self.bag is not None and not Path(self.bag).exists():
+            write_bag(game.recording(), self.bag)
+        return [game.figures()]
+
+
 KINDS = {
     "tracking": Tracking,
     "recovery": Recovery,
     "fit": Fitting,
     "fleet": Fleet,
     "shortest_time": ShortestTime,
+    "match": Match,
 }
 
 

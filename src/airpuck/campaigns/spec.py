@@ -16,7 +16,7 @@ import pydantic
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
-from airpuck.campaigns.items import KINDS, Count, Item, Natural, fingerprint
+from airpuck.campaigns.items import KINDS, Count, Item, Natural, fingerprint, is_file
 
 #: More items than this are taken for a mistake: all are laid out before the first is computed.
 _MOST = 100_000
@@ -25,7 +25,7 @@ _MOST = 100_000
 class Spec(Section):
     """Content of a spec file."""
 
-    kind: Literal["tracking", "recovery", "fit", "fleet", "shortest_time"]
+    kind: Literal["tracking", "recovery", "fit", "fleet", "shortest_time", "match"]
     #: How many, from 0 on, or which.
     seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1
     #: Fields that all items share.
@@ -96,6 +96,6 @@ def _resolved(names: Any, folder: Path) -> Any:
     """Make names of files absolute."""
     if isinstance(names, list):
         return [_resolved(name, folder) for name in names]
-    if not isinstance(names, str) or names.startswith("paper:"):
+    if not isinstance(names, str) or not is_file(names):
         return names
     return str(folder / os.path.expandvars(names))

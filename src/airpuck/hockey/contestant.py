@@ -6,7 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.user_class import load_class
+from airpuck.control.reference import Reference
 from airpuck.craft.table import AirHockey
 from airpuck.flight.pilot import Pilot
 from airpuck.hockey.hand import SKILLS, Hand, ScriptedHand
@@ -100,10 +104,31 @@ class _Named:
         except Exception as error:
             problem = f"decide() at {view.time:.2f} s: {type(error).__name__}: {error}"
             raise InputError(problem, file=self._name) from error
-        if not isinstance(intention, Intention):
-            problem = f"decide() must return an Intention, not {type(intention).__name__}"
-            raise InputError(problem, file=self._name)
+        problem = _what_is_wrong(intention, view.time)
+        if problem:
+            raise InputError(f"decide() at {view.time:.2f} s {problem}", file=self._name)
         return intention
+
+
+def _what_is_wrong(intention: Any, time: float) -> str:
+    """Say why something is no intention; an empty text where it is one."""
+    if not isinstance(intention, Intention):
+        return f"must return an Intention, not {type(intention).__name__}"
+    if not isinstance(intention.reference, Reference):
+        return "must give a reference, such as airpuck.SetPoint(-0.9, 0, 0)"
+    numbers = {
+        "reference": (intention.reference.at(time, 0.0).state, (6,)),
+        "meet": (intention.meet, (3,)),
+        "avoid": (intention.avoid, (3,)),
+    }
+    for name, (given, shape) in numbers.items():
+        try:
+            found = np.zeros(shape) if given is None else np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            found = np.zeros(0)
+        if found.shape != shape or not np.isfinite(found).all():
+            return f"gave as {name} something else than {shape[0]} finite numbers"
+    return ""
 
 
 def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Contestant:

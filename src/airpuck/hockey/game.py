@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,11 +18,11 @@ from airpuck.hockey.hand import Hand
 from airpuck.hockey.rules import Referee, Rules
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.puck import PuckState
-from airpuck.recording.stream import Recording
+from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.craft import Craft
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.puck import PuckOnTable
-from airpuck.twin.sensors import SensorSet, pose_sensor
+from airpuck.twin.sensors import SensorSet, log_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin, check_seed
 
@@ -33,32 +34,41 @@ _BEGIN, _SERVE = 0.25, 0.30
 _ASIDE = 0.15
 #: A puck is followed for so long to find out whether it would have been a goal [s].
 _FOLLOWED = 3.0
+#: A craft that stays at a rail meets it anew after so long, or faster than this [s, m/s].
+_AGAIN, _SLIDES = 0.1, 0.05
+
+
+#: ``hit``: a side's disc touched the puck, with an impulse [N s]; ``rail``, ``post``: the puck did
+#: that, near the side; ``goal``: the side scored; ``own_goal``: it conceded one that would not have
+#: been one without its own touch; ``foul``, ``stuck``, ``serve``, ``over``: as `Ruling`;
+#: ``contact``: its craft met a rail, at a speed [m/s]; ``crossed``: the middle of its disc left its
+#: half.
+EventKind = Literal[
+    "serve",
+    "goal",
+    "own_goal",
+    "foul",
+    "stuck",
+    "over",
+    "hit",
+    "rail",
+    "post",
+    "contact",
+    "crossed",
+]
+#: In a recording an event is its place here.
+KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 
 class GameEvent(NamedTuple):
-    """What happened in a game.
+    """What happened in a game."""
 
-    ``hit``: a side's disc touched the puck, with `value` as impulse [N s]; ``rail``, ``post``: the
-    puck did, near that side; ``goal``, ``own_goal``: the side scored, or conceded by its own touch;
-    ``foul``, ``stuck``, ``serve``, ``over``: as `Ruling`; ``contact``: the side's craft met a rail,
-    with `value` as speed [m/s]; ``crossed``: the middle of its disc is in the other half.
-    """
-
+    #: When [s].
     time: float
-    kind: Literal[
-        "hit",
-        "rail",
-        "post",
-        "goal",
-        "own_goal",
-        "foul",
-        "stuck",
-        "serve",
-        "over",
-        "contact",
-        "crossed",
-    ]
+    kind: EventKind
+    #: Whose: -1 is left; 0: nobody's.
     side: int
+    #: Impulse or speed.
     value: float = 0.0
 
 
@@ -89,7 +99,7 @@ class Side:
         self.action: Action | None = None
         self.radius = body.radius
         self._actions: Iterator[Action] = iter(())
-        self.contacts = 0
+        self.met = -math.inf
         self.beyond = False
 
     def fly(self, player: Pilot, twin: Twin) -> None:
@@ -244,12 +254,59 @@ class Game:
             self.step()
 
     def recording(self) -> Recording:
-        """Return what was recorded: see `Twin.recording`."""
-        twin = next((side.twin for side in self.sides if side.twin is not None), None)
-        if twin is not None:
-            return twin.recording()
-        assert self._cameras is not None
-        return Recording(streams=self._cameras.streams(), source="a game")
+        """Return what a recorder on the network would have logged.
+
+        Returns
+        -------
+        Recording
+            As `Twin.recording`, of the left craft, or else the right one; ``mallet`` is the other's
+            disc. Also ``opponent_command``, where that is a craft, and ``game``. Between two hands
+            ``pose`` is the left one's mallet.
+        """
+        flown = [side.twin.recording() for side in self.sides if side.twin is not None]
+        if flown:
+            streams = dict(flown[0].streams)
+        else:
+            assert self._cameras is not None
+            streams = self._cameras.streams()
+        if len(flown) > 1:
+            streams["opponent_command"] = flown[1]["command"]
+        rows, score = [], [0, 0]
+        for event in self.events:
+            score[event.side > 0] += event.kind == "goal"
+            values = [*score, KINDS.index(event.kind), event.side, event.value]
+            rows.append((event.time, np.array(values, dtype=float)))
+        if rows:
+            streams["game"] = log_stream(rows, COLUMNS["game"], latency=0.0)
+        names = " against ".join(side.name for side in self.sides)
+        return Recording(streams=streams, source=f"game of {names}")
+
+    def figures(self) -> dict[str, float]:
+        """Return what the game was like, in numbers; it must have kept its events.
+
+        Returns
+        -------
+        dict
+            Goals, own goals, fouls, contacts with a rail and their hardest, and crossings of the
+            centre line by side; how long it lasted, and how often the puck was stuck.
+        """
+        found: dict[str, float] = {}
+        for side, goals in zip(self.sides, self.score, strict=True):
+            name = "left" if side.sign < 0 else "right"
+            mine = [event for event in self.events if event.side == side.sign]
+            count = Counter(event.kind for event in mine)
+            hardest = max((e.value for e in mine if e.kind == "contact"), default=0.0)
+            found |= {
+                f"{name}_goals": goals,
+                f"{name}_own_goals": count["own_goal"],
+                f"{name}_fouls": count["foul"],
+                f"{name}_hits": count["hit"],
+                f"{name}_rail_contacts": count["contact"],
+                f"{name}_hardest_rail_contact_m_s": hardest,
+                f"{name}_crossings": count["crossed"],
+            }
+        stuck = sum(event.kind == "stuck" for event in self.events)
+        return {**found, "stuck": stuck, "duration_s": self.time}
 
     def _side(self, sign: int, contestant: Contestant, model: Model, opponent: float) -> Side:
         """Put a disc on the table, and let the contestant move it."""
@@ -289,9 +346,11 @@ class Game:
         self._puck.touches.clear()
         for side in self.sides:
             if isinstance(side.body, Craft):
-                for time, speed in side.body.contacts[side.contacts :]:
-                    yield GameEvent(time, "contact", side.sign, speed)
-                side.contacts = len(side.body.contacts)
+                for time, speed in side.body.contacts:
+                    if time > side.met + _AGAIN or speed > _SLIDES:
+                        yield GameEvent(time, "contact", side.sign, speed)
+                    side.met = time
+                side.body.contacts.clear()
             beyond = side.state[0] * side.sign < 0
             if beyond and not side.beyond:
                 yield GameEvent(self.time, "crossed", side.sign)

@@ -17,7 +17,7 @@ from airpuck.recording.log import Log, TopicLog
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.sqlite_file import read_sqlite
-from airpuck.recording.stream import POSES, Recording, Stream
+from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream
 from airpuck.recording.topic_stream import may_hold, topic_stream
 from airpuck.recording.unpacking import unpacked_file, unpacked_message
 
@@ -156,7 +156,7 @@ def _streams(
                 problem = error.problem if isinstance(error, InputError) else shortened(str(error))
                 field = error.field if isinstance(error, InputError) else None
                 raise InputError(problem, file=source, field=field or name) from error
-            if not stamped and stream in (*POSES, "command"):
+            if not stamped and stream in (*POSES, *COMMANDS):
                 warnings.append(
                     f"messages on {name} carry no time: the recorder's times of arrival are used, "
                     "and the jitter of their way is in them"

@@ -16,14 +16,14 @@ from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import new_folder
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
-from airpuck.recording.stream import POSES, Recording, Stream
+from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream
 
 #: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
 _ROSBAG2_VERSION = 8
 #: Half a second to some seconds of a flight: as much as a file that is cut short loses.
 _CHUNK_BYTES = 2**17
 #: The table's sensors and commands do not resend.
-_BEST_EFFORT = (*POSES, "command", "imu", "mouse")
+_BEST_EFFORT = (*POSES, *COMMANDS, "imu", "mouse")
 
 
 def write_bag(

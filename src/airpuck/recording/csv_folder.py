@@ -31,6 +31,7 @@ from airpuck.recording.message import PATHS, columns_of
 from airpuck.recording.motion_capture_export import is_export, read_export
 from airpuck.recording.stream import (
     COLUMNS,
+    COMMANDS,
     POSES,
     Recording,
     Stream,
@@ -177,7 +178,7 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
         table, usual = exported or (plain_table(rows), {})
         return _poses(table, completed(mapping.pose, usual))
     table = plain_table(rows)
-    if stream == "command":
+    if stream in COMMANDS:
         return _commands(table, mapping.command)
     if stream in POSES:
         return _poses(table, mapping.pose)
@@ -336,10 +337,10 @@ def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
     # The authors' references carry no header; one whose stamps differ needs it to keep them.
     if name != "reference" or not np.array_equal(stream.stamp_ns, stream.received_ns):
         seconds, nanoseconds = np.divmod(stream.stamp_ns, SECOND_NS)
-        table[_FRAME] = ["body" if name == "command" else ""] * n
+        table[_FRAME] = ["body" if name in COMMANDS else ""] * n
         table[_NANOSECONDS] = nanoseconds.tolist()
         table[_SECONDS] = seconds.tolist()
-    columns = stream.columns if name == "command" else next(iter(PATHS[name].values()))
+    columns = stream.columns if name in COMMANDS else next(iter(PATHS[name].values()))
     if name in POSES:
         yaw = stream.values[:, 2]
         w, z = np.cos(yaw / 2).tolist(), np.sin(yaw / 2).tolist()

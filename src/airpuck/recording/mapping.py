@@ -53,7 +53,12 @@ class Topics(Section):
     imu, mouse : str
         On-board sensors.
     puck, mallet : str
-        Motion capture of the puck and of the human's mallet: poses, as the craft's.
+        Motion capture of the puck and of the human's mallet, or another craft: poses, as the
+        craft's.
+    opponent_command : str
+        Motor commands of another craft that plays, as the craft's.
+    game : str
+        Score and events of a game.
     """
 
     pose: TopicName = "/optitrack/drone/pose"
@@ -64,6 +69,8 @@ class Topics(Section):
     mouse: TopicName = "/drone/mouse"
     puck: TopicName = "/optitrack/puck/pose"
     mallet: TopicName = "/optitrack/mallet/pose"
+    opponent_command: TopicName = "/opponent/control"
+    game: TopicName = "/game/event"
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> Topics:

@@ -15,14 +15,16 @@ from jaxtyping import Float, Int64
 from airpuck.recording.cdr import Field, Types, encode, flatten, layout_of, typestore
 from airpuck.recording.conversion import SECOND_NS, yaw_of
 from airpuck.recording.definition import parse_definition
-from airpuck.recording.stream import COLUMNS, POSES
+from airpuck.recording.stream import COLUMNS, COMMANDS, POSES
 
 HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
 HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
 
 _HEADER = "std_msgs/Header header\n"
-#: Definitions of the authors' own messages, for bags that embed none.
-_HOLOHOVER = {
+_GAME = "airpuck_msgs/msg/GameEventStamped"
+#: Definitions of the authors' own messages, for bags that embed none, and of ours.
+_OWN = {
+    _GAME: _HEADER + "".join(f"float64 {column}\n" for column in COLUMNS["game"]),
     HOLOHOVER_CONTROL: _HEADER + "".join(f"float64 {motor}\n" for motor in HOLOHOVER_MOTORS),
     "holohover_msgs/msg/HolohoverIMUStamped": (
         f"{_HEADER}geometry_msgs/Vector3 acc\ngeometry_msgs/Vector3 gyro\n"
@@ -74,10 +76,11 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
             "sensor_msgs/msg/Imu": _fields("linear_acceleration", "angular_velocity", of="x y z"),
         },
         "mouse": {"holohover_msgs/msg/HolohoverMouseStamped": ("v_x", "v_y")},
+        "game": {_GAME: COLUMNS["game"]},
     }
 )
 #: Frames that messages name; the others are in the world's.
-_FRAMES = {"command": "body", "imu": "body", "mouse": "body"}
+_FRAMES = {**dict.fromkeys(COMMANDS, "body"), "imu": "body", "mouse": "body"}
 
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
@@ -92,7 +95,7 @@ def _known_types() -> Types:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     types = dict(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
-    for name, definition in _HOLOHOVER.items():
+    for name, definition in _OWN.items():
         types.update(get_types_from_msg(definition, name))
     return MappingProxyType(types)
 
@@ -176,7 +179,7 @@ class StreamCodec:
 
     def __init__(self, stream: str, motors: tuple[str, ...] = (), *, stamped: bool = False) -> None:
         self._stream = stream
-        if stream == "command":
+        if stream in COMMANDS:
             self.msgtype, self.types = command_type(motors)
             self._paths = self.columns = motors
         else:

@@ -21,6 +21,7 @@ from airpuck.recording.conversion import (
 from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
 
 #: Columns of the streams whose meaning is fixed. A command's columns are the propellers' names.
+#: Of a game: the goals of both sides, and what happened (`airpuck.hockey.game.KINDS`), to whom.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "pose": ("x_m", "y_m", "yaw_rad"),
@@ -30,10 +31,13 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "estimate": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "imu": ("ax_m_s2", "ay_m_s2", "az_m_s2", "gx_rad_s", "gy_rad_s", "gz_rad_s"),
         "mouse": ("vx_m_s", "vy_m_s"),
+        "game": ("left", "right", "event", "side", "value"),
     }
 )
 #: Streams of poses: the craft's, the puck's, the human's mallet's.
 POSES = ("pose", "puck", "mallet")
+#: Streams of commands: the craft's, and those of a craft that it plays against.
+COMMANDS = ("command", "opponent_command")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +96,7 @@ class Recording:
     ----------
     streams : mapping of str to Stream
         ``pose`` and ``command``, and where logged ``reference``, ``estimate``, ``imu``, ``mouse``,
-        ``puck``, ``mallet``; columns as in `COLUMNS`.
+        ``puck``, ``mallet``, ``opponent_command``, ``game``; columns as in `COLUMNS`.
     source : str
         The file or folder.
     hashes : mapping of str to str

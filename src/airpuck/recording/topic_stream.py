@@ -31,7 +31,7 @@ from airpuck.recording.mapping import (
     RecordingMapping,
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
-from airpuck.recording.stream import COLUMNS, POSES, Stream
+from airpuck.recording.stream import COLUMNS, COMMANDS, POSES, Stream
 
 Decoded = Mapping[str, np.ndarray]
 #: Fields to decode, and what turns them into columns and values.
@@ -40,7 +40,7 @@ Plan = tuple[Sequence[str], Callable[[Decoded], tuple[tuple[str, ...], Float[np.
 
 def may_hold(stream: str, topic: TopicLog) -> bool:
     """Return whether a topic is of a type that holds a stream."""
-    if stream != "command":
+    if stream not in COMMANDS:
         return topic.msgtype in PATHS[stream]
     known = {msgtype for types in PATHS.values() for msgtype in types}
     try:
@@ -56,14 +56,14 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     msgtype = topic.msgtype
     own = _own(stream, mapping)
     usual = PATHS.get(stream, {}).get(msgtype, ())
-    if stream != "command" and not usual and not (stream in POSES and mapping.pose.position):
+    if stream not in COMMANDS and not usual and not (stream in POSES and mapping.pose.position):
         accepted = " or ".join(PATHS[stream])
         raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
     types = definitions(msgtype, topic.definition, idl=topic.idl)
     if msgtype not in types:
         raise InputError(f"the recording does not say what {shortened(msgtype)} holds")
     fields = flatten(types, msgtype)
-    if stream == "command":
+    if stream in COMMANDS:
         paths, convert = _command_plan(msgtype, fields, mapping.command)
     elif stream in POSES:
         paths, convert = _pose_plan(usual, mapping.pose)
@@ -72,7 +72,7 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     times = (own.time,) if own.time else stamp_paths(fields)
     single = [path for path, code in fields if code.startswith("<")]
     absent = [
-        path for path in (*times, *(() if stream == "command" else paths)) if path not in single
+        path for path in (*times, *(() if stream in COMMANDS else paths)) if path not in single
     ]
     if absent:
         raise InputError(
@@ -93,7 +93,7 @@ def _own(stream: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping
     """Return what the mapping says of a stream; of all poses the same."""
     if stream in POSES:
         return mapping.pose
-    return mapping.command if stream == "command" else CommandMapping()
+    return mapping.command if stream in COMMANDS else CommandMapping()
 
 
 def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:

@@ -84,6 +84,7 @@ class Twin:
         # An accelerometer feels what pushes the craft, but not the pull of gravity along a slope.
         pushed = tuple(e for e in self.plant.dynamics.effects if not isinstance(e, Tilt))
         self._felt = replace(self.plant.dynamics, effects=pushed)
+        shared = world is not None
         if world is None:
             world = World(settings, puck, logs=logs)
             played = _played(puck, mallet)
@@ -93,7 +94,8 @@ class Twin:
             played = ("puck", "mallet")
         self.now = 0.0
         self.world = world
-        self.craft = Craft(model, settings, self.plant, seed, pose, logs)
+        # In a game somebody takes note of contacts, and then drops them.
+        self.craft = Craft(model, settings, self.plant, seed, pose, logs or shared)
         world.bodies.append(self.craft)
         if mallet is not None:
             world.bodies.append(HandMallet(settings.mallet, settings.table, *mallet))

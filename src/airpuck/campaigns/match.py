@@ -1,0 +1,205 @@
+"""`match`: games of air hockey between two players, several at once."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+from airpuck.campaigns.campaign import completed
+from airpuck.campaigns.items import Match, Row, fingerprint
+from airpuck.campaigns.spec import Entry
+from airpuck.campaigns.workers import Result, compute, dispatch
+from airpuck.compute.process import usable_cores
+from airpuck.hockey.contestant import contestant
+from airpuck.hockey.rules import Rules
+from airpuck.model.model_file import read_model
+from airpuck.twin.settings import TwinSettings
+
+
+@dataclass(frozen=True)
+class MatchResult:
+    """The games of two players.
+
+    Attributes
+    ----------
+    left, right : str
+        Who played.
+    seeds : tuple of int
+        Of the games.
+    games : tuple of dict
+        The figures of each; see `airpuck.hockey.game.Game.figures`.
+    wall_s : float
+        How long the games took to play, one after the other [s].
+    """
+
+    left: str
+    right: str
+    seeds: tuple[int, ...]
+    games: tuple[Row, ...]
+    wall_s: float
+
+    @property
+    def wins(self) -> tuple[int, int]:
+        """Games that left and right have won."""
+        ahead = [game["left_goals"] - game["right_goals"] for game in self.games]
+        return sum(lead > 0 for lead in ahead), sum(lead < 0 for lead in ahead)
+
+    def interval(self, wins: int) -> tuple[float, float]:
+        """Return Wilson's 95 % interval of the probability to win.
+
+        Parameters
+        ----------
+        wins : int
+            Of all games.
+
+        Returns
+        -------
+        low, high : float
+            Its ends.
+        """
+        from scipy.stats import binomtest
+
+        found = binomtest(wins, len(self.games)).proportion_ci(method="wilson")
+        return float(found.low), float(found.high)
+
+    def total(self, name: str) -> int:
+        """Return a figure of left and right together, summed over all games.
+
+        Parameters
+        ----------
+        name : str
+            Without its side, such as ``rail_contacts``.
+
+        Returns
+        -------
+        int
+            The sum.
+        """
+        return round(sum(game[f"{side}_{name}"] for game in self.games for side in _SIDES))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        left, right = self.wins
+        lasted = sum(game["duration_s"] for game in self.games)
+        hardest = [g[f"{side}_hardest_rail_contact_m_s"] for g in self.games for side in _SIDES]
+        return {
+            "left": self.left,
+            "right": self.right,
+            "games": len(self.games),
+            "left_wins": left,
+            "right_wins": right,
+            "draws": len(self.games) - left - right,
+            "left_wins_interval": list(self.interval(left)),
+            "right_wins_interval": list(self.interval(right)),
+            **{f"{side}_goals": self._sum(f"{side}_goals") for side in _SIDES},
+            **{f"{side}_own_goals": self._sum(f"{side}_own_goals") for side in _SIDES},
+            **{f"{side}_fouls": self._sum(f"{side}_fouls") for side in _SIDES},
+            "stuck": self._sum("stuck"),
+            "rail_contacts": self.total("rail_contacts"),
+            "hardest_rail_contact_m_s": max(hardest),
+            "crossings": self.total("crossings"),
+            "duration_s": lasted,
+            "wall_s": self.wall_s,
+            "results": [
+                {"seed": seed, **game} for seed, game in zip(self.seeds, self.games, strict=True)
+            ],
+        }
+
+    def _sum(self, name: str) -> int:
+        return round(sum(game[name] for game in self.games))
+
+
+_SIDES = ("left", "right")
+
+
+def match(
+    left: str,
+    right: str,
+    games: int = 1,
+    *,
+    seed: int = 0,
+    model: str = "paper:M3",
+    settings: TwinSettings | None = None,
+    rules: Rules | None = None,
+    output: str | os.PathLike[str] | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int, int], None] = lambda done, of, failed: None,
+) -> MatchResult:
+    """Let two players play each other.
+
+    Parameters
+    ----------
+    left, right : str
+        Who plays: ``airpuck``, ``airpuck:LEVEL``, ``human``, ``human:LEVEL`` or ``FILE.py:NAME``.
+    games : int, default 1
+        How many games.
+    seed : int, default 0
+        Of the first game; the next has the next.
+    model : str, default "paper:M3"
+        What a craft is: a model file, or one of the paper's.
+    settings : TwinSettings, optional
+        Table, puck, radio, noise; by default the packaged ones.
+    rules : Rules, optional
+        By default first to seven.
+    output : path-like, optional
+        Folder to keep the games in, as bags ``games/SEED``; games that are there already are not
+        played again.
+    workers : int, optional
+        Number of processes; by default as many as there are processors. One needs no Dask.
+    progress : callable, optional
+        Called with the number of games that are played, of all, and of those that failed.
+
+    Returns
+    -------
+    MatchResult
+        All games.
+
+    Raises
+    ------
+    InputError
+        If nobody is called so, a player fails, or Dask is not installed.
+    """
+    numbers.GAMES.check(games, "games")
+    numbers.SEED.check(seed, "seed")
+    if workers is not None:
+        numbers.WORKERS.check(workers, "workers")
+    for name in (left, right):
+        contestant(name)
+    read_model(model)
+    item = Match(left=left, right=right, model=model, rules=rules or Rules())
+    if settings is not None:
+        item = item.model_copy(update={"twin": settings})
+    with ExitStack() as stack:
+        folder = Path(output or stack.enter_context(tempfile.TemporaryDirectory()))
+        entries = list(_entries(item, range(seed, seed + games), folder if output else None))
+        several = min(workers or usable_cores(), games)
+        work = _here if several == 1 else partial(dispatch, workers=several)
+        done = completed(entries, folder, work, retry=True, progress=progress)
+    if done.failures:
+        raise InputError(done.failures[0][1])
+    rows = tuple(result.rows[0] for result in done.results)
+    wall = sum(result.wall_s or 0.0 for result in done.results)
+    return MatchResult(left, right, tuple(e.item.seed for e in entries), rows, wall)
+
+
+def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
+    """Yield a game for each seed."""
+    once = cache(fingerprint)
+    for seed in seeds:
+        bag = None if folder is None else str((folder / "games" / f"{seed}").absolute())
+        game = item.model_copy(update={"seed": seed, "bag": bag})
+        yield Entry(game.key(once), {}, game)
+
+
+def _here(entries: list[Entry]) -> Iterator[tuple[Entry, Result]]:
+    """Play one after the other."""
+    for entry in entries:
+        yield entry, compute(entry.item)

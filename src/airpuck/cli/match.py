@@ -1,0 +1,177 @@
+"""The command for games without a page."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Option
+
+import airpuck
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+from airpuck.cli import inputs, options
+from airpuck.cli.app import app
+from airpuck.cli.output import console, report, show_counts, table
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from airpuck.campaigns.match import MatchResult
+    from airpuck.hockey.game import Game
+
+#: Events that are told to who watches.
+_TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
+#: Columns and rows of the picture; time between two [s].
+_LETTERS = (78, 20)
+_REDRAWN = 0.05
+_PLAYER = "airpuck, airpuck:LEVEL, human (scripted), human:LEVEL, or a tactic, FILE.py:NAME."
+
+
+@app.command(rich_help_panel="Air hockey")
+def match(
+    left: Annotated[str, Option("--left", metavar="PLAYER", help=_PLAYER)] = "airpuck",
+    right: Annotated[str, Option("--right", metavar="PLAYER", help="The same.")] = "human",
+    games: Annotated[int, options.number("N", "How many games.", numbers.GAMES)] = 1,
+    seed: options.Seed = 0,
+    goals: Annotated[int, options.number("N", "Who has so many first has won.", numbers.GOALS)] = 7,
+    limit: Annotated[
+        float, options.number("S", "A game lasts no longer.", numbers.FLIGHT_DURATION)
+    ] = 300.0,
+    model: Annotated[str, Option(metavar="MODEL", help="What a craft is.")] = "paper:M3",
+    twin: options.TwinFile = None,
+    workers: Annotated[
+        int | None,
+        options.number("N", "Processes to start; as many as processors.", numbers.WORKERS),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        options.output("DIR", "Keep the games, as bags; what is there is not played again."),
+    ] = None,
+    watch: Annotated[bool, Option("--watch", help="Show one game in real time.")] = False,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Let two players play air hockey against each other, without a page."""
+    from airpuck.compute.process import low_latency
+    from airpuck.hockey.contestant import contestant
+    from airpuck.hockey.game import Game
+    from airpuck.hockey.rules import Rules
+
+    rules, settings = Rules(goals=goals, limit_s=limit), inputs.read_twin(twin)
+    if watch:
+        if games > 1 or output is not None:
+            raise InputError("shows one game; leave --games and -o out", field="--watch")
+        players = contestant(left), contestant(right)
+        craft = inputs.read_belief(model)
+        low_latency()
+        game = Game(*players, settings=settings, rules=rules, model=craft, seed=seed)
+        _watch(game)
+        report({**game.figures(), "left": left, "right": right}, json_file, quiet=quiet)
+        return
+    with show_counts("games", "{} of {} games played", quiet) as progress:
+        found = airpuck.match(
+            left,
+            right,
+            games,
+            seed=seed,
+            model=model,
+            settings=settings,
+            rules=rules,
+            output=output,
+            workers=workers,
+            progress=progress,
+        )
+    report(found.to_json(), json_file, *_lines(found, output))
+
+
+def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Path]:
+    """Yield a table of the results, and what else happened."""
+    figures = found.to_json()
+    rows = []
+    for side, name in (("left", found.left), ("right", found.right)):
+        low, high = figures[f"{side}_wins_interval"]
+        rows.append(
+            [
+                name,
+                side,
+                str(figures[f"{side}_wins"]),
+                f"{100 * low:.0f} to {100 * high:.0f} %",
+                *(str(figures[f"{side}_{what}"]) for what in ("goals", "own_goals", "fouls")),
+            ]
+        )
+    headings = ("player", "side", "wins", "95 % interval", "goals", "own goals", "fouls")
+    games = f"{len(found.games)} games" if len(found.games) > 1 else "1 game"
+    yield table(headings, rows, title=f"{games}, {figures['draws']} drawn", left=headings[:2])
+    hardest = ""
+    if figures["rail_contacts"]:
+        hardest = f", the hardest at {figures['hardest_rail_contact_m_s']:.2f} m/s"
+    yield (
+        f"crafts met a rail {figures['rail_contacts']} times{hardest}, and crossed the centre "
+        f"line {figures['crossings']} times; the puck was stuck {figures['stuck']} times"
+    )
+    yield (
+        f"{figures['duration_s']:.0f} s of play in {figures['wall_s']:.0f} s of one process, "
+        f"{figures['duration_s'] / figures['wall_s']:.1f} times real time"
+    )
+    if output is not None:
+        yield output / "games"
+
+
+def _watch(game: Game) -> None:
+    """Show a game in the terminal, in real time, or as fast as it can be computed."""
+    from rich.live import Live
+
+    began, drawn = time.monotonic(), 0.0
+    with Live(console=console(), auto_refresh=False, transient=True) as live:
+        while game.phase != "over":
+            for event in game.step():
+                if event.kind in _TOLD:
+                    side = {-1: "left", 0: "nobody", 1: "right"}[event.side]
+                    left, right = game.score
+                    live.console.print(
+                        f"{event.time:6.1f} s  {event.kind.replace('_', ' '):8s} {side:6s}  "
+                        f"{left} : {right}"
+                    )
+            if game.time >= drawn and sys.stdout.isatty():
+                drawn = game.time + _REDRAWN
+                live.update(_picture(game), refresh=True)
+            time.sleep(max(0.0, began + game.time - time.monotonic()))
+
+
+def _picture(game: Game) -> str:
+    """Draw the table from above, in letters."""
+    table, (columns, rows) = game.settings.table, _LETTERS
+    canvas = [[" "] * columns for _ in range(rows)]
+
+    def place(x: float, y: float) -> tuple[int, int]:
+        column = round((x / table.length_m + 0.5) * (columns - 1))
+        row = round((0.5 - y / table.width_m) * (rows - 1))
+        return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
+
+    for row in range(rows):
+        canvas[row][columns // 2] = "·"
+    for side in game.sides:
+        x, y, *_ = side.state
+        reach = range(-10, 11)
+        for i, j in itertools.product(reach, reach):
+            if math.hypot(i, j) <= 10:
+                row, column = place(x + side.radius * i / 10, y + side.radius * j / 10)
+                canvas[row][column] = "L" if side.sign < 0 else "R"
+    if game.puck is not None:
+        row, column = place(game.puck.x, game.puck.y)
+        canvas[row][column] = "o"
+    edge = "+" + "-" * columns + "+"
+    half = table.goal_width_m / 2
+    walls = [
+        ":" if abs(0.5 - row / (rows - 1)) * table.width_m < half else "|" for row in range(rows)
+    ]
+    lines = [f"{wall}{''.join(line)}{wall}" for wall, line in zip(walls, canvas, strict=True)]
+    left, right = game.score
+    names = f"{game.sides[0].name}  {left} : {right}  {game.sides[1].name}"
+    return "\n".join([names.center(columns + 2), edge, *lines, edge])
