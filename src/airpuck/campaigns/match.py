@@ -18,6 +18,7 @@ from airpuck.campaigns.items import Match, Row, fingerprint
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import Result, compute, dispatch
 from airpuck.compute.process import usable_cores
+from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.hockey.contestant import contestant
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import read_model
@@ -52,24 +53,6 @@ class MatchResult:
         ahead = [game["left_goals"] - game["right_goals"] for game in self.games]
         return sum(lead > 0 for lead in ahead), sum(lead < 0 for lead in ahead)
 
-    def interval(self, wins: int) -> tuple[float, float]:
-        """Return Wilson's 95 % interval of the probability to win.
-
-        Parameters
-        ----------
-        wins : int
-            Of all games.
-
-        Returns
-        -------
-        low, high : float
-            Its ends.
-        """
-        from scipy.stats import binomtest
-
-        found = binomtest(wins, len(self.games)).proportion_ci(method="wilson")
-        return float(found.low), float(found.high)
-
     def total(self, name: str) -> int:
         """Return a figure of left and right together, summed over all games.
 
@@ -97,8 +80,8 @@ class MatchResult:
             "left_wins": left,
             "right_wins": right,
             "draws": len(self.games) - left - right,
-            "left_wins_interval": list(self.interval(left)),
-            "right_wins_interval": list(self.interval(right)),
+            "left_wins_interval": list(wilson_interval(left, len(self.games))),
+            "right_wins_interval": list(wilson_interval(right, len(self.games))),
             **{f"{side}_goals": self._sum(f"{side}_goals") for side in _SIDES},
             **{f"{side}_own_goals": self._sum(f"{side}_own_goals") for side in _SIDES},
             **{f"{side}_fouls": self._sum(f"{side}_fouls") for side in _SIDES},

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import binomtest
 
 from airpuck.craft.table import AirHockey
+from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.flight.loop import control
 from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.attack import Shoot
@@ -59,8 +59,7 @@ class Skill:
     @property
     def interval_95(self) -> tuple[float, float]:
         """Wilson's interval of the probability of success."""
-        found = binomtest(self.successes, self.episodes).proportion_ci(method="wilson")
-        return float(found.low), float(found.high)
+        return wilson_interval(self.successes, self.episodes)
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
