@@ -22,14 +22,10 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.boundary.numbers import Range
-from airpuck.compute.process import low_latency
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.hockey.contestant import contestant
-from airpuck.hockey.game import Game
-from airpuck.hockey.rules import Rules
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
@@ -40,7 +36,6 @@ from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
 from airpuck.planning.minimal_time import Arrival, shortest_time
 from airpuck.preprocessing.pipeline import load_trajectory, preprocess
-from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.files import sha256
 from airpuck.twin.experiments import excite
 from airpuck.twin.fleet import fly_fleet
@@ -365,49 +360,6 @@ class ShortestTime(Item):
         model = _planned(self.model, *(() if ":" in self.model else (fingerprint(self.model),)))
         time = shortest_time(model, self.distance_m, velocity.tolist(), float(yaw), self.arrival)
         return [{"time_s": time}]
-
-
-class Match(Item):
-    """One game of air hockey between two players."""
-
-    SOURCES: ClassVar = ("left", "right", "model")
-
-    #: Who plays; see `airpuck.hockey.contestant.contestant`.
-    left: str = "airpuck"
-    right: str = "human"
-    #: What a craft is.
-    model: str = "paper:M3"
-    rules: Rules = pydantic.Field(default_factory=Rules)
-    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
-    #: Folder to write the game to; no part of what is computed.
-    bag: Annotated[str | None, pydantic.Field(exclude=True)] = None
-
-    def run(self) -> list[Row]:
-        """Play; see `Item.run`."""
-        low_latency()
-        game = Game(
-            contestant(self.left),
-            contestant(self.right),
-            settings=self.twin,
-            rules=self.rules,
-            model=read_model(self.model),
-            seed=self.seed,
-        )
-        game.play()
-        # The same game gives the same bag.
-        if self.bag is not None and not Path(self.bag).exists():
-            write_bag(game.recording(), self.bag)
-        return [game.figures()]
-
-
-KINDS = {
-    "tracking": Tracking,
-    "recovery": Recovery,
-    "fit": Fitting,
-    "fleet": Fleet,
-    "shortest_time": ShortestTime,
-    "match": Match,
-}
 
 
 # Items of one campaign share recordings, and resamplings the fit that they begin at. A worker may

@@ -14,7 +14,8 @@ from typing import Any
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns.campaign import completed
-from airpuck.campaigns.items import Match, Row, fingerprint
+from airpuck.campaigns.items import Row, fingerprint
+from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import Result, compute, dispatch
 from airpuck.compute.process import usable_cores

@@ -16,8 +16,29 @@ import pydantic
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
-from airpuck.campaigns.items import KINDS, Count, Item, Natural, fingerprint, is_file
+from airpuck.campaigns.items import (
+    Count,
+    Fitting,
+    Fleet,
+    Item,
+    Natural,
+    Recovery,
+    ShortestTime,
+    Tracking,
+    fingerprint,
+    is_file,
+)
+from airpuck.campaigns.match_item import Match
 
+#: What a spec may ask for.
+KINDS = {
+    "tracking": Tracking,
+    "recovery": Recovery,
+    "fit": Fitting,
+    "fleet": Fleet,
+    "shortest_time": ShortestTime,
+    "match": Match,
+}
 #: More items than this are taken for a mistake: all are laid out before the first is computed.
 _MOST = 100_000
 
