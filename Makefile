@@ -45,8 +45,8 @@ demo: install  ## the whole way on a simulated recording, no download
 test: dev  ## all tests but the long studies
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-test-browser: dev  ## the live view in a real browser (Chromium of the distribution)
-	$(BIN)/python -m pytest -m browser -n 0 tests/live/test_view.py
+test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
+	$(BIN)/python -m pytest -m browser -n 0 tests/arena/test_page.py tests/live/test_view.py
 
 studies: dev  ## the long studies; then ten minutes of the live loop, with nothing beside it
 	$(BIN)/python -m pytest -m study -n $(WORKERS)

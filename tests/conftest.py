@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import tempfile
 import threading
@@ -45,7 +46,7 @@ BLUE = "2024_03_05-16_12_50_sysid_h1_blue"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let the test in the browser keep its picture."""
-    parser.addoption("--screenshot", metavar="FILE", help="where to keep that of the live view")
+    parser.addoption("--screenshot", metavar="FILE", help="where to keep that of a page")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -79,3 +80,13 @@ def data() -> Path:
 def experiments(data: Path) -> Path:
     """Folder of the experiments in the public dataset."""
     return data / "experiments"
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """The distribution's Chromium."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next((found for name in names if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip("needs Chromium: install the distribution's package")
+    return path

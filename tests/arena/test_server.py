@@ -16,9 +16,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from airpuck.arena.address import listen
-from airpuck.arena.server import NEWS, ORDER, STATE, THOUGHT, WISH, serve
+from airpuck.arena.server import NEWS, ORDER, STATE, THOUGHT, WISH
 from tests.live.test_same_origin import websocket as opened
+
+from .arena import Arena
 
 client = pytest.importorskip("websockets.sync.client")
 exceptions = pytest.importorskip("websockets.exceptions")
@@ -26,52 +27,10 @@ exceptions = pytest.importorskip("websockets.exceptions")
 HELLO = {"names": ["airpuck", "you"]}
 
 
-class Arena:
-    """A server, and the game's end of its pipe."""
-
-    def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.pipe, far = context.Pipe()
-        with listen(None, 0) as listening:
-            self.port = listening.getsockname()[1]
-            self.process = context.Process(target=serve, args=(far, listening, "127.0.0.1", HELLO))
-            self.process.start()
-        far.close()
-
-    def page(self, **options):
-        """Open a page."""
-        return client.connect(f"ws://127.0.0.1:{self.port}/", compression=None, **options)
-
-    def heard(self, timeout: float = 5.0) -> tuple[bytes, object]:
-        """What the game hears next."""
-        assert self.pipe.poll(timeout)
-        message = self.pipe.recv_bytes()
-        kind, content = message[:1], message[1:]
-        return kind, json.loads(content) if kind == ORDER else struct.unpack("<Iff", content)
-
-    def hears(self, *orders: str) -> None:
-        """The game hears these orders next."""
-        for order in orders:
-            kind, content = self.heard()
-            assert (kind, content["do"]) == (ORDER, order)
-
-    def silent(self) -> bool:
-        """Whether the game hears nothing more."""
-        return not self.pipe.poll(0.2)
-
-    def close(self) -> None:
-        """End it."""
-        self.pipe.close()
-        self.process.join(5)
-        ended = self.process.exitcode
-        self.process.kill()
-        assert ended == 0
-
-
 @pytest.fixture
 def arena() -> Iterator[Arena]:
     """A server of its own for each test: some end a connection with prejudice."""
-    made = Arena()
+    made = Arena(HELLO)
     try:
         yield made
     finally:

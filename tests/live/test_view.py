@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import shutil
 import signal
 import socket
 from collections.abc import Iterator
@@ -41,16 +40,6 @@ def test_a_line_of_sight_meets_the_table():
 
 
 # In the browser -----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def chromium() -> str:
-    """The distribution's Chromium."""
-    names = ("chromium", "chromium-browser", "google-chrome")
-    path = next((found for name in names if (found := shutil.which(name))), None)
-    if path is None:
-        pytest.skip("needs Chromium: install the distribution's package")
-    return path
 
 
 @pytest.fixture(scope="module")

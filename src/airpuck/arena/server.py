@@ -37,7 +37,7 @@ _POLICY = (
 #: Pages at a time; a class may watch.
 _PAGES = 32
 #: A page sends a message for each move of the pointer: at most so many [1/s], so many at once.
-_RATE, _BURST = 300.0, 300.0
+_RATE, _BURST = 500.0, 500.0
 #: News that wait for a page; older ones are dropped.
 _NEWS = 64
 #: What the system may keep of what was sent [bytes]: more would only be late.

@@ -41,6 +41,8 @@ _THOUGHTS_EVERY = 3
 _HOMEWARD = 300
 #: Where the puck lies meanwhile: the player begins [m].
 _LAID = 0.3
+#: At least so long others may run in each period [s].
+_BREATH = 5e-4
 #: If time is this late, the machine slept: the game goes on from now [s].
 _SLEPT = 0.25
 
@@ -205,6 +207,8 @@ class Session:
         """Play until the time is over; return the figures for ``--json``."""
         try:
             self._run(math.inf if duration is None else duration)
+        except KeyboardInterrupt:
+            pass  # that is how a person ends it
         except (EOFError, OSError) as error:
             raise RuntimeError("the server of the page has ended") from error
         return {
@@ -242,7 +246,8 @@ class Session:
                 self._behind.add(max(late, 0.0))
             if late > _SLEPT:
                 due = clock.now
-            clock.sleep_until(due)
+            # The server of the page, and a browser, must get on even if this one is late.
+            clock.sleep_until(max(due, clock.now + _BREATH))
 
     @property
     def phase(self) -> str:

@@ -3,8 +3,11 @@
 "use strict";
 
 const byId = name => document.getElementById(name);
-// So much behind the newest state is drawn [s]: one period of the server and some jitter.
-const BEHIND = 0.012;
+// So much behind the newest state is drawn [s], and up to as much beyond it where none is newer: half
+// a period of the server.
+const BEHIND = 0.006;
+// Between wishes, but for the last one of a frame [ms].
+const APART = 8;
 // States farther apart than this are no motion, but a puck that was put somewhere [m].
 const JUMP = 0.15;
 // On a touch screen the mallet is this far before the finger, to be seen [pixels].
@@ -74,12 +77,13 @@ function clockAhead() {
 function stateAt(time) {
   let k = states.length - 1;
   while (k > 0 && states[k].time > time) k--;
-  const before = states[k], after = states[k + 1];
-  if (!after || time <= before.time) return before;
-  const share = (time - before.time) / (after.time - before.time);
+  if (time <= states[k].time || states.length < 2) return states[k];
+  const beyond = k === states.length - 1, [before, after] = states.slice(beyond ? -2 : k);
+  const until = beyond ? Math.min(time, after.time + BEHIND) : time;
+  const share = (until - before.time) / (after.time - before.time);
   const between = (from, to) => Math.hypot(to[0] - from[0], to[1] - from[1]) > JUMP ? to
     : from.map((value, i) => value + share * (i === 2 ? turn(to[i] - value) : to[i] - value));
-  return { ...before, hidden: before.hidden || after.hidden, puck: between(before.puck, after.puck),
+  return { ...(beyond ? after : before), hidden: before.hidden || after.hidden, puck: between(before.puck, after.puck),
     craft: between(before.craft, after.craft), mallet: between(before.mallet, after.mallet) };
 }
 function turn(angle) {
@@ -88,10 +92,14 @@ function turn(angle) {
 
 // The own mallet: the server's law of motion, from its newest state on, towards where the hand is ----
 const wishes = [];          // [when sent on this page's clock, x, y]
-let wishNumber = 0;
+let wishNumber = 0, lastSent = 0;
 const sentAt = new Map();   // number of a wish: time of its pointer event [ms]
 function wish(event) {
   if (role !== "player" || !table) return;
+  // A finger plays where it has touched the table; the mouse may leave it.
+  if (event.pointerType !== "mouse" && event.target !== table.canvas) return;
+  if (event.type === "pointerrawupdate" && event.timeStamp - lastSent < APART)
+    return;
   const box = table.canvas.getBoundingClientRect();
   let px = event.clientX - box.left, py = event.clientY - box.top;
   if (event.pointerType === "touch") table.tall ? py -= BEFORE_FINGER : px -= BEFORE_FINGER;
@@ -103,7 +111,7 @@ function wish(event) {
   if (socket.readyState === WebSocket.OPEN) socket.send(data.buffer);
   wishes.push([performance.now() / 1000, x, y]);
   while (wishes.length > 200) wishes.shift();
-  sentAt.set(wishNumber, event.timeStamp);
+  sentAt.set(wishNumber, lastSent = event.timeStamp);
 }
 function allowed(x, y) {
   const [length, width] = hello.table, r = hello.hockey.mallet;
@@ -325,7 +333,8 @@ byId("table").addEventListener("pointerdown", event => {
   byId("table").setPointerCapture(event.pointerId);
   wish(event);
 });
-byId("table").addEventListener("pointermove", wish);
+// Raw updates come at once, moves with the next frame; not every browser has both.
+for (const kind of ["pointermove", "pointerrawupdate"]) addEventListener(kind, wish);
 addEventListener("contextmenu", event => event.preventDefault());
 addEventListener("resize", () => table && resize());
 // A page that is not seen does not play.

@@ -1,0 +1,79 @@
+"""The page of `airpuck play` in headless Chromium: frames, pointer to pixel, physics in real time.
+
+    python studies/play_page.py --duration 600
+
+A pointer moves over the table all the time. The time from its event to the first frame with a state
+of the server that has heard of it is measured in the page; how far the physics is behind real time
+by the command. The browser draws without a graphics card, on the same cores.
+"""
+
+import argparse
+import json
+import math
+import shutil
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+FIGURES = "[airpuck.figures.frames, airpuck.figures.latencies]"
+
+
+def play(port: int, duration: float) -> dict[str, float]:
+    """Play in a browser; return what its page measured."""
+    with sync_playwright() as playwright:
+        path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 720})
+        page.goto(f"http://127.0.0.1:{port}")
+        page.click("#go", timeout=120_000)
+        page.evaluate("airpuck.figures.latencies.length = airpuck.figures.frames.length = 0")
+        frames, latencies = [], []
+        begin = time.monotonic()
+        while (now := time.monotonic() - begin) < duration:
+            x, y = math.sin(2.3 * now), math.sin(3.1 * now)
+            page.mouse.move(960 + 250 * x, 375 + 230 * y)
+            if len(frames) + 30 * 60 < 60 * now:  # the page keeps a minute
+                taken = page.evaluate(f"{FIGURES}.map(one => one.splice(0))")
+                frames, latencies = frames + taken[0], latencies + taken[1]
+            if page.locator("#go").is_visible():
+                page.click("#go")
+        taken = page.evaluate(FIGURES)
+        browser.close()
+    frames, latencies = np.array(frames + taken[0]), np.array(latencies + taken[1])
+    return {
+        "frames_per_s": 1e3 * (len(frames) - 1) / (frames[-1] - frames[0]),
+        "frame_ms_p99": float(np.percentile(np.diff(frames), 99)),
+        "pointer_to_pixel_ms_p50": float(np.percentile(latencies, 50)),
+        "pointer_to_pixel_ms_p95": float(np.percentile(latencies, 95)),
+        "wishes": len(latencies),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--duration", type=float, default=600.0)
+    parser.add_argument("--level", default="hard")
+    arguments = parser.parse_args()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "airpuck", "play", "--no-browser", "--json", "-"]
+    command += ["--level", arguments.level, "--port", str(port), "--quiet"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as game:
+        while True:
+            time.sleep(0.2)
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+        figures = play(port, arguments.duration)
+        game.terminate()
+        figures |= json.loads(game.communicate()[0] or "{}")
+    print(json.dumps(figures, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""A server of pages, with the test as the game at the other end of its pipe."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import struct
+from typing import Any
+
+from airpuck.arena.address import listen
+from airpuck.arena.server import ORDER, serve
+
+
+class Arena:
+    """A server, and the game's end of its pipe."""
+
+    def __init__(self, hello: dict[str, Any]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, far = context.Pipe()
+        with listen(None, 0) as listening:
+            self.port = listening.getsockname()[1]
+            self.process = context.Process(target=serve, args=(far, listening, "127.0.0.1", hello))
+            self.process.start()
+        far.close()
+
+    def page(self, **options):
+        """Open a page."""
+        from websockets.sync.client import connect
+
+        return connect(f"ws://127.0.0.1:{self.port}/", compression=None, **options)
+
+    def heard(self, timeout: float = 5.0) -> tuple[bytes, Any]:
+        """What the game hears next."""
+        assert self.pipe.poll(timeout)
+        message = self.pipe.recv_bytes()
+        kind, content = message[:1], message[1:]
+        return kind, json.loads(content) if kind == ORDER else struct.unpack("<Iff", content)
+
+    def ordered(self) -> dict[str, Any]:
+        """The next order; wishes are left out."""
+        while True:
+            kind, content = self.heard()
+            if kind == ORDER:
+                return content
+
+    def hears(self, *orders: str) -> None:
+        """The game hears these orders next."""
+        for order in orders:
+            assert self.ordered()["do"] == order
+
+    def silent(self) -> bool:
+        """Whether the game hears nothing more."""
+        return not self.pipe.poll(0.2)
+
+    def close(self) -> None:
+        """End it."""
+        self.pipe.close()
+        self.process.join(5)
+        ended = self.process.exitcode
+        self.process.kill()
+        assert ended == 0

@@ -1,0 +1,280 @@
+"""The page of a game in a real browser; the game is a test's, but for the last test."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import airpuck
+from airpuck.arena.messages import packed_state
+from airpuck.arena.server import NEWS, STATE, THOUGHT
+from airpuck.arena.session import hello_of
+from airpuck.craft.table import Mallet, Table
+from airpuck.twin.play import HandMallet
+from airpuck.twin.settings import default_twin_settings
+
+from .arena import Arena
+
+pytestmark = pytest.mark.browser
+sync_api = pytest.importorskip("playwright.sync_api")
+
+ROOT = Path(__file__).parents[2]
+VERMILLION = (213, 94, 0)
+
+
+@pytest.fixture(scope="module")
+def browser(chromium) -> Iterator[Any]:
+    """Headless Chromium."""
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def arena() -> Iterator[Arena]:
+    """A server."""
+    made = Arena(hello_of(airpuck.read_model("paper:M3"), default_twin_settings()))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+class Page:
+    """A page of a game whose states are the test's."""
+
+    def __init__(self, browser: Any, arena: Arena, **look: Any) -> None:
+        self._arena, self._time = arena, 0.0
+        self.tab = browser.new_context(**look).new_page()
+        self.errors: list[str] = []
+        self.asked: list[str] = []
+        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.on("console", lambda line: self.errors.append(line.text))
+        self.tab.on("request", lambda request: self.asked.append(request.url))
+        self.tab.goto(f"http://127.0.0.1:{arena.port}/")
+        self.until("table && table.scale > 0")
+
+    def until(self, condition: str) -> None:
+        """Wait until something is so; the page's policy forbids the browser's own way."""
+        for _ in range(200):
+            if self.tab.evaluate(condition):
+                return
+            time.sleep(0.05)
+        raise AssertionError(condition)
+
+    def status(self, phase: str, score: tuple[int, int] = (0, 0)) -> None:
+        """Say how the game is."""
+        status = {"is": "status", "phase": phase, "score": score, "level": "medium"}
+        self._arena.pipe.send_bytes(NEWS + json.dumps(status).encode())
+        self.until(f"airpuck.status().phase === '{phase}'")
+
+    def show(self, puck=(0.3, 0.2, 0.0), mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0)) -> None:
+        """Let everything stand somewhere, and be drawn."""
+        for _ in range(20):
+            self._time += 0.01
+            state = packed_state(self._time, 0, False, puck, (*mallet, 0.0, 0.0), craft, (0.0,) * 6)
+            self._arena.pipe.send_bytes(STATE + state)
+            time.sleep(0.01)
+        time.sleep(0.1)
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Where a place of the table is on the screen."""
+        return tuple(
+            self.tab.evaluate(
+                f"""(() => {{ const [px, py] = table.toPixels({x}, {y});
+                const box = table.canvas.getBoundingClientRect();
+                return [box.left + px, box.top + py]; }})()"""
+            )
+        )
+
+    def color(self, x: float, y: float) -> np.ndarray:
+        """Its colour, of the middle of 5 × 5 points."""
+        image = Image.open(io.BytesIO(self.tab.screenshot())).convert("RGB")
+        sharp = image.width / self.tab.viewport_size["width"]
+        px, py = (round(sharp * value) for value in self.pixel(x, y))
+        part = np.array(image)[py - 2 : py + 3, px - 2 : px + 3].reshape(-1, 3)
+        return np.median(part, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "tall"), [(1280, 720, False), (390, 800, True), (800, 360, False)]
+)
+def test_everything_is_where_the_state_says(browser, arena, width, height, tall):
+    page = Page(browser, arena, viewport={"width": width, "height": height})
+    page.status("play")
+    page.show()
+    np.testing.assert_allclose(page.color(0.8, -0.1), VERMILLION, atol=12)
+    np.testing.assert_allclose(page.color(0.29, 0.2), (34, 34, 34), atol=12)
+    np.testing.assert_allclose(page.color(-0.8, 0.1), (255, 255, 255), atol=12)
+    floor = page.color(0.4, -0.3)
+    page.show(mallet=(0.4, -0.3))
+    np.testing.assert_allclose(page.color(0.4, -0.3), VERMILLION, atol=12)
+    np.testing.assert_allclose(page.color(0.8, -0.12), floor, atol=6)
+    # The person's goal is to the right, or at the bottom; all of the table is seen.
+    assert page.tab.evaluate("table.tall") == tall
+    (x0, y0), (x1, y1) = page.pixel(-1.1, 0.55), page.pixel(1.1, -0.55)
+    assert (y1 > y0) if tall else (x1 > x0)
+    for x, y in ((x0, y0), (x1, y1)):
+        assert 0 < x < width
+        assert 0 < y < height
+    # Nothing is cut off or scrolls.
+    assert page.tab.evaluate(
+        "[...document.querySelectorAll('button, output')].every(one => { const box = "
+        "one.getBoundingClientRect(); return !box.width || box.left >= 0 && box.right <= innerWidth"
+        " && box.bottom <= innerHeight; }) && document.documentElement.scrollHeight <= innerHeight"
+    )
+    assert page.errors == []
+    ours = (f"http://127.0.0.1:{arena.port}", f"ws://127.0.0.1:{arena.port}", "data:")
+    assert [url for url in page.asked if not url.startswith(ours)] == []
+
+
+def test_the_pointer_is_told_in_metres(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    arena.hears("sit")
+    page.status("play")
+    page.show()
+    page.tab.mouse.move(*page.pixel(0.5, 0.25))
+    _, (number, x, y) = arena.heard()
+    assert number == 1
+    assert (x, y) == pytest.approx((0.5, 0.25), abs=0.004)
+
+
+def test_a_finger_moves_the_mallet_before_it(browser, arena):
+    page = Page(
+        browser, arena, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True
+    )
+    arena.hears("sit")
+    page.status("play")
+    page.show()
+    page.tab.touchscreen.tap(*page.pixel(0.6, 0.1))
+    _, (_, x, y) = arena.heard()
+    assert y == pytest.approx(0.1, abs=0.01)
+    # Towards the craft, which is up.
+    assert 0.3 < x < 0.5
+
+
+def test_the_page_predicts_by_the_law_of_the_server(browser, arena):
+    page = Page(browser, arena, viewport={"width": 800, "height": 500})
+    random = np.random.default_rng(0)
+    hand = HandMallet(Mallet(), Table(), 0.85, 0.0)
+    mallet = [hand.x, hand.y, 0.0, 0.0]
+    for _ in range(40):
+        hand.target = tuple(random.uniform((-0.2, -0.7), (1.3, 0.7)).tolist())
+        for _ in range(4):
+            way = hand.moving(0.01)
+            way.x, way.y = way.to_x, way.to_y
+            hand.arrive(way, 0.01)
+            mallet = page.tab.evaluate(f"moved({mallet}, {list(hand.target)}, 0.01)")
+            assert mallet == pytest.approx((hand.x, hand.y, hand.vx, hand.vy), abs=1e-9)
+
+
+def test_keys_buttons_and_cards(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    arena.hears("sit")
+    title, go = page.tab.locator("#title"), page.tab.locator("#go")
+    page.status("ready")
+    assert "First to 7" in page.tab.locator("#words").inner_text()
+    go.click()
+    arena.hears("go")
+    page.status("play", (2, 3))
+    assert not page.tab.locator("#card").is_visible()
+    assert page.tab.locator(".score").inner_text().split() == ["airpuck", "2", ":", "3", "you"]
+    page.tab.keyboard.press(" ")
+    arena.hears("pause")
+    page.status("paused", (2, 3))
+    assert title.inner_text() == "Paused"
+    page.tab.keyboard.press(" ")
+    arena.hears("go")
+    page.tab.get_by_role("button", name="easy").click()
+    assert arena.ordered() == {"do": "level", "level": "easy", "on": False}
+    page.status("over", (3, 7))
+    assert title.inner_text() == "You win"
+    go.click()
+    arena.hears("restart")
+    page.status("over", (7, 3))
+    assert title.inner_text() == "The craft wins"
+    page.tab.keyboard.press("r")
+    arena.hears("restart")
+    sound = page.tab.locator("#sound")
+    assert sound.get_attribute("aria-pressed") == "true"
+    page.tab.keyboard.press("m")
+    assert sound.get_attribute("aria-pressed") == "false"
+    page.tab.reload()
+    assert sound.get_attribute("aria-pressed") == "false"
+    assert page.errors == []
+
+
+def test_thoughts_are_drawn_on_request(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    arena.hears("sit")
+    page.status("play")
+    page.show()
+    empty = page.color(-0.4, 0.2)
+    page.tab.keyboard.press("t")
+    assert arena.ordered()["on"] is True
+    thought = {
+        "is": "thought",
+        "words": "strike 64 %",
+        "said": "strike 64 %, in 0.21 s",
+        "meet": [-0.4 + 0.07, 0.2],  # the ring of the craft's radius goes through where we look
+        "path": [[-0.3, 0.2], [1.1, 0.0]],
+        "predicted": [[0.3, 0.2], [-0.3, 0.2]],
+    }
+    arena.pipe.send_bytes(THOUGHT + json.dumps(thought).encode())
+    page.show()
+    page.until("document.getElementById('said').textContent.includes('0.21 s')")
+    red, green, blue = page.color(-0.4, 0.2)
+    assert empty.min() > 200
+    assert red > green + 20
+    assert blue > green + 10
+    assert page.errors == []
+
+
+def test_the_second_page_watches_and_may_sit_down(browser, arena):
+    first = Page(browser, arena, viewport={"width": 800, "height": 500})
+    second = Page(browser, arena, viewport={"width": 800, "height": 500})
+    arena.hears("sit")
+    first.status("play")
+    second.until("airpuck.status().phase === 'play'")
+    assert first.tab.locator("#pause").is_enabled()
+    assert not second.tab.locator("#pause").is_enabled()
+    assert "you watch" in second.tab.locator("#right-name").inner_text()
+    second.tab.mouse.move(600, 200)
+    second.tab.keyboard.press("r")
+    second.tab.wait_for_timeout(200)
+    assert arena.silent()
+    first.tab.close()
+    arena.hears("pause", "leave")  # who closes a page hides it first
+    second.status("waiting")
+    assert second.tab.locator("#title").inner_text() == "The seat is free"
+    second.tab.click("#go")
+    arena.hears("sit")
+    second.until("document.getElementById('pause').disabled === false")
+
+
+def test_a_page_says_that_the_game_has_gone(browser, arena):
+    page = Page(browser, arena, viewport={"width": 800, "height": 500})
+    page.status("play")
+    arena.pipe.close()
+    page.until("document.getElementById('title').textContent === 'Connection lost'")
+
+
+def test_a_real_game_at_sixty_frames_a_second(chromium):
+    """The study, for some seconds: pointer to pixel goes over the server."""
+    command = [sys.executable, "studies/play_page.py", "--duration", "8"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    figures = json.loads(done.stdout)
+    assert figures["frames_per_s"] > 58
+    assert figures["pointer_to_pixel_ms_p95"] < 50
+    assert figures["behind_real_time_ms"]["p99"] < 1000 / 60
