@@ -181,6 +181,21 @@ def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
     np.testing.assert_allclose(velocity, targets[middle].state[3:], atol=0.02)
     assert flown.motors_at(2.0, 0.0) == pytest.approx(metre.commands[0])
     assert flown.motors_at(9.0, 0.0) == pytest.approx(np.full(6, M3.vehicle.command_min))
+    ahead = np.linspace(-0.1, metre.duration + 0.1, 57)
+    for together in (flown.state_at, flown.motors_at):
+        one_by_one = [together(2.0, float(t)) for t in ahead]
+        np.testing.assert_array_equal(together(2.0, ahead), one_by_one)
+
+
+def test_gentle_switches_cost_little_time(metre):
+    limits = Limits(smoothing=2e-4)
+    gentle = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), table=Table(), limits=limits)
+    assert metre.duration < gentle.duration < 1.02 * metre.duration
+    hardest = [np.abs(np.diff(p.commands, axis=0)).max() for p in (metre, gentle)]
+    assert hardest[1] < 0.6 * hardest[0]
+    # In any grid the same.
+    finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), table=Table(), limits=limits, intervals=80)
+    assert finer.duration == pytest.approx(gentle.duration, rel=5e-3)
 
 
 def test_a_plan_file_gives_the_plan_back(metre, tmp_path):

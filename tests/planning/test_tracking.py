@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 import airpuck
 from airpuck.control.tuning import default_tuning
@@ -9,7 +10,7 @@ from airpuck.craft.table import Table
 from airpuck.flight.loop import fly
 from airpuck.flight.pilot import check_pilot
 from airpuck.planning.request import Limits
-from airpuck.planning.tracking import Departing, plan_tracker
+from airpuck.planning.tracking import Departing, least_correction, plan_tracker
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -18,7 +19,7 @@ M3 = airpuck.read_model("paper:M3")
 
 @pytest.fixture(scope="module")
 def planned():
-    limits = Limits(reserve=0.1)
+    limits = Limits(reserve=0.1, smoothing=2e-4)
     return airpuck.plan(M3, (-0.2, 0, 0), (0.2, 0, 0.5), table=Table(), limits=limits, intervals=20)
 
 
@@ -51,3 +52,45 @@ def test_a_craft_that_does_not_rest_does_not_depart(planned):
         pilot.pose(0.01 * k, start + away + rng.normal(0, 5e-5, 3))
         pilot.sent(0.01 * k, pilot.step(0.01 * k).command)
     assert pilot.reference.begin == np.inf
+
+
+def test_corrections_are_the_bounded_least_squares_of_scipy():
+    rng = np.random.default_rng(1)
+    for m in (6, 60, 300):
+        a, missed = rng.normal(0, 2, (6, m)), rng.normal(0, 30, 6)
+        low, high = -rng.uniform(0, 0.5, m), rng.uniform(0, 0.5, m)
+        expected = lsq_linear(
+            np.vstack([a, np.eye(m)]),
+            np.concatenate([-missed, np.zeros(m)]),
+            (low, high),
+            tol=1e-12,
+        )
+        found = least_correction(a, missed, low, high)
+        assert (found >= low).all()
+        assert (found <= high).all()
+        np.testing.assert_allclose(found, expected.x, atol=1e-4)
+
+
+def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
+    """Late packets, and 8 mm and 0.03 rad that the plan knows nothing of."""
+    tuning, table = default_tuning(), Table()
+    flight = planned.starting(0.1)
+    for seed in range(3):
+        pilot = plan_tracker(flight, tuning, table)
+        twin = Twin(M3, default_twin_settings(), seed=seed, pose=(-0.206, 0.005, 0.03))
+        fly(pilot, twin, 0.1 + 1.1 * planned.duration, tuning.period_s)
+        time, states = twin.truth
+        late = time > 0.1 + planned.duration
+        error = np.abs(states[late][:, :6] - flight.samples[1][-1, :6])
+        near = (error < (0.01, 0.01, 0.1, 0.05, 0.05, 1.0)).all(axis=1)
+        assert near.any()
+
+
+def test_a_plan_may_end_in_motion_and_is_flown_until_then():
+    goal = airpuck.Goal(0.3, 0.0, None, (0.6, 0.0, 0.0))
+    limits = Limits(reserve=0.1, smoothing=2e-4)
+    moving = airpuck.plan(M3, (-0.3, 0, 0), goal, limits=limits, intervals=20).starting(0.1)
+    twin = Twin(M3, default_twin_settings(), seed=1, pose=(-0.3, 0.0, 0.0))
+    fly(plan_tracker(moving, default_tuning()), twin, 0.1 + moving.duration, 0.01)
+    error = twin.truth[1][-1, :6] - moving.samples[1][-1, :6]
+    assert (np.abs(error) < (0.02, 0.02, 0.15, 0.15, 0.15, 3.0)).all()

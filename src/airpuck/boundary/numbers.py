@@ -66,6 +66,7 @@ RESERVE = Range(0, 0.9, "with less than a tenth of its thrust a craft hardly mov
 SPIN_LIMIT = Range(0.1, 40, "slower it never turns; faster no camera follows", "rad/s")
 SPEED_LIMIT = Range(0.01, 20, "the table is some metres long", "m/s")
 CLEARANCE = Range(0, 1, "the table is about a metre wide", "m")
+SMOOTHING = Range(0, 0.01, "with more, commands hardly change in a second", "s²")
 INTERVALS = Range(10, 400, "fewer miss switches, and more take minutes")
 PULSE_ROUNDS = Range(1, 100, "the battery lasts for some minutes")
 SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")

@@ -75,6 +75,10 @@ def plan(
     margin: Annotated[
         float, options.number("M", "Distance to keep from the rails.", numbers.CLEARANCE)
     ] = 0.0,
+    smoothing: Annotated[
+        float,
+        options.number("S", "Time that may be lost for gentler switches.", numbers.SMOOTHING),
+    ] = 0.0,
     intervals: Annotated[
         int, options.number("N", "Intervals of constant commands in a leg.", numbers.INTERVALS)
     ] = 40,
@@ -97,7 +101,7 @@ def plan(
             keep_out or [], 3, "--keep-out", "give three numbers: x [m], y [m], radius [m]"
         ),
         table=rails,
-        limits=airpuck.Limits(reserve, spin, speed, margin),
+        limits=airpuck.Limits(reserve, spin, speed, margin, smoothing),
         intervals=intervals,
     )
     if output is not None:
@@ -121,7 +125,7 @@ def race(
     ] = None,
     model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
     truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M3",
-    regulator: Annotated[Literal["lqr", "mpc"], Option(help="What tracks the plan.")] = "lqr",
+    regulator: options.RegulatorName = None,
     reserve: Annotated[
         float | None,
         options.number("R", "Share of thrust kept for feedback, by default 0.1.", numbers.RESERVE),
@@ -160,7 +164,6 @@ def race(
             planned,
             airpuck.read_model(truth),
             seeds=seeds,
-            regulator=regulator,
             settings=settings,
             tuning=inputs.read_controls(tuning, regulator, belief),
             progress=progress,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +26,7 @@ from airpuck.planning.certificate import (
 )
 from airpuck.planning.request import Goal, Limits, Request, checked_request
 from airpuck.planning.starts import further_starts, starts
-from airpuck.planning.transcription import Path, Solved, program_for
+from airpuck.planning.transcription import Path, Solved, Transcription, program_for
 
 _FORMAT = "airpuck plan 1"
 #: Intervals of the program that judges the starts.
@@ -144,46 +144,51 @@ class Plan:
         rates = acceleration(np, self.model.dynamics, state[2:6], state[6:])
         return Target(state[:6].copy(), np.array(rates))
 
-    def state_at(self, now: float, ahead: float) -> Float[np.ndarray, " s"]:
+    def state_at(
+        self, now: float, ahead: float | Float[np.ndarray, "*K"]
+    ) -> Float[np.ndarray, "*K s"]:
         """Return the whole planned state at ``now + ahead``, motor speeds included.
 
         Parameters
         ----------
         now : float
             Present time [s].
-        ahead : float
+        ahead : float or array, shape (*K)
             How long from now on [s].
 
         Returns
         -------
-        array, shape (6 + n,)
+        array, shape (*K, 6 + n)
             That of the start before the beginning, that of the end after it.
         """
         times, states = self.samples
-        inside = min(max(now + ahead - self.begin, 0.0), float(times[-1]))
-        last = min(int(np.searchsorted(times, inside, side="right")) - 1, len(times) - 2)
-        share = (inside - times[last]) / (times[last + 1] - times[last])
+        inside = np.clip(now + ahead - self.begin, 0.0, times[-1])
+        last = np.minimum(np.searchsorted(times, inside, side="right") - 1, len(times) - 2)
+        share = np.expand_dims((inside - times[last]) / (times[last + 1] - times[last]), -1)
         return (1 - share) * states[last] + share * states[last + 1]
 
-    def motors_at(self, now: float, ahead: float) -> Float[np.ndarray, " n"]:
+    def motors_at(
+        self, now: float, ahead: float | Float[np.ndarray, "*K"]
+    ) -> Float[np.ndarray, "*K n"]:
         """Return the commands that are planned to reach the motors at ``now + ahead``.
 
         Parameters
         ----------
         now : float
             Present time [s].
-        ahead : float
+        ahead : float or array, shape (*K)
             How long from now on [s].
 
         Returns
         -------
-        array, shape (n,)
+        array, shape (*K, n)
             Commands; idle before the beginning and after the end.
         """
         time = now + ahead - self.begin
-        if not 0 <= time < self.duration:
-            return np.full(self.commands.shape[1], self.model.vehicle.command_min)
-        return self.commands[int(np.searchsorted(self.time, time, side="right")) - 1].copy()
+        last = np.searchsorted(self.time, time, side="right") - 1
+        flying = np.expand_dims((time >= 0) & (time < self.duration), -1)
+        commands = self.commands[np.clip(last, 0, len(self.commands) - 1)]
+        return np.where(flying, commands, self.model.vehicle.command_min)
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``.
@@ -224,7 +229,7 @@ class Plan:
 
 
 class _PlanFile(Section):
-    format: str
+    format: Literal["airpuck plan 1"]
     motors: tuple[str, ...]
     lower_bound_s: float
     reserve: float
@@ -254,8 +259,6 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
         If the file cannot be read, is damaged, or is for other motors.
     """
     content = read_toml(path, _PlanFile)
-    if content.format != _FORMAT:
-        raise InputError(f"is not {_FORMAT!r}", file=path, field="format")
     if content.motors != model.vehicle.propeller_names:
         raise InputError(
             f"is for the motors {', '.join(content.motors)}; give the model it was made with",
@@ -328,12 +331,9 @@ def plan(
     bound = _bound(request, solved)
     if warm is None and bound < _DOUBTFUL * solved.path.times[-1]:
         program = program_for(request.model, intervals, len(request.via) + 1, len(request.keep_out))
-        for name, guess, yaw in further_starts(request, intervals):
-            other = program.solve(request, guess, yaw)
-            flies = other.converged and _flies(request, other.path)
-            time = float(other.path.times[-1])
-            tried = (*tried, Start(name, time if flies else None, other.status))
-            if flies:
+        for begun, other in _further(request, program):
+            tried = (*tried, begun)
+            if other is not None:
                 # Whatever the weight is that it comes from, a bound holds.
                 bound = max(bound, _bound(request, other))
                 solved = min(solved, other, key=lambda one: float(one.path.times[-1]))
@@ -374,8 +374,6 @@ def search(
     statuses = [start.status for start in tried]
     best_first = sorted(found, key=lambda f: f[0])
     refined = [(yaw, path) for _, yaw, paths in best_first for path in paths][:_REFINED]
-    if warm is None:
-        refined += [(yaw, path) for _, path, yaw in further_starts(request, intervals)]
     for yaw, path in refined:
         solved = fine.solve(request, path.resampled(intervals), yaw)
         if solved.converged and _flies(request, solved.path):
@@ -384,6 +382,11 @@ def search(
                 tried.append(Start("the neighbouring plan", time, solved.status))
             return solved, tuple(tried)
         statuses.append("touches between nodes" if solved.converged else solved.status)
+    for begun, solved in _further(request, fine) if warm is None else ():
+        tried.append(begun)
+        if solved is not None:
+            return solved, tuple(tried)
+        statuses.append(begun.status)
     axis = unavoidable_rail(request)
     if axis is not None:
         raise InputError(
@@ -395,6 +398,15 @@ def search(
         "within the limits",
         field="plan",
     )
+
+
+def _further(request: Request, program: Transcription) -> Iterator[tuple[Start, Solved | None]]:
+    """Try the further starts; None where one leads to no flight."""
+    for name, guess, yaw in further_starts(request, program.intervals):
+        solved = program.solve(request, guess, yaw)
+        flies = solved.converged and _flies(request, solved.path)
+        time = float(solved.path.times[-1]) if flies else None
+        yield Start(name, time, solved.status), solved if flies else None
 
 
 def _bound(request: Request, solved: Solved) -> float:

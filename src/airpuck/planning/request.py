@@ -75,18 +75,24 @@ class Limits:
         Largest velocity along x and along y [m/s].
     margin : float, default 0
         Distance that the craft keeps from the rails and from what it must not touch [m].
+    smoothing : float, default 0
+        Time that may be lost for each unit of ∫ |u'|² dt, the squared rates of the commands until
+        the motors idle: a gentle switch suffers less from a packet that comes late. For flights,
+        2e-4 [s²].
     """
 
     reserve: float = 0.0
     spin: float = 15.0
     speed: float = 3.0
     margin: float = 0.0
+    smoothing: float = 0.0
 
     def __post_init__(self) -> None:
         numbers.RESERVE.check(self.reserve, "reserve")
         numbers.SPIN_LIMIT.check(self.spin, "spin")
         numbers.SPEED_LIMIT.check(self.speed, "speed")
         numbers.CLEARANCE.check(self.margin, "margin")
+        numbers.SMOOTHING.check(self.smoothing, "smoothing")
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import lsq_linear
 
-from airpuck.control.discretization import motor_lag
+from airpuck.control.discretization import motor_lag, point_mass
 from airpuck.control.law import Step
-from airpuck.control.lqr import regulator
 from airpuck.control.reference import Reference
-from airpuck.control.stages import look_ahead
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import acceleration, acceleration_map
 from airpuck.physics.thrust import InverseThrust, thrust
 from airpuck.planning.plan import Plan
 
-#: By how much accelerations are cheaper than in the tuning's regulator: a plan asks for all that
-#: the motors give, so what they do late or wrongly must be made good at once.
-_STIFFER = 30.0
-#: Weight of an acceleration that is missed against thrusts that differ from the plan's.
-_EXACT = 30.0
+#: How far ahead on the plan the craft aims, and by how much later than planned it may come to rest,
+#: but no sooner than motors and thrusts can do anything about [s].
+_HORIZON, _LATER, _LEAST = 0.6, 0.03, 0.08
+#: For how long after its end a plan is flown; then its goal is a set point [s].
+_AFTERWARDS = 0.1
+#: Errors there (x, y, γ and their rates) and thrusts beside the planned ones for a period [N] that
+#: count as much as each other.
+_PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
+_CORRECTION = 0.05
+#: Step of the differences that linearise accelerations; tolerance and iterations of the program.
+_DIFFERENCE = 1e-5
+#: Parts of a period over which planned commands are averaged.
+_PARTS = 4
+_TOLERANCE, _ITERATIONS = 1e-6, 40
 #: The craft rests at a place when it has been as near as this (x, y, γ and their rates) for so long
 #: [s]; longer than a pilot's steps on the spot before a flight.
 _AT_REST = np.array([5e-3, 5e-3, 0.05, 0.05, 0.05, 1.0])
@@ -32,11 +39,12 @@ _RESTS = 1.0
 
 
 class PlanTracker(TrackingController):
-    """Flies a plan by its thrusts; a regulator corrects them within what the motors can reach.
+    """Flies a plan by its thrusts, and corrects them so as to be where the plan will be later.
 
     An allocation of its own would spread the accelerations otherwise over the motors, and find them
-    too slow where the plan had them ready. Before and after the plan, and where it is left far
-    behind, it is a `TrackingController`.
+    too slow where the plan had them ready. Errors are not fought at once, by more thrust than there
+    is, but over the rest of the way, within what the motors can do. Before the plan and after it,
+    it is a `TrackingController`.
 
     Parameters
     ----------
@@ -50,14 +58,9 @@ class PlanTracker(TrackingController):
 
     def __init__(self, model: Model, plan: Plan, tuning: Tuning | None = None) -> None:
         super().__init__(model, plan, tuning)
-        weights = self.tuning.weights
-        cheap = {
-            name: getattr(weights, name) / _STIFFER
-            for name in ("acceleration", "angular_acceleration")
-        }
-        self._gain = regulator(weights.model_copy(update=cheap), self.tuning.period_s)
         self._inverse = InverseThrust(model.dynamics.thrust)
-        self._arms = np.array([1.0, 1.0, model.radius_of_gyration])
+        lag = float(model.dynamics.motor_time_constant)
+        self._lag, self._drive = motor_lag(lag, self.tuning.period_s)
 
     def step(self, time: float) -> Step:
         """Compute the command to send now; see `TrackingController.step`."""
@@ -67,46 +70,144 @@ class PlanTracker(TrackingController):
 
     def steer(self, estimate: Estimate, now: float) -> Step:
         """Correct the planned thrusts for an estimate; see `TrackingController.steer`."""
-        period, delay = self.tuning.period_s, self.model.transport_delay
-        dynamics, vehicle, plan = self.model.dynamics, self.model.vehicle, self.reference
-        if not isinstance(plan, Plan) or now + delay < plan.begin:
+        vehicle, plan = self.model.vehicle, self.reference
+        acting = now + self.model.transport_delay
+        if not isinstance(plan, Plan) or not 0 <= acting - plan.begin < plan.duration + _AFTERWARDS:
             return super().steer(estimate, now)
-        planned = plan.state_at(now, delay + period)
-        if now + delay - plan.begin > plan.duration - period:
-            # What is left of the way, as stiffly; from idle motors.
-            idle = np.full(vehicle.n_propellers, vehicle.command_min)
-            planned = np.concatenate([planned[:3], np.zeros(3), idle])
-        e = estimate
-        following, matrix, _ = look_ahead(
-            np, dynamics, period, e.state, e.motor_speed, e.disturbance, e.effectiveness
-        )
-        error = pose_difference(np, following, planned[:6])
-        wanted = -self._gain @ error - e.disturbance
-        lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
-        coasting = lag * e.motor_speed
-        low = thrust(dynamics.thrust, coasting + drive * vehicle.command_min)
-        high = thrust(dynamics.thrust, coasting + drive * vehicle.command_max)
-        force = self._corrected(thrust(dynamics.thrust, planned[6:]), wanted, matrix, low, high)
+        curves, lag, drive = self.model.dynamics.thrust, self._lag, self._drive
+        ahead = self.tuning.period_s * np.arange(self._periods(plan, acting) + 1)
+        states = _flown_on(plan, acting, ahead)
+        planned = thrust(curves, states[:, 6:].T).T
+        # How far thrusts are from the plan's now.
+        aside = thrust(curves, estimate.motor_speed) - planned[0]
+        correction = self._correction(plan, acting, ahead, states, estimate, aside)
+        coasting = lag * estimate.motor_speed
+        low = thrust(curves, coasting + drive * vehicle.command_min)
+        high = thrust(curves, coasting + drive * vehicle.command_max)
+        force = np.clip(planned[1] + lag * aside + drive * correction, low, high)
         command = (self._inverse(force) - coasting) / drive
         command = np.clip(command, vehicle.command_min, vehicle.command_max)
-        return Step(command, "exact", wanted, estimate)
+        return Step(command, "exact", np.zeros(3), estimate)
 
-    def _corrected(
+    def _periods(self, plan: Plan, acting: float) -> int:
+        """Return how many periods ahead the state is that the craft aims at."""
+        left = plan.begin + plan.duration - acting
+        if _rests(plan):
+            left = max(left + _LATER, _LEAST)
+        return max(int(min(left, _HORIZON) / self.tuning.period_s + 1e-9), 1)
+
+    def _correction(
         self,
-        planned: Float[np.ndarray, " n"],
-        wanted: Float[np.ndarray, " 3"],
-        matrix: Float[np.ndarray, "3 n"],
-        low: Float[np.ndarray, " n"],
-        high: Float[np.ndarray, " n"],
+        plan: Plan,
+        acting: float,
+        ahead: Float[np.ndarray, " nodes"],
+        states: Float[np.ndarray, "nodes s"],
+        estimate: Estimate,
+        aside: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, " n"]:
-        """Return thrusts near the planned ones that give the correction as nearly as possible."""
-        n = len(planned)
-        rows = _EXACT * self._arms[:, None] * matrix
-        a = np.vstack([rows, np.eye(n)])
-        b = np.concatenate([_EXACT * self._arms * wanted, np.zeros(n)])
-        room = np.maximum(high, low + 1e-9)
-        found = lsq_linear(a, b, (low - planned, room - planned), method="bvls")
-        return np.clip(planned + found.x, low, high)
+        """Return what to ask of the motors now beside the planned thrusts [N].
+
+        The errors at the end are linear in those now and in all that is asked for until then.
+        """
+        curves, vehicle, period = self.model.dynamics.thrust, self.model.vehicle, ahead[1]
+        count, n = len(ahead) - 1, vehicle.n_propellers
+        forces = thrust(curves, states[:, 6:].T).T
+        # What motors really push: weak ones less, and after the end they still run down.
+        flying = np.clip((plan.begin + plan.duration - acting - ahead[:-1]) / period, 0, 1)
+        share = estimate.effectiveness
+        surplus = (share - flying[:, None]) * (forces[1:] + forces[:-1]) / 2
+        transition, pushes = self._linearised((states[1:] + states[:-1]).T / 2)
+        onward, running = np.eye(6), np.zeros((6, n))
+        gains, missed = np.empty((6, count, n)), np.zeros(6)
+        for k in reversed(range(count)):
+            push = onward @ pushes[k]
+            missed += push @ surplus[k]
+            push = push * share
+            gains[:, k] = self._drive * (push / 2 + running)
+            running = (1 + self._lag) / 2 * push + self._lag * running
+            onward = onward @ transition[k]
+        missed += onward @ pose_difference(np, estimate.state, states[0, :6]) + running @ aside
+        within = ahead[:-1, None] + period * (np.arange(_PARTS) + 0.5) / _PARTS
+        asked = thrust(curves, np.moveaxis(plan.motors_at(acting, within), -1, 0)).mean(axis=2).T
+        least, most = thrust(
+            curves, np.outer(np.ones(n), [vehicle.command_min, vehicle.command_max])
+        ).T
+        low, high = np.minimum(least - asked, 0.0).ravel(), np.maximum(most - asked, 0.0).ravel()
+        a = (_CORRECTION / _PRECISION)[:, None] * gains.reshape(6, -1)
+        x = least_correction(a, missed / _PRECISION, low / _CORRECTION, high / _CORRECTION)
+        return _CORRECTION * x[:n]
+
+    def _linearised(
+        self, states: Float[np.ndarray, "s K"]
+    ) -> tuple[Float[np.ndarray, "K 6 6"], Float[np.ndarray, "K 6 n"]]:
+        """Return what errors, and thrusts beside the planned ones, do in a period at each state."""
+        dynamics = self.model.dynamics
+        rates = [
+            acceleration(np, dynamics, states[2:6] + row[:, None], states[6:])
+            for row in np.vstack([np.zeros(4), _DIFFERENCE * np.eye(4)])
+        ]
+        slopes = (np.array(rates[1:]) - np.array(rates[0])) / _DIFFERENCE
+        a, b = point_mass(self.tuning.period_s)
+        # By yaw and rates; the place does not matter.
+        jacobian = np.zeros((states.shape[1], 3, 6))
+        jacobian[:, :, 2:] = slopes.transpose(2, 1, 0)
+        maps = [acceleration_map(np, dynamics, yaw, 0.0)[0] for yaw in states[2]]
+        return a + b @ jacobian, b @ np.stack(maps)
+
+
+def _rests(plan: Plan) -> bool:
+    """Return whether the craft rests at the end."""
+    return bool((np.abs(plan.states[-1, 3:6]) < _AT_REST[3:]).all())
+
+
+def _flown_on(
+    plan: Plan, acting: float, ahead: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "K s"]:
+    """Return the planned states; after the end at rest, with motors that run down."""
+    states = plan.state_at(acting, ahead)
+    late = np.maximum(acting + ahead - plan.begin - plan.duration, 0.0)
+    left, _ = np.array(
+        [motor_lag(float(plan.model.dynamics.motor_time_constant), t) for t in late]
+    ).T
+    idle = plan.model.vehicle.command_min
+    states[:, 6:] = idle + left[:, None] * (states[:, 6:] - idle)
+    states[late > 0, 3:6] = 0.0
+    return states
+
+
+def least_correction(
+    a: Float[np.ndarray, "k m"],
+    missed: Float[np.ndarray, " k"],
+    low: Float[np.ndarray, " m"],
+    high: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"]:
+    """Minimise |a x + missed|² + |x|² within bounds.
+
+    With λ = a x + missed, x is -aᵀλ, clipped: what is left are k unknowns, and Newton's method on
+    the dual, which is convex and smooth, is ten times as fast as a solver for the m.
+    """
+
+    def residual(price: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+        x = np.clip(-(a.T @ price), low, high)
+        return price - missed - a @ x, x
+
+    def dual(price: Float[np.ndarray, " k"]) -> float:
+        free = -(a.T @ price)
+        x = np.clip(free, low, high)
+        return float(price @ (price / 2 - missed) + x @ (free - x / 2))
+
+    price = np.zeros(len(missed))
+    for _ in range(_ITERATIONS):
+        slope, x = residual(price)
+        if np.abs(slope).max() < _TOLERANCE:
+            break
+        inside = a[:, (x > low) & (x < high)]
+        step = np.linalg.solve(np.eye(len(price)) + inside @ inside.T, -slope)
+        share, before = 1.0, dual(price)
+        while dual(price + share * step) > before + 1e-4 * share * (slope @ step) and share > 1e-4:
+            share /= 2
+        price = price + share * step
+    return x
 
 
 def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> TrackingController:

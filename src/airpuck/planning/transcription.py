@@ -131,15 +131,19 @@ class Transcription:
                 for point in (middle, z[k + 1][:2]):
                     away = point - places[:2, d]
                     clear.append(casadi.dot(away, away) / places[2, d] ** 2)
-        changes = [u[k + 1] - u[k] for k in range(total - 1)]
-        rough = sum(casadi.dot(c, c) for c in changes) / max(total - 1, 1)
+        changes = [casadi.sumsqr(u[k + 1] - u[k]) for k in range(total - 1)]
+        rates = [c * intervals / durations[k // intervals] for k, c in enumerate(changes)]
+        # Motors idle afterwards.
+        rates.append(casadi.sumsqr(u[-1] - model.vehicle.command_min) * intervals / durations[-1])
+        smoothing = casadi.SX.sym("smoothing")
+        rough = _SMOOTHING * sum(changes) / max(total - 1, 1) + smoothing * sum(rates)
         variables = [part for pair in zip(z, u, strict=False) for part in pair]
         x = casadi.vertcat(*variables, z[-1], *durations)
         problem = {
             "x": x,
-            "f": sum(durations) + _SMOOTHING * rough,
+            "f": sum(durations) + rough,
             "g": casadi.vertcat(*steps, *clear),
-            "p": casadi.vec(places),
+            "p": casadi.vertcat(casadi.vec(places), smoothing),
         }
         self._solve = casadi.nlpsol("plan", "ipopt", problem, _OPTIONS)
         self._clearances = len(clear)
@@ -154,7 +158,7 @@ class Transcription:
             ubx=upper,
             lbg=np.concatenate([np.zeros(steps), np.ones(self._clearances)]),
             ubg=np.concatenate([np.zeros(steps), np.full(self._clearances, np.inf)]),
-            p=request.keep_out.ravel(),
+            p=np.append(request.keep_out.ravel(), request.limits.smoothing),
         )
         stats = self._solve.stats()
         states, commands, durations = self._unpacked(found["x"].full()[:, 0])

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.reference import Reference, SetPoint
+from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.loop import fly
@@ -27,8 +27,8 @@ from airpuck.twin.twin import Twin
 TOLERANCE = (0.01, 0.1, 0.05)
 #: Standing still before the start; patience after the planned end, for a plan and a set point [s].
 _LEAD, _PATIENCE, _SET_POINT_PATIENCE = 0.5, 0.5, 2.5
-#: Distance that plans of courses keep from the rails [m].
-_MARGIN = 0.02
+#: Distance that plans of courses keep from the rails [m]; how gently they switch (`Limits`).
+_MARGIN, _SMOOTHING = 0.02, 2e-4
 
 Course = Literal["straight", "slalom", "eight"]
 #: Start, goal and way points of each course.
@@ -85,7 +85,7 @@ class Race:
 def course_plan(course: Course, model: Model, settings: TwinSettings, reserve: float) -> Plan:
     """Plan a course on the twin's table."""
     start, goal, via = _COURSES[course]
-    limits = Limits(reserve=reserve, margin=_MARGIN)
+    limits = Limits(reserve=reserve, margin=_MARGIN, smoothing=_SMOOTHING)
     intervals = 20 if via else 40
     return plan(
         model, start, goal, via=via, table=settings.table, limits=limits, intervals=intervals
@@ -97,7 +97,6 @@ def race(
     truth: Model,
     *,
     seeds: int = 1,
-    regulator: Literal["lqr", "mpc"] = "lqr",
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
@@ -112,8 +111,6 @@ def race(
         The truth of the twin.
     seeds : int, default 1
         Number of flights, each with its noise and radio.
-    regulator : {"lqr", "mpc"}, default "lqr"
-        Which law tracks it.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -128,12 +125,10 @@ def race(
     """
     settings = settings or default_twin_settings()
     tuning = tuning or default_tuning()
-    chosen = tuning.regulator.model_copy(update={"kind": regulator})
-    tuning = tuning.model_copy(update={"regulator": chosen})
     plant = build_plant(truth, settings)
     goal = planned.samples[1][-1]
-    ends = [SetPoint(*(float(v) for v in state[:3])) for state in (planned.states[0], goal)]
-    flights = (planned.starting(_LEAD), _PATIENCE), (_Later(*ends), _SET_POINT_PATIENCE)
+    ends = SetPoints([0.0, _LEAD], [planned.states[0, :3], goal[:3]])
+    flights = (planned.starting(_LEAD), _PATIENCE), (ends, _SET_POINT_PATIENCE)
     twins: list[list[Twin]] = []
     for seed in range(seeds):
         durations = [_LEAD + planned.duration + patience for _, patience in flights]
@@ -153,18 +148,6 @@ def race(
         tuple(twin.truth[1][:, :2] for twin in raced),
         raced[0].recording(),
     )
-
-
-@dataclass(frozen=True)
-class _Later:
-    """One set point, and another from the start of the race on."""
-
-    before: SetPoint
-    after: SetPoint
-
-    def at(self, now: float, ahead: float) -> Any:
-        """Return the set point in force now; see `Reference.at`."""
-        return (self.after if now >= _LEAD else self.before).at(now, ahead)
 
 
 def _flown(
