@@ -26,6 +26,7 @@ from airpuck.preprocessing.quality import (
     find_frozen,
 )
 from airpuck.recording.stream import Recording, Stream
+from airpuck.report.game_frames import GameScene, read_game
 
 #: Length and width of the authors' air-hockey table; its centre is the origin [m].
 TABLE = (Table().length_m, Table().width_m)
@@ -90,6 +91,8 @@ class Scene:
     view: tuple[float, float, float, float]
     #: In the order of their times.
     plans: tuple[Plan, ...] = ()
+    #: Puck, the other's disc and the score, where it is a game.
+    game: GameScene | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +135,18 @@ def read_scene(
     time, poses = _poses(pose, aligned.pose_time, recording.source)
     command_time, commands = _usable(command, aligned.command_time, "command")
     check_commands(commands, command_time, recording.source)
-    reference_time, reference = _references(recording, pose, aligned.epoch)
+
+    def on_axis(
+        stream: Stream, kind: str
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N k"]]:
+        times = align_clocks(pose, stream)
+        since, usable = _usable(stream, times.command_time + (times.epoch - aligned.epoch), kind)
+        return since, usable.values
+
+    reference_time, reference = np.zeros(0), np.zeros((0, 3))
+    if len(recording.streams.get("reference", ())):
+        reference_time, asked_for = on_axis(recording["reference"], "reference")
+        reference = asked_for[:, :3]
 
     start, stop = (float(time[0] + share * (time[-1] - time[0])) for share in span)
     shown = (time >= start) & (time <= stop)
@@ -159,6 +173,7 @@ def read_scene(
         table=rails,
         view=view,
         plans=() if log is None else _plans(log, float(aligned.command_time[0]), start, stop),
+        game=read_game(recording, on_axis, 1 if poses[0, 0] > 0 else -1, (start, stop)),
     )
 
 
@@ -206,18 +221,6 @@ def _usable(
     return cleaned.time, Stream(stamps, stamps, cleaned.values, stream.columns)
 
 
-def _references(
-    recording: Recording, pose: Stream, epoch: float
-) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, "R 3"]]:
-    """Return times and poses of the set points, on the clock of the poses."""
-    stream = recording.streams.get("reference")
-    if stream is None or len(stream) == 0:
-        return np.zeros(0), np.zeros((0, 3))
-    aligned = align_clocks(pose, stream)
-    time, usable = _usable(stream, aligned.command_time + (aligned.epoch - epoch), "reference")
-    return time, usable.values[:, :3]
-
-
 def _in_force(time: Float[np.ndarray, " K"], start: float, stop: float) -> slice:
     """Return the samples that are in force at some moment of a span."""
     first = int(np.searchsorted(time, start, side="right")) - 1
@@ -260,18 +263,28 @@ def frame_times(
 
 def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
     """Compute where everything is at given moments [s]."""
-    after = np.searchsorted(scene.time, time, side="right").clip(1, len(scene.time) - 1)
-    before = after - 1
-    apart = scene.time[after] - scene.time[before]
-    share = np.clip((time - scene.time[before]) / apart, 0.0, 1.0)
-    known = (apart <= scene.pause) | (share == 0) | (share == 1)
-    share = np.where(known, share, 0.0)[:, None]
-    pose = (1 - share) * scene.pose[before] + share * scene.pose[after]
+    pose, known = poses_at(scene.time, scene.pose, scene.pause, time)
     reference = _held(scene.reference_time, scene.reference, time, np.inf)
     # In the turn that is nearest to the craft.
     reference[:, 2] = pose[:, 2] - wrapped(np, pose[:, 2] - reference[:, 2])
     command = _held(scene.command_time, scene.command, time, scene.command_pause)
     return Frames(time, pose, known, command, reference)
+
+
+def poses_at(
+    times: Float[np.ndarray, " N"],
+    poses: Float[np.ndarray, "N 3"],
+    pause: float,
+    at: Float[np.ndarray, " F"],
+) -> tuple[Float[np.ndarray, "F 3"], Bool[np.ndarray, " F"]]:
+    """Return poses at given moments, the last one where none is known then; and where one is."""
+    after = np.searchsorted(times, at, side="right").clip(1, len(times) - 1)
+    before = after - 1
+    apart = times[after] - times[before]
+    share = np.clip((at - times[before]) / apart, 0.0, 1.0)
+    known = (apart <= pause) | (share == 0) | (share == 1)
+    share = np.where(known, share, 0.0)[:, None]
+    return (1 - share) * poses[before] + share * poses[after], known
 
 
 def _held(

@@ -20,10 +20,12 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from PIL import GifImagePlugin, Image
 
+from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
 from airpuck.report import animation_frames as moments
 from airpuck.report import style
 from airpuck.report.animation_frames import Frames, Scene
+from airpuck.report.game_frames import PAUSE, GameScene
 
 #: Width of the picture, largest size of the table, and what is around it [in].
 _WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
@@ -99,6 +101,7 @@ class _Stage:
         self.scene, self.frames = scene, frames
         self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
         self.colors += style.BOUND_COLORS.values() if scene.plans else ()
+        self.colors += (style.BLUE, style.VERMILLION) if scene.game is not None else ()
         self.figure = _scenery(scene, speed)
         self.arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
         canvas = self.figure.canvas
@@ -127,6 +130,12 @@ class _Stage:
         clock.set(ha="right", va="center", fontsize=15, fontweight="bold")
         clock.set(transform=self.figure.transFigure, clip_on=False)
         _draw(legend, clock)
+        score = None if self.scene.game is None else self.scene.game.score_at(now)
+        if score is not None:
+            goals = Text(0.5, 1 - 0.23 / self.figure.get_figheight(), f"{score[0]} : {score[1]}")
+            goals.set(ha="center", va="center", fontsize=15, fontweight="bold")
+            goals.set(transform=self.figure.transFigure, clip_on=False)
+            _draw(legend, goals)
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
 
 
@@ -152,15 +161,40 @@ def _moving_on_table(
         color = style.BOUND_COLORS[plan.bound]
         yield LineCollection([plan.points], colors=color, linewidths=2.2, capstyle="round")
         yield Circle(tuple(plan.points[-1]), 0.1 * vehicle.radius_m, fc=color, ec="none")
+    if scene.game is not None:
+        yield from _beside(scene.game, vehicle, frames.time[k : k + 1])
     if not frames.known[k]:  # nobody knows where its propellers push
         yield from _craft(vehicle, pose, style.GREY, ls=(0, (2, 2)))
         above = pose[1] + 1.15 * vehicle.radius_m
         yield Text(pose[0], above, "no pose", color=style.GREY, fontsize=8, ha="center")
         return
-    yield from _craft(vehicle, pose, style.BLACK)
+    yield from _craft(vehicle, pose, style.BLACK if scene.game is None else _tint(scene.game.side))
     shapes = list(moments.arrow_shapes(arrows, vehicle.radius_m))
     tints = style.propeller_colors(vehicle)
     yield PolyCollection(shapes, facecolors=tints, edgecolors="white", linewidths=0.5)
+
+
+def _beside(game: GameScene, vehicle: Vehicle, now: Float[np.ndarray, " 1"]) -> Iterator[Patch]:
+    """Give the disc of the other side, and the puck."""
+    sizes, color = AirHockey(), _tint(-game.side)
+    if game.other is not None:
+        ((pose,), _) = moments.poses_at(game.other.time, game.other.pose, np.inf, now)
+        if game.other_flies:
+            yield from _craft(vehicle, pose, color)
+        else:
+            yield Circle(tuple(pose[:2]), sizes.mallet.radius_m, fc=color, ec="none")
+            ring = 0.42 * sizes.mallet.radius_m
+            yield Circle(tuple(pose[:2]), ring, fc="none", ec="white", lw=1.2)
+    ((pose,), (known,)) = moments.poses_at(game.puck.time, game.puck.pose, PAUSE, now)
+    if known:
+        yield Circle(tuple(pose[:2]), sizes.puck.radius_m, fc=style.BLACK, ec="none")
+        mark = pose[:2] + 0.45 * sizes.puck.radius_m * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        yield Circle(tuple(mark), 0.2 * sizes.puck.radius_m, fc="white", ec="none")
+
+
+def _tint(side: int) -> str:
+    """Return the colour of a side, by the sign of its x."""
+    return style.BLUE if side < 0 else style.VERMILLION
 
 
 def _craft(
@@ -247,7 +281,17 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
     rails = FancyBboxPatch((-length / 2, -width / 2), length, width, boxstyle=shape)
     rails.set(facecolor=style.FLOOR, edgecolor=style.RAIL, lw=4.5, zorder=0.1)
     axes.add_patch(rails)
-    axes.plot(0, 0, "+", color=style.RAIL, ms=9, mew=1.2, zorder=0.7)
+    if scene.game is None:
+        axes.plot(0, 0, "+", color=style.RAIL, ms=9, mew=1.2, zorder=0.7)
+        return
+    half = AirHockey().table.goal_width_m / 2
+    axes.vlines(0, -width / 2, width / 2, color=style.RAIL, lw=1.5, zorder=0.7)
+    axes.add_patch(Circle((0, 0), 0.16, fill=False, ec=style.RAIL, lw=1.5, zorder=0.7))
+    for side in (-1, 1):
+        x = side * (length / 2 + 0.6 * _RAIL)
+        axes.vlines(x, -half, half, color="white", lw=5, zorder=0.8)
+        axes.vlines(x, -half, half, color=_tint(side), lw=5, alpha=0.4, zorder=0.9)
+        axes.plot([x, x], [-half, half], "o", color=_tint(side), ms=5, zorder=1)
 
 
 def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " ticks"]:

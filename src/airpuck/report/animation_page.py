@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.craft.table import AirHockey
 from airpuck.report import animation_frames as moments
 from airpuck.report import style
 from airpuck.report.animation_frames import Plan, Scene
+from airpuck.report.game_frames import PAUSE, GameScene, Way
 from airpuck.report.page import packaged_text, render
-from airpuck.report.table_canvas import COLORS, craft_shape
+from airpuck.report.table_canvas import COLORS, craft_shape, hockey_shape
 
 #: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
@@ -33,13 +35,14 @@ def write_animation_page(scene: Scene, path: Path, *, speed: float) -> None:
         craft=scene.vehicle.name,
         recording=scene.name,
         colors=COLORS,
-        aspect=f"{(x1 - x0 + 0.14) / (y1 - y0 + 0.13):.4f}",
+        aspect=f"{(x1 - x0 + (0.14 if scene.game is None else 0.26)) / (y1 - y0 + 0.13):.4f}",
         motors_height=f"{2.4 + max(5.4, 1.1 * scene.vehicle.n_propellers):.2f}",
         paces=sorted({*_PACES, float(speed)}),
         speed=float(speed),
         trail=moments.TRAIL,
         key=moments.round_thrust(scene.vehicle),
         has_reference=len(scene.reference) > 0,
+        is_game=scene.game is not None and len(scene.game.score_time) > 0,
         plans={style.BOUND_WORDS[k]: style.BOUND_COLORS[k] for k in style.BOUND_WORDS}
         if scene.plans
         else {},
@@ -73,7 +76,33 @@ def flight_data(scene: Scene) -> dict[str, Any]:
         "trail": moments.TRAIL,
         "craft": craft_shape(scene.vehicle),
         "colors": COLORS,
+        "hockey": scene.game and hockey_shape(AirHockey()),
+        "game": scene.game and _game(scene.game),
     }
+
+
+def _game(game: GameScene) -> dict[str, Any]:
+    """Return what is drawn of a game, as JSON values."""
+    other = game.other
+    return {
+        "puck": _poses(*_sparse(game.puck)),
+        "pause": PAUSE,
+        "other": other and _poses(*_sparse(other)),
+        "otherFlies": game.other_flies,
+        "side": game.side,
+        "score": {
+            "time": game.score_time.round(3).tolist(),
+            "goals": game.score.astype(int).tolist(),
+        },
+    }
+
+
+def _sparse(way: Way) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 3"]]:
+    """Return every second pose; those beside a gap stay."""
+    gap = np.diff(way.time) > PAUSE
+    kept = np.arange(len(way.time)) % 2 == 0
+    kept |= np.append(gap, True) | np.insert(gap, 0, True)
+    return way.time[kept], way.pose[kept]
 
 
 def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dict[str, list[int]]:
