@@ -86,6 +86,7 @@ EPOCHS = Range(1, 100_000, "each takes about a second")
 DEGREE = Range(1, 9, "higher powers cannot be told apart")
 WEIGHT = Range(0, 1e6, "with more, no other error counts")
 REPLICATES = Range(10, 100_000, "fewer give no interval, and each takes a good part of a second")
+EPISODES = Range(1, 100_000, "each takes some seconds")
 CHECK_FLIGHTS = Range(1, 1000, "each takes some seconds, twice")
 LAGS = Range(5, 1000, "fewer say nothing, and nothing of a craft lasts for more than some seconds")
 

@@ -1,4 +1,4 @@
-"""Commands that play air hockey with a person."""
+"""Commands that play air hockey."""
 
 from __future__ import annotations
 
@@ -57,3 +57,44 @@ def play(
         f"{figures['behind_real_time_ms']['max']:.1f} ms",
         quiet=quiet,
     )
+
+
+@app.command(rich_help_panel="Air hockey")
+def skills(
+    episodes: Annotated[
+        int, options.number("N", "Episodes of each skill.", numbers.EPISODES)
+    ] = 100,
+    only: Annotated[
+        Literal["defend", "hit", "prepare"] | None, Option(help="One skill; by default all.")
+    ] = None,
+    model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
+    settings: options.TwinFile = None,
+    seed: options.Seed = 0,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Measure how well the craft defends, hits and prepares, on the twin."""
+    from airpuck.hockey.skills import SKILLS
+    from airpuck.hockey.skills import skills as measured
+
+    tell = say(quiet)
+
+    def progress(name: str, done: int, successes: int) -> None:
+        if done % 20 == 0 or done == episodes:
+            tell(f"{name}: {successes} of {done}")
+
+    found = measured(
+        inputs.read_belief(model),
+        settings=inputs.read_twin(settings),
+        episodes=episodes,
+        seed=seed,
+        names=(only,) if only else SKILLS,
+        progress=progress,
+    )
+    figures = {name: skill.to_json() for name, skill in found.items()}
+    lines = []
+    for name, skill in found.items():
+        low, high = skill.interval_95
+        share = skill.successes / skill.episodes
+        lines.append(f"{name:8}{share:6.1%} of {skill.episodes} ({low:.1%} to {high:.1%})")
+    report(figures, json_file, *lines)

@@ -28,11 +28,12 @@ class AllRounder:
     ----------
     strategies : sequence of Strategy, optional
         What it can do; of those that have something to propose, the first one does. By default
-        `Shoot`, `Guard`, `Catch`, `Free`, `Wait`.
+        `Shoot`, `Guard`, `Catch`, `Free`, `Shoot` whatever the chance, `Wait`.
     """
 
     def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:
-        self.strategies = strategies or (Shoot(), Guard(), Catch(), Free(), Wait())
+        clear = Shoot(least=0.0, clears=True)
+        self.strategies = strategies or (Shoot(), Guard(), Catch(), Free(), clear, Wait())
         self._blind = Blind()
 
     def decide(self, view: View) -> Intention:

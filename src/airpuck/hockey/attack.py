@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -21,16 +22,16 @@ from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, 
 from airpuck.hockey.tactic import Intention, Kind, View
 
 #: When a contact may be [s from now]; its directions [rad]; speeds of the craft [m/s].
-_TIMES = np.concatenate([np.arange(0.1, 0.6, 0.06), np.arange(0.65, 1.65, 0.1)])
-_NORMALS = np.linspace(-1.4, 1.4, 81)
+_TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
+_NORMALS = np.linspace(-1.4, 1.4, 61)
 _SPEEDS = np.array([0.5, 0.9, 1.4])
-#: So many of the best are looked at closely.
-_CLOSELY = 5
+#: So many of the best are looked at closely, each in these directions, too [rad].
+_CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
 #: By which share a chance is worth less a second later.
 _PATIENCE = 0.12
 #: A better contact must be better by this than the one that is under way.
 _BETTER = 0.08
-#: A search is made in every so many decisions.
+#: A search is made in every so many decisions; in the next one its best are looked at closely.
 _EVERY = 4
 #: Nearer than this before a contact nothing is changed but its place [s].
 _COMMITTED = 0.15
@@ -40,58 +41,84 @@ _STRAINED = 1.3
 _DRAWN = np.arange(0.0, 1.0, 0.025)
 
 
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """A contact that is planned."""
+
+    meeting: Meeting
+    chance: float
+    kind: Kind
+    path: Float[np.ndarray, "N 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Contacts that a search found: when [s], directions [rad], speeds [m/s]."""
+
+    time: Float[np.ndarray, " M"]
+    normal: Float[np.ndarray, " M"]
+    speed: Float[np.ndarray, " M"]
+
+
 class Shoot:
     """Shoots, directly or over banks, where the probability of scoring is high enough.
 
     Parameters
     ----------
-    least : float, default 0.3
+    least : float, default 0.25
         Probability of scoring from which on it shoots.
     error : ArrivalError, optional
         How well the craft keeps a rendezvous.
     speeds : array, shape (L,), optional
         Speeds of the craft that are tried [m/s].
+    clears : bool, default False
+        Whether its shots only get the puck away.
     """
 
     def __init__(
         self,
-        least: float = 0.3,
+        least: float = 0.25,
         error: ArrivalError | None = None,
         speeds: Float[np.ndarray, " L"] = _SPEEDS,
+        clears: bool = False,
     ) -> None:
+        self.clears = clears
         self.least, self.error, self.speeds = least, error or ArrivalError(), speeds
-        # Directions spread by errors of the contact.
-        self._plan: tuple[Meeting, float, Kind] | None = None
+        self._plan: _Shot | None = None
+        #: The way to where a shot begins that is not possible from here.
         self._approach: Intention | None = None
+        self._found: _Found | None = None
         self._age = 0
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return a shot, or the way to where one is possible; None: there is none."""
         if not outlook.known or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
-            self._plan = self._approach = None
+            self._plan = self._approach = self._found = None
             return None
-        plan = self._still(view, outlook)
-        committed = plan is not None and plan[0].time - view.time < _COMMITTED
+        self._plan = plan = self._still(view, outlook)
         self._age += 1
-        if not committed and (plan is None or self._age >= _EVERY):
-            if plan is None and self._age < _EVERY and self._approach is not None:
-                return self._approach
-            self._age = 0
-            found, approach = self._search(view, outlook)
-            keeps = plan is not None and (found is None or found[1] < plan[1] + _BETTER)
-            plan = plan if keeps else found
-            self._approach = approach
-        self._plan = plan
-        if plan is None:
+        if self._found is not None:
+            self._choose(view, outlook, self._found)
+            self._found = None
+        elif self._is_due(view, plan):
+            self._age, self._found = 0, self._search(view, outlook)
+            if self._found is None:
+                self._approach = None
+        if self._plan is None:
             return self._approach
-        self._approach = None
-        return self._intention(view, outlook, *plan)
+        return self._intention(view, outlook, self._plan)
 
-    def _still(self, view: View, outlook: Outlook) -> tuple[Meeting, float, Kind] | None:
+    def _is_due(self, view: View, plan: _Shot | None) -> bool:
+        """Return whether to look for another contact now."""
+        if plan is None:
+            return self._age >= _EVERY or self._approach is None
+        return self._age >= _EVERY and plan.meeting.time - view.time > _COMMITTED
+
+    def _still(self, view: View, outlook: Outlook) -> _Shot | None:
         """Return the plan under way if it can still be kept."""
         if self._plan is None:
             return None
-        meeting = self._plan[0]
+        meeting = self._plan.meeting
         left = meeting.time - view.time
         if left < -0.02:
             return None
@@ -102,17 +129,22 @@ class Shoot:
         able = effort(view, meeting.time, place, velocity) < _STRAINED
         return self._plan if able and stays_inside(view, place, velocity) else None
 
-    def _search(
-        self, view: View, outlook: Outlook
-    ) -> tuple[tuple[Meeting, float, Kind] | None, Intention | None]:
-        """Return the best contact of all; or the way to where a better one begins."""
+    def _choose(self, view: View, outlook: Outlook, found: _Found) -> None:
+        """Take the best of the contacts that were found, if it is better than the plan."""
+        shot, approach = self._closely(view, outlook, found)
+        if self._plan is None or (shot and shot.chance > self._plan.chance + _BETTER):
+            self._plan = shot
+        self._approach = approach if self._plan is None else None
+
+    def _search(self, view: View, outlook: Outlook) -> _Found | None:
+        """Return the few contacts that seem best of all that the craft can be in time for."""
         pitch = view.pitch
         times = view.time + _TIMES
         pucks = np.array([outlook.at(time) for time in times.tolist()])
         near = pucks[:, 0] < pitch.fence[1, 0] + pitch.contact_distance
         times, pucks = times[near], pucks[near]
         if not len(times):
-            return None, None
+            return None
         shape = len(times), len(_NORMALS), len(self.speeds)
         normal = np.broadcast_to(_NORMALS[None, :, None], shape)
         velocity = self.speeds[:, None] * unit(normal)
@@ -125,19 +157,18 @@ class Shoot:
         when = np.broadcast_to(times[:, None, None], shape)
         late[fits] = slack(view, when[fits], place[fits], velocity[fits])
         if not (late > 0).any():
-            return None, None
-        chance = self._coarse(view, outlook, pucks, normal, velocity)
+            return None
+        chance = self._coarse(view, pucks, normal, velocity)
         value = np.where(late > 0, chance * np.exp(-_PATIENCE * (when - view.time)), -1.0)
-        order = np.argsort(value, axis=None)[::-1]
-        best = self._apart(np.unravel_index(order, shape), value)
+        best = self._apart(np.unravel_index(np.argsort(value, axis=None)[:-200:-1], shape), value)
         if not best:
-            return None, None
-        return self._closely(view, outlook, best, times, pucks)
+            return None
+        k, j, s = (np.array(part) for part in zip(*best, strict=True))
+        return _Found(times[k], _NORMALS[j], self.speeds[s])
 
     def _coarse(
         self,
         view: View,
-        outlook: Outlook,
         pucks: Float[np.ndarray, "K 6"],
         normal: Float[np.ndarray, "K J L"],
         velocity: Float[np.ndarray, "K J L 2"],
@@ -163,7 +194,7 @@ class Shoot:
     ) -> list[tuple[int, int, int]]:
         """Return the best few contacts that differ from each other."""
         found: list[tuple[int, int, int]] = []
-        for k, j, s in zip(*(part[:200].tolist() for part in order), strict=True):
+        for k, j, s in zip(*(part.tolist() for part in order), strict=True):
             if value[k, j, s] < self.least / 3:
                 break
             if all(abs(k - a) > 1 or abs(j - b) > 2 or s != c for a, b, c in found):
@@ -173,60 +204,63 @@ class Shoot:
         return found
 
     def _closely(
-        self,
-        view: View,
-        outlook: Outlook,
-        best: list[tuple[int, int, int]],
-        times: Float[np.ndarray, " K"],
-        pucks: Float[np.ndarray, "K 6"],
-    ) -> tuple[tuple[Meeting, float, Kind] | None, Intention | None]:
-        """Try the best contacts with all errors; return the best of them."""
-        k, j, s = (np.array(part) for part in zip(*best, strict=True))
-        normal = _NORMALS[j]
-        contacts = Contacts(
-            pucks[k, :2], pucks[k, 3:], normal, self.speeds[s][:, None] * unit(normal)
-        )
-        when = np.unique(k)
-        told = predict_puck(view.puck_model, outlook.belief, times[when].tolist()).covariance
-        covariance = told[np.searchsorted(when, k)]
+        self, view: View, outlook: Outlook, found: _Found
+    ) -> tuple[_Shot | None, Intention | None]:
+        """Try the contacts with all errors; return the best, or the way to where it begins."""
+        time = np.repeat(found.time, len(_ASIDE))
+        speed = np.repeat(found.speed, len(_ASIDE))
+        normal = (found.normal[:, None] + _ASIDE).ravel()
+        times, where = np.unique(time, return_inverse=True)
+        times = np.maximum(times, outlook.times[0])
+        told = predict_puck(view.puck_model, outlook.belief, times.tolist())
+        pucks = told.mean[where]
+        contacts = Contacts(pucks[:, :2], pucks[:, 3:], normal, speed[:, None] * unit(normal))
         chance, bounces = chances(
-            view.pitch, view.puck_model, contacts, covariance, self.error, _opponent(view)
+            view.pitch,
+            view.puck_model,
+            contacts,
+            told.covariance[where],
+            self.error,
+            _opponent(view),
         )
-        value = chance * np.exp(-_PATIENCE * (times[k] - view.time))
+        value = chance * np.exp(-_PATIENCE * (time - view.time))
         blocked = None
         for each in np.argsort(value)[::-1].tolist():
             if chance[each] < self.least:
                 break
-            meeting = Meeting(
-                float(times[k[each]]), float(normal[each]), float(self.speeds[s[each]])
-            )
+            meeting = Meeting(float(time[each]), float(normal[each]), float(speed[each]))
             kind: Kind = "bank" if bounces[each] > 0.5 else "strike"
+            kind = "clear" if self.clears else kind
+            path = after_contact(view, meeting, pucks[each])
+            shot = _Shot(meeting, float(chance[each]), kind, path)
             if way_is_free(view, outlook, meeting):
-                return (meeting, float(chance[each]), kind), None
-            blocked = blocked or (meeting, kind, float(chance[each]))
+                return shot, None
+            blocked = blocked or shot
         if blocked is None:
             return None, None
-        return None, self._way_to(view, outlook, *blocked)
+        return None, self._way_to(view, outlook, blocked)
 
-    def _way_to(
-        self, view: View, outlook: Outlook, meeting: Meeting, kind: Kind, chance: float
-    ) -> Intention:
+    def _way_to(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
         """Go round the puck to where a run-up begins."""
+        meeting = shot.meeting
         puck = outlook.at(meeting.time)
         behind = meeting.place(view, puck) - 0.1 * unit(meeting.normal)
-        reference = around(view, outlook, behind)
-        avoid = (*outlook.places[0].tolist(), view.pitch.contact_distance + 0.01)
-        meet = (meeting.time, *puck[:2].tolist())
-        return Intention(kind, reference, meet, None, chance, avoid)
+        x, y = outlook.places[0].tolist()
+        return Intention(
+            shot.kind,
+            around(view, outlook, behind),
+            (meeting.time, float(puck[0]), float(puck[1])),
+            shot.path,
+            shot.chance,
+            (x, y, view.pitch.contact_distance + 0.01),
+        )
 
-    def _intention(
-        self, view: View, outlook: Outlook, meeting: Meeting, chance: float, kind: Kind
-    ) -> Intention:
+    def _intention(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
         """Return a planned contact as an intention."""
+        meeting = shot.meeting
         puck = outlook.at(meeting.time)
-        meet = (meeting.time, *puck[:2].tolist())
-        path = after_contact(view, meeting, puck)
-        return Intention(kind, meeting.reference(view, puck), meet, path, chance)
+        meet = (meeting.time, float(puck[0]), float(puck[1]))
+        return Intention(shot.kind, meeting.reference(view, puck), meet, shot.path, shot.chance)
 
 
 def after_contact(

@@ -54,6 +54,8 @@ def block(view: View, outlook: Outlook) -> Intention:
     # What is beyond the fence covers less; of places with time enough the one nearest to here.
     near = np.linalg.norm(places - view.craft[:2], axis=1)
     late = np.minimum(late, 0.1) - 0.2 * near - 2.0 * np.maximum(apart - pitch.contact_distance, 0)
+    # Before a puck that is behind the fence already, the craft would push it on.
+    late -= 5.0 * (apart < pitch.contact_distance - 0.004)
     best = int(np.argmax(late))
     place, time = places[best], float(times[best])
     there = standing(place)

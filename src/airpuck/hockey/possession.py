@@ -7,7 +7,6 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.hockey.attack import after_contact
 from airpuck.hockey.interception import (
     Meeting,
     Outlook,
@@ -22,13 +21,19 @@ from airpuck.hockey.shot import Contacts, struck, unit
 from airpuck.hockey.tactic import Intention, View
 
 #: Directions of a contact beside the one against the puck's motion [rad].
-_BESIDE = np.array([0.0, -0.25, 0.25])
+_BESIDE = np.array([0.0, -0.25, 0.25, -0.55, 0.55])
 #: A puck leaves the craft this fast, so that it does not stay at it [m/s].
 _LEAVES = 0.05
-#: Slower than this, a puck is under control [m/s].
-_SLOW = 0.15
+#: Slower than this, a puck is under control; slower than that, it may be pushed [m/s].
+_SLOW, _PUSHED = 0.06, 0.2
+#: A place as good as this is left as it is (`good_place`).
+_GOOD = 0.1
+#: More room than this around a puck is no better [m].
+_ENOUGH = 0.12
 #: A contact is kept while the way to it needs at most this share of the craft's acceleration.
-_STRAINED = 1.3
+_STRAINED = 2.0
+#: How long a push is waited for, one after the other [s], and its directions [rad].
+_WAITS, _PUSHES = (0.5, 0.9, 1.3), np.arange(20) * (2 * math.pi / 20)
 #: A plan is kept so long before a contact, whatever else turns up [s].
 _COMMITTED = 0.15
 
@@ -54,8 +59,7 @@ class Catch:
             return None
         puck = outlook.at(meeting.time)
         meet = (meeting.time, *puck[:2].tolist())
-        path = after_contact(view, meeting, puck)
-        return Intention("prepare", meeting.reference(view, puck), meet, path)
+        return Intention("prepare", meeting.reference(view, puck), meet)
 
     def _still(self, view: View, outlook: Outlook) -> Meeting | None:
         """Return the contact under way if it can still be kept, for the puck as it moves now."""
@@ -95,9 +99,9 @@ class Catch:
         late = np.full(normal.shape, -np.inf)
         late[fits] = slack(view, times[fits], place[fits], velocity[fits])
         # Enough time matters more than much; soon is better than late, head-on than aslant.
-        value = np.minimum(late - self.reserve, 0.15) - 0.15 * (times - view.time)
+        value = np.minimum(late - self.reserve, 0.15) - 0.1 * (times - view.time)
         value = (
-            value - 0.05 * np.abs(_BESIDE) + 0.1 * _good_place(view, outlook.places[4::3])[:, None]
+            value - 0.1 * np.abs(_BESIDE) + 0.3 * good_place(view, outlook.places[4::3])[:, None]
         )
         value[late < self.reserve] = -np.inf
         for index in np.argsort(value, axis=None)[::-1][:6].tolist():
@@ -118,12 +122,18 @@ def _receding(view: View, speed, aslant):
     return (_LEAVES + along) / gives - along
 
 
-def _good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
-    """Return from 0 to 1 how good a place of the puck is to shoot from."""
-    pitch = view.pitch
-    x = place[:, 0] / pitch.goal_line
-    y = np.abs(place[:, 1]) / (pitch.play.table.width_m / 2)
-    return np.clip((0.95 - np.abs(x + 0.45) * 1.5), 0, 1) * np.clip(1.6 - 1.6 * y, 0, 1)
+def good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
+    """Return from 0 to 1 how good places of the puck are to shoot from.
+
+    Good are those with room for the craft behind, well within its half.
+    """
+    pitch, table = view.pitch, view.pitch.play.table
+    room = table.width_m / 2 - pitch.play.puck.radius_m - 2 * pitch.craft_radius
+    across = np.clip((room - np.abs(place[:, 1])) / _ENOUGH, 0, 1)
+    behind = place[:, 0] + pitch.goal_line - pitch.play.puck.radius_m - 2 * pitch.craft_radius
+    before = -place[:, 0] - pitch.contact_distance
+    along = np.clip(np.minimum(behind, before) / _ENOUGH, 0, 1)
+    return across * along
 
 
 class Free:
@@ -131,17 +141,19 @@ class Free:
 
     Parameters
     ----------
-    speed : float, default 0.35
+    speed : float, default 0.3
         Of the craft at the contact [m/s].
     """
 
-    def __init__(self, speed: float = 0.35) -> None:
+    def __init__(self, speed: float = 0.3) -> None:
         self.speed = speed
         self._meeting: Meeting | None = None
+        self._turn = -1
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return a gentle push; None: the puck is fast, or out of reach."""
-        if outlook.speed > 2 * _SLOW or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
+        good = float(good_place(view, outlook.places[:1])[0]) > _GOOD
+        if good or outlook.speed > _PUSHED or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
             self._meeting = None
             return None
         kept = self._meeting
@@ -157,30 +169,30 @@ class Free:
             self._meeting = None
             avoid = (*puck[:2].tolist(), view.pitch.contact_distance + 0.01)
             return Intention("free", around(view, outlook, behind), meet, avoid=avoid)
-        path = after_contact(view, kept, puck)
-        return Intention("free", kept.reference(view, puck), meet, path)
+        return Intention("free", kept.reference(view, puck), meet)
 
     def _search(self, view: View, outlook: Outlook) -> Meeting | None:
         """Return the push after which the puck is at the best place a second later."""
-        normals = np.arange(24) * (2 * math.pi / 24)
+        self._turn = (self._turn + 1) % len(_WAITS)
+        wait = _WAITS[self._turn]
+        time = view.time + wait
+        puck, normals = outlook.at(time), _PUSHES
         velocity = self.speed * unit(normals)
+        place = puck[:2] - view.pitch.contact_distance * unit(normals)
+        late = slack(view, np.full(len(normals), time), place, velocity)
+        able = view.pitch.inside(place) & (late > 0)
+        many = (len(normals), 1)
+        contacts = Contacts(np.tile(puck[:2], many), np.tile(puck[3:], many), normals, velocity)
+        after = struck(view.pitch, contacts)
         best, found = -0.5, None
-        for wait in (0.5, 0.9, 1.3):
-            time = view.time + wait
-            puck = outlook.at(time)
-            place = puck[:2] - view.pitch.contact_distance * unit(normals)
-            late = slack(view, np.full(24, time), place, velocity)
-            able = view.pitch.inside(place) & (late > 0)
-            for j in np.flatnonzero(able).tolist():
-                contact = Contacts(puck[:2], puck[3:], normals[j], velocity[j])
-                state = np.concatenate([puck[:3], struck(view.pitch, contact)])
-                belief = PuckBelief(time, state, np.zeros((6, 6)))
-                end = predict_path(view.pitch.play, belief, time + np.array([0.5, 1.0, 1.5]))
-                if end[:, 0].min() < -view.pitch.goal_line:
-                    continue
-                worth = float(_good_place(view, end[:, :2]).mean()) - 0.2 * wait
-                if worth > best:
-                    best, found = worth, Meeting(time, float(normals[j]), self.speed)
-            if found is not None:
-                break
+        for j in np.flatnonzero(able).tolist():
+            state = np.concatenate([puck[:3], after[j]])
+            belief = PuckBelief(time, state, np.zeros((6, 6)))
+            end = predict_path(view.pitch.play, belief, time + np.array([0.6, 1.0, 1.4, 1.8]))
+            if end[:, 0].min() < -view.pitch.goal_line:
+                continue
+            places = good_place(view, end[:, :2])
+            worth = float(places.max() + 0.3 * places.mean()) - 0.2 * wait
+            if worth > best:
+                best, found = worth, Meeting(time, float(normals[j]), self.speed)
         return found

@@ -38,6 +38,7 @@ _STOPPED = 0.1
 _GONE = 0.05
 
 SkillName = Literal["defend", "hit", "prepare"]
+SKILLS: tuple[SkillName, ...] = ("defend", "hit", "prepare")
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def skills(
     settings: TwinSettings | None = None,
     episodes: int = 100,
     seed: int = 0,
-    names: tuple[SkillName, ...] = ("defend", "hit", "prepare"),
+    names: tuple[SkillName, ...] = SKILLS,
     progress: Callable[[SkillName, int, int], None] | None = None,
 ) -> Mapping[SkillName, Skill]:
     """Measure how well a craft defends, hits and prepares, on the twin.
@@ -148,6 +149,7 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
     twin = stage.twin(puck, int(rng.integers(2**31)))
     assert twin.play is not None
     body = twin.play.puck
+    assert body is not None
     for _ in control(player, twin, _LONGEST):
         state = body.state
         if body.goal or (state.x > _GONE and state.vx > 0):
@@ -251,6 +253,6 @@ _STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] =
 #: To stop the puck is the task in two of them, so nobody shoots there.
 _TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {
     "defend": lambda: AllRounder((Guard(), Catch(), Wait())),
-    "hit": lambda: AllRounder((Shoot(least=0.05), Wait())),
+    "hit": lambda: AllRounder((Shoot(least=0.05), Guard(), Catch(), Free(), Wait())),
     "prepare": lambda: AllRounder((Guard(), Catch(), Free(), Wait())),
 }

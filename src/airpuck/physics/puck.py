@@ -16,6 +16,8 @@ from airpuck.physics.contact import PlainNumbers, contact_impulse, mobility
 
 #: Slower than this, nothing approaches [m/s]: friction and bounces leave roundings.
 STILL = 1e-12
+#: Less drag than this changes nothing, and its reciprocal may be too large [1/s].
+_NO_DRAG = 1e-12
 #: What a puck meets of the table. In the goal it is once all of it is behind the line.
 Boundary = Literal["rail", "post", "goal"]
 
@@ -63,12 +65,12 @@ class Disc:
 
 def sigma_of(drag: float, duration: float) -> float:
     """Return σ after a time."""
-    return -math.expm1(-drag * duration) / drag if drag else duration
+    return -math.expm1(-drag * duration) / drag if drag > _NO_DRAG else duration
 
 
 def time_of(drag: float, sigma: float) -> float:
     """Return the time at which σ has a value; infinite for one that it never reaches."""
-    if not drag:
+    if drag <= _NO_DRAG:
         return sigma
     return -math.log1p(-drag * sigma) / drag if drag * sigma < 1 else math.inf
 

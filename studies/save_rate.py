@@ -1,0 +1,127 @@
+"""How many shots the craft saves by their speed, beside what its shortest times allow.
+
+    python studies/save_rate.py -o out --shots 60
+
+Shots start in the other half, at random places towards random places of the goal, directly. The
+craft stands at home and is told nothing. The bound: some place on the puck's way is so near that a
+craft that knows everything from the start could touch the puck there; its command takes the
+transport delay. Touching is not yet saving, so the bound is generous.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import binomtest
+
+import airpuck
+from airpuck.compute.process import keep_compiled_programs
+from airpuck.craft.table import AirHockey
+from airpuck.flight.loop import control
+from airpuck.hockey.player import Player, pitch_of
+from airpuck.hockey.prediction import PuckBelief, predict_path
+from airpuck.hockey.skills import Stage
+from airpuck.hockey.tactic import Pitch
+from airpuck.physics.puck import PuckState
+from airpuck.planning.minimal_time import read_minimal_times
+from airpuck.report.style import new_figure, png, styled
+from airpuck.twin.plant import build_plant
+from airpuck.twin.settings import default_twin_settings
+
+SPEEDS = np.arange(1.0, 10.5, 1.0)
+
+
+def shot(stage: Stage, speed: float, rng: np.random.Generator) -> PuckState:
+    """Return a shot from the other half at a place of the goal that leaves the posts alone."""
+    half = stage.play.table.goal_width_m / 2 - stage.play.puck.radius_m
+    x, y = rng.uniform([0.33, -0.4], [0.73, 0.4])
+    aim = rng.uniform(-half, half)
+    way = np.array([-stage.pitch.goal_line - x, aim - y])
+    vx, vy = (speed * way / np.hypot(*way)).tolist()
+    return PuckState(float(x), float(y), 0.0, vx, vy, 0.0)
+
+
+def could_be_saved(pitch: Pitch, start: PuckState) -> bool:
+    """Return whether the shortest times allow to touch the puck before it is in."""
+    times = np.arange(0.0, 3.0, 0.002)
+    belief = PuckBelief(0.0, np.array(start), np.zeros((6, 6)))
+    places = predict_path(pitch.play, belief, times)[:, :2]
+    before = places[:, 0] > -pitch.goal_line
+    ways = np.linspace(0.0, 2.0, 2001)
+    shortest = read_minimal_times()(np.stack([ways, 0 * ways]), np.zeros((2, len(ways))), "any")
+    reach = np.interp(np.maximum(times - pitch.delay, 0.0), shortest, ways)
+    apart = np.linalg.norm(places - pitch.home, axis=1) - pitch.contact_distance
+    return bool((apart <= reach)[before].any())
+
+
+def saved(stage: Stage, start: PuckState, seed: int) -> bool:
+    """Fly the craft against a shot; return whether it is not in."""
+    player = Player(stage.model, stage.play, seed=seed)
+    twin = stage.twin(start, seed)
+    assert twin.play is not None
+    puck = twin.play.puck
+    assert puck is not None
+    for _ in control(player, twin, 4.0):
+        if puck.goal or (puck.state.vx > 0 and puck.state.x > -0.5):
+            break
+    return puck.goal >= 0
+
+
+@styled
+def figure_of(rows: list[dict[str, float]]) -> Figure:
+    """Draw both rates over the speed."""
+    speed, share, low, high, possible = (
+        np.array([row[key] for row in rows])
+        for key in ("speed_m_s", "saved", "low_95", "high_95", "possible")
+    )
+    figure = new_figure(5.5, 3.4)
+    axes = figure.subplots()
+    axes.plot(speed, 100 * possible, "k--", label="shortest times allow")
+    spread = 100 * np.maximum(np.stack([share - low, high - share]), 0)
+    axes.errorbar(speed, 100 * share, spread, fmt="o-", capsize=3, label="saved, 95 % interval")
+    axes.set(xlabel="speed of the shot [m/s]", ylabel="shots at the goal [%]", ylim=(0, 103))
+    axes.legend(loc="lower left")
+    return figure
+
+
+def main() -> None:
+    """Shoot at each speed, and draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("out"))
+    parser.add_argument("--shots", type=int, default=60, help="at each speed")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    keep_compiled_programs()
+    model = airpuck.read_model("paper:M3")
+    settings = default_twin_settings().with_delay(model.transport_delay)
+    play = AirHockey(table=settings.table, puck=settings.puck, mallet=settings.mallet)
+    stage = Stage(model, settings, play, build_plant(model, settings), pitch_of(model, play))
+    rows = []
+    for speed in SPEEDS.tolist():
+        rng = np.random.default_rng([options.seed, round(10 * speed)])
+        starts = [shot(stage, speed, rng) for _ in range(options.shots)]
+        possible = np.mean([could_be_saved(stage.pitch, start) for start in starts])
+        count = sum(saved(stage, start, k) for k, start in enumerate(starts))
+        interval = binomtest(count, options.shots).proportion_ci(method="wilson")
+        rows.append(
+            {
+                "speed_m_s": speed,
+                "saved": count / options.shots,
+                "low_95": float(interval.low),
+                "high_95": float(interval.high),
+                "possible": float(possible),
+            }
+        )
+        said = f"{speed:4.0f} m/s: {count} of {options.shots} saved, possible {possible:.0%}"
+        print(said, flush=True)
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / "save_rate.json").write_text(json.dumps(rows, indent=1) + "\n")
+    (options.output / "save_rate.png").write_bytes(png(figure_of(rows)))
+
+
+if __name__ == "__main__":
+    main()
