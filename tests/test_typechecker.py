@@ -1,6 +1,7 @@
 """Signatures are checked in the first calls of each test, and in the next test again."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,3 +45,21 @@ def test_the_package_is_checked():
 
     with pytest.raises(TypeCheckError):
         is_monotone(np.ones(3))
+
+
+def test_a_program_is_found_again_after_its_functions_were_checked():
+    from airpuck.compute.compiled import program
+
+    @typechecker.jaxtyped(typechecker=typechecker.check)
+    def half(value: Any) -> Any:
+        return value / 2
+
+    def bind() -> Any:
+        @typechecker.jaxtyped(typechecker=typechecker.check)
+        def quarter(xp: Any, value: Any) -> tuple[Any]:
+            return (half(half(value)),)
+
+        return program(quarter, np.ones(2), compiled=True)
+
+    np.testing.assert_array_equal(bind()(np.ones(2))[0], [0.25, 0.25])
+    assert bind() is bind()

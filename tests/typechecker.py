@@ -32,7 +32,8 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
     """Stand in for `jaxtyping.jaxtyped`, with which the import hook decorates all functions.
 
     Checks are built when they are first needed, since that takes long, too, and a nested function
-    is decorated whenever the outer one runs.
+    is decorated whenever the outer one runs. They are kept with the function itself: a program is
+    found again by what its functions close over, which must stay the same.
     """
     if fn is None:
         return partial(jaxtyped, typechecker=typechecker)
@@ -40,16 +41,17 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
         if dataclasses.is_dataclass(fn) and "__init__" in vars(fn):
             fn.__init__ = jaxtyped(fn.__init__, typechecker=typechecker)
         return fn
-    place, checked = (fn.__module__, fn.__qualname__), None
+    place = fn.__module__, fn.__qualname__
+    fn.typechecker = typechecker
 
     @wraps(fn)
     def call(*arguments: Any, **named: Any) -> Any:
-        nonlocal checked
         __tracebackhide__ = True
         if _calls[place] >= CHECKED:
             return fn(*arguments, **named)
         _calls[place] += 1
-        checked = checked or always_checked(fn, typechecker=typechecker)
-        return checked(*arguments, **named)
+        if not hasattr(fn, "checked"):
+            fn.checked = always_checked(fn, typechecker=fn.typechecker)
+        return fn.checked(*arguments, **named)
 
     return call
