@@ -20,7 +20,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev live demo test test-browser lint format studies bench clean
+.PHONY: help install dev live play demo test test-browser lint format studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -37,6 +37,12 @@ $(VENV)/.installed-dev: pyproject.toml
 live: $(VENV)/.installed-live  ## set up .venv with what live flights need
 $(VENV)/.installed-live: pyproject.toml
 	$(call install,'$(LIVE)')
+	@touch $(VENV)/.installed
+
+play: $(VENV)/.installed-play  ## play air hockey against the craft, in the browser
+	$(BIN)/airpuck play
+$(VENV)/.installed-play: pyproject.toml
+	$(call install,'.[play]')
 	@touch $(VENV)/.installed
 
 demo: install  ## the whole way on a simulated recording, no download

@@ -1,6 +1,7 @@
 """The page of `airpuck play` in headless Chromium: frames, pointer to pixel, physics in real time.
 
     python studies/play_page.py --duration 600
+    python studies/play_page.py --screenshot docs/images/play.png  # the craft shoots
 
 A pointer moves over the table all the time. The time from its event to the first frame with a state
 of the server that has heard of it is measured in the page; how far the physics is behind real time
@@ -8,6 +9,7 @@ by the command. The browser draws without a graphics card, on the same cores.
 """
 
 import argparse
+import io
 import json
 import math
 import shutil
@@ -17,12 +19,20 @@ import sys
 import time
 
 import numpy as np
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 FIGURES = "[airpuck.figures.frames, airpuck.figures.latencies]"
 
 
-def play(port: int, duration: float) -> dict[str, float]:
+#: The craft is about to shoot at a puck that moves, and rather sure of it.
+SHOOTS = """(() => { const [now, before] = [airpuck.states.at(-1), airpuck.states.at(-9)];
+    return thought?.path && /(strike|bank) [4-9]/.test(thought.words) && before && !now.hidden
+    && /in 0.[2-7]/.test(thought.said) && !document.getElementById("call").getAnimations().length
+    && Math.hypot(now.puck[0] - before.puck[0], now.puck[1] - before.puck[1]) > 0.06; })()"""
+
+
+def play(port: int, duration: float, screenshot: str | None) -> dict[str, float]:
     """Play in a browser; return what its page measured."""
     with sync_playwright() as playwright:
         path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
@@ -30,6 +40,9 @@ def play(port: int, duration: float) -> dict[str, float]:
         page = browser.new_page(viewport={"width": 1280, "height": 720})
         page.goto(f"http://127.0.0.1:{port}")
         page.click("#go", timeout=120_000)
+        if screenshot:
+            page.keyboard.press("t")
+            page.evaluate("document.getElementById('figures').style.visibility = 'hidden'")
         page.evaluate("airpuck.figures.latencies.length = airpuck.figures.frames.length = 0")
         frames, latencies = [], []
         begin = time.monotonic()
@@ -41,6 +54,10 @@ def play(port: int, duration: float) -> dict[str, float]:
                 frames, latencies = frames + taken[0], latencies + taken[1]
             if page.locator("#go").is_visible():
                 page.click("#go")
+            if screenshot and page.evaluate(SHOOTS):
+                picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+                picture.quantize(160, dither=Image.Dither.NONE).save(screenshot, optimize=True)
+                break
         taken = page.evaluate(FIGURES)
         browser.close()
     frames, latencies = np.array(frames + taken[0]), np.array(latencies + taken[1])
@@ -57,6 +74,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--level", default="hard")
+    parser.add_argument("--screenshot")
     arguments = parser.parse_args()
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -69,7 +87,7 @@ def main() -> None:
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", port)) == 0:
                     break
-        figures = play(port, arguments.duration)
+        figures = play(port, arguments.duration, arguments.screenshot)
         game.terminate()
         figures |= json.loads(game.communicate()[0] or "{}")
     print(json.dumps(figures, indent=2))

@@ -77,7 +77,9 @@ class Page:
         """Say how the game is."""
         status = {"is": "status", "phase": phase, "score": score, "level": "medium"}
         self._arena.pipe.send_bytes(NEWS + json.dumps(status).encode())
-        self.until(f"airpuck.status().phase === '{phase}'")
+        self.until(
+            f"airpuck.status().phase + airpuck.status().score === '{phase}{score[0]},{score[1]}'"
+        )
 
     def show(self, puck=(0.3, 0.2, 0.0), mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0)) -> None:
         """Let everything stand somewhere, and be drawn."""
@@ -227,7 +229,7 @@ def test_thoughts_are_drawn_on_request(browser, arena):
         "is": "thought",
         "words": "strike 64 %",
         "said": "strike 64 %, in 0.21 s",
-        "meet": [-0.4 + 0.07, 0.2],  # the ring of the craft's radius goes through where we look
+        "meet": [-0.4 + 0.03165, 0.2],  # the ring of a puck goes through where we look
         "path": [[-0.3, 0.2], [1.1, 0.0]],
         "predicted": [[0.3, 0.2], [-0.3, 0.2]],
     }

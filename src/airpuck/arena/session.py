@@ -402,7 +402,7 @@ def thought_of(player: Player, time: float) -> dict[str, Any]:
         words = intention.kind
         if intention.chance is not None and math.isfinite(intention.chance):
             words += f" {100 * intention.chance:.0f} %"
-        said.append(words)
+        said.append(intention.kind)
         thought["words"] = words
         if intention.meet is not None:
             when, x, y = intention.meet

@@ -20,7 +20,7 @@ let status = { phase: "waiting", score: [0, 0], level: "" };
 const states = [];          // oldest first
 const arrivals = [];        // [when, how far this page's clock is ahead of the state's] [s]
 const trail = [];           // [x, y, when]
-let thought = null, thinking = false;
+let thought = null, thinking = false, figuresShown = 0;
 
 // The connection -------------------------------------------------------------------------------
 function connect() {
@@ -42,7 +42,11 @@ function hear(news) {
   else if (news.is === "role") { role = news.role; showCard(); }
   else if (news.is === "status") showStatus(news);
   else if (news.is === "event") notice(news);
-  else if (news.is === "thought") thought = news;
+  else if (news.is === "thought") {
+    // What is said changes with what it wants, and now and then with the numbers.
+    if (thought?.words.split(" ")[0] !== news.words.split(" ")[0]) figuresShown = 0;
+    thought = news;
+  }
 }
 
 // A state: time f64, wishes heard u32, flags u8 …, then f32: puck x, y, yaw; mallet x, y, vx, vy; craft
@@ -187,7 +191,6 @@ function leaveTrail({ hidden, puck: [x, y] }, now) {
   }
   while (trail.length && (!trail[0] || now - trail[0][2] > TRAIL)) trail.shift();
 }
-let figuresShown = 0;
 function showFigures(now) {
   if (now - figuresShown < 0.5) return;
   figuresShown = now;
@@ -277,7 +280,7 @@ function notice({ kind, side, strength }) {
     call("Goal!", side > 0 ? right : left);
     sound(side > 0 ? [523, 659, 784] : [392, 330, 262], 0.12, 0.18, "triangle");
   } else if (kind === "foul") {
-    call("Foul", "#66707a");
+    call(`Foul: ${hello.foul_s} s on ${side < 0 ? "its" : role === "player" ? "your" : "the player's"} side`, "#66707a");
     sound([220, 220], 0.15, 0.12, "square");
   } else sound([{ rail: 900, post: 1400, mallet: 340, craft: 260 }[kind]], 0.045,
     Math.min(0.3, strength), "sine");

@@ -11,7 +11,8 @@
 //   table.drawThrusts([x, y, yaw], thrustsOf(craft, commands));
 //   table.drawPuck([x, y, yaw]), table.drawMallet([x, y], color);
 //   table.drawPath([[x, y], ...], color);     // where something is expected to go; it fades
-//   table.drawIntention({ words, meet, path });   // meet: [x, y] or null, path: as above or null
+//   table.drawIntention({ words, meet, path });   // meet: where the puck will be touched, [x, y] or
+//                                             // null; path: where it goes then, as above or null
 //   table.toPixels(x, y), table.toMetres(px, py), table.scale [pixels per metre]
 //
 // view: [x0, x1, y0, y1], what to show; table: [length, width], or null to leave out the rails;
@@ -378,13 +379,13 @@ class TableCanvas extends Board {
     pen.lineCap = "butt";
   }
   drawIntention({ words, meet, path }) {
-    const { pen, craft, colors, scale } = this;
+    const { pen, colors, hockey, scale } = this;
     if (path && path.length > 1) {
       this.drawPath(path, colors.asked);
       dot(pen, ...this.toPixels(...path[path.length - 1]), 4, colors.asked);
     }
     if (!meet) return;
-    const [x, y] = this.toPixels(...meet), r = craft.radius * scale;
+    const [x, y] = this.toPixels(...meet), r = hockey.puck * scale;
     pen.strokeStyle = colors.asked;
     pen.lineWidth = 2;
     pen.setLineDash([6, 3.4]);
