@@ -73,7 +73,7 @@ def hostile(options: argparse.Namespace) -> None:
     p50, p99 = 1e3 * np.percentile(found.spent, [50, 99])
     print(
         f"{len(found.spent)} steps: {found.wrong} commands wrong; {dict(found.statuses)}; "
-        f"p50 {p50:.2f}, p99 {p99:.2f}, at most {1e3 * max(found.spent):.1f} ms"
+        f"p50 {p50:.2f}, p99 {p99:.2f}, at most {1e3 * max(found.spent):.1f} ms of the processor"
     )
 
 

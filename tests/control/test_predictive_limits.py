@@ -1,15 +1,20 @@
-"""The predictive law against nonlinear predictive control solved to convergence."""
+"""The predictive law against its limits: small siblings of `studies/predictive.py`."""
 
 import importlib
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
+
+from airpuck.control.law import Predicted
 
 sys.path.append(str(Path(__file__).parents[2] / "studies"))
 cost = importlib.import_module("predictive_limits.cost")
 converged = importlib.import_module("predictive_limits.converged")
 flights = importlib.import_module("predictive_limits.flights")
+hostile = importlib.import_module("predictive_limits.hostile")
+rails = importlib.import_module("predictive_limits.rails")
 
 
 @pytest.fixture(scope="module")
@@ -23,3 +28,21 @@ def test_its_cost_is_within_some_percent_of_the_converged_solution(pairs):
     assert min(pair.solved for pair in pairs) == 1
     ratio = sum(pair.ours for pair in pairs) / sum(pair.converged for pair in pairs)
     assert 0.999 < ratio < 1.03
+
+
+def test_whatever_comes_a_command_is_finite_within_limits_and_says_what_it_is():
+    found = hostile.thrown(flights.law("mpc"), 200, compiled=False)
+    assert found.wrong == 0
+    assert found.statuses.total() == len(found.spent) == 200
+    assert set(found.statuses) <= {*get_args(Predicted), "failed"}
+    assert len(found.statuses) > 2
+
+
+def test_no_rail_is_met_on_the_way_to_targets_beside_it_though_packets_get_lost():
+    tuning = flights.law("mpc")
+    # Every other target lies within a centimetre of a rail; these do.
+    passages = [rails.passed(seed, tuning, 0.3, 1.2) for seed in range(1, 41, 2)]
+    assert [passage.contacts for passage in passages] == [0] * 20
+    assert 0 < min(passage.clearance for passage in passages) < rails.NEAR
+    assert sum(passage.unanswered for passage in passages) <= 1
+    assert sorted(passage.left for passage in passages)[10] < 0.02
