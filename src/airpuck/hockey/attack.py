@@ -24,7 +24,7 @@ from airpuck.hockey.tactic import Intention, Kind, View
 #: When a contact may be [s from now]; its directions [rad]; speeds of the craft [m/s].
 _TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
 _NORMALS = np.linspace(-1.4, 1.4, 61)
-_SPEEDS = np.array([0.5, 0.9, 1.4])
+_SPEEDS = np.array([0.5, 1.0, 1.7])
 #: So many of the best are looked at closely, each in these directions, too [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
 #: By which share a chance is worth less a second later.
@@ -35,8 +35,9 @@ _BETTER = 0.08
 _EVERY = 4
 #: Nearer than this before a contact nothing is changed but its place [s].
 _COMMITTED = 0.15
-#: A contact is kept while the way to it needs at most this share of the craft's acceleration.
-_STRAINED = 1.3
+#: A contact is planned, and then kept, where the way to it needs at most such a share of the
+#: craft's acceleration.
+_EASY, _STRAINED = 0.9, 1.4
 #: How long the way of a shot is drawn [s].
 _DRAWN = np.arange(0.0, 1.0, 0.025)
 
@@ -156,6 +157,8 @@ class Shoot:
         late = np.full(shape, -np.inf)
         when = np.broadcast_to(times[:, None, None], shape)
         late[fits] = slack(view, when[fits], place[fits], velocity[fits])
+        # One that the least effort leads to is hit more precisely than one at full thrust.
+        late[fits] -= effort(view, when[fits], place[fits], velocity[fits]) > _EASY
         if not (late > 0).any():
             return None
         chance = self._coarse(view, pucks, normal, velocity)

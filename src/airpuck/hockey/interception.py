@@ -157,17 +157,17 @@ def cubic(
 
 
 def effort(
-    view: View, time: float, place: Float[np.ndarray, " 2"], velocity: Float[np.ndarray, " 2"]
-) -> float:
+    view: View, time: Any, place: Float[np.ndarray, "*n 2"], velocity: Float[np.ndarray, "*n 2"]
+) -> Any:
     """Return the greatest acceleration on the way of least effort, as a share of what there is."""
-    left = max(time - view.time - view.pitch.delay, 1e-3)
+    delay = view.pitch.delay
+    left = np.maximum(np.asarray(time) - view.time - delay, 1e-3)[..., None]
     start = view.craft[3:5]
-    away = place - view.craft[:2] - start * view.pitch.delay
-    ends = (
-        (6 * away - left * (4 * start + 2 * velocity)) / left**2,
-        (-6 * away + left * (2 * start + 4 * velocity)) / left**2,
-    )
-    return max(float(np.hypot(*end)) for end in ends) / view.pitch.acceleration
+    away = place - view.craft[:2] - start * delay
+    first = (6 * away - left * (4 * start + 2 * velocity)) / left**2
+    last = (-6 * away + left * (2 * start + 4 * velocity)) / left**2
+    most = np.maximum((first**2).sum(axis=-1), (last**2).sum(axis=-1))
+    return np.sqrt(most) / view.pitch.acceleration
 
 
 def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPoint:

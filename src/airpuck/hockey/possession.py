@@ -27,7 +27,7 @@ _LEAVES = 0.05
 #: Slower than this, a puck is under control; slower than that, it may be pushed [m/s].
 _SLOW, _PUSHED = 0.06, 0.2
 #: A place as good as this is left as it is (`good_place`).
-_GOOD = 0.1
+_GOOD = 0.25
 #: More room than this around a puck is no better [m].
 _ENOUGH = 0.12
 #: A contact is kept while the way to it needs at most this share of the craft's acceleration.
@@ -131,7 +131,7 @@ def good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray,
     room = table.width_m / 2 - pitch.play.puck.radius_m - 2 * pitch.craft_radius
     across = np.clip((room - np.abs(place[:, 1])) / _ENOUGH, 0, 1)
     behind = place[:, 0] + pitch.goal_line - pitch.play.puck.radius_m - 2 * pitch.craft_radius
-    before = -place[:, 0] - pitch.contact_distance
+    before = -place[:, 0] - 2 * pitch.contact_distance
     along = np.clip(np.minimum(behind, before) / _ENOUGH, 0, 1)
     return across * along
 

@@ -216,9 +216,9 @@ class ArrivalError:
     """How well the craft keeps a rendezvous: standard deviations."""
 
     #: Across the way, of its middle [m].
-    place: float = 0.004
+    place: float = 0.0015
     #: Of its velocity [m/s].
-    speed: float = 0.06
+    speed: float = 0.04
 
 
 def chances(
