@@ -33,8 +33,7 @@ def numbers():
 @pytest.mark.parametrize(("name", "option", "size", "whole"), list(numbers()))
 def test_every_number_has_limits(tmp_path, name, option, size, whole):
     # The last of several is checked, too.
-    wrong = [str(10**24), str(-(10**24))]
-    wrong += [] if whole else ["1e308", "-1e308", "inf", "-inf", "nan"]
+    wrong = [str(10**24), str(-(10**24))] if whole else ["1e308", "-1e308", "inf", "nan"]
     for text in wrong:
         values = ["0.5"] * (size - 1) + [text]
         process = airpuck(name, option, *values, cwd=tmp_path)

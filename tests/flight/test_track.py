@@ -308,3 +308,11 @@ def test_set_points_that_are_not_numbers_are_refused():
     with pytest.raises(InputError) as caught:
         recorded_set_points(replace(whole, streams=streams), 0.0)
     assert caught.value.field == "setpoint"
+
+
+def test_errors_are_those_to_the_set_point_in_force():
+    flight = track(lambda t: (t, 0.0, 3.0), ([1.0, 2.0], [(0.5, 0.1, 3.0), (1.0, 0.0, -3.0)]))
+    expected = {0.5: (0, 0, 0), 1.0: (0.5, -0.1, 0), 1.75: (1.25, -0.1, 0)}
+    expected[2.0] = (1.0, 0, 6 - 2 * np.pi)  # the shorter way round
+    for time, error in expected.items():
+        np.testing.assert_allclose(flight.errors[round(time * RATE)], error, atol=1e-12)

@@ -99,7 +99,7 @@ def test_a_craft_with_four_propellers():
     )
 
 
-@pytest.mark.parametrize("degree", [1, 2, 5])
+@pytest.mark.parametrize("degree", [1, 5])
 def test_any_degree(degree):
     fit = identify(fly(published_model("M3"), duration=6.0), named_rung("M3", degree=degree))
     assert fit.model.parameters.thrust.shape == (6, degree)

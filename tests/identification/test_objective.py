@@ -69,9 +69,11 @@ def plain_jacobian(parameters, windows, encoder, frame):
 @pytest.mark.parametrize(
     ("name", "frame"),
     [
-        *((name, frame) for name in ("M3", "M4") for frame in ("body", "world")),
+        ("M3", "body"),
+        ("M3", "world"),
         ("quadratic", "body"),
         (ALL_TERMS, "body"),
+        # M4's own columns, and terms that take a thrust in newtons.
         ("M4+inflow+pair+sag", "body"),
     ],
 )
@@ -141,7 +143,7 @@ def test_thinned_where_there_are_many(windows):
     assert many.clusters is None
 
 
-@pytest.mark.parametrize("count", [1, 255, 257])
+@pytest.mark.parametrize("count", [1, 257])
 def test_padding_of_batches_does_not_count(windows, count):
     starts = np.resize(windows.starts, count)
     some = replace(windows, starts=starts)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints
 from airpuck.craft.vehicle import Vehicle
+from airpuck.data.zero_order_hold import hold
 from airpuck.physics.angle import pose_difference, wrapped
 from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.derivative import unwrap_yaw
@@ -116,6 +117,13 @@ class Track:
         """
         begin = float(self.set_points.times[self.first_move]) - _LEAD_S
         return max(begin, float(self.time[0]))
+
+    @property
+    def errors(self) -> Float[np.ndarray, "N 3"]:
+        """Pose minus the set point in force, yaw the shorter way; zero before the first one."""
+        asked = hold(self.set_points.times, self.set_points.poses, self.time)
+        errors = pose_difference(np, self.pose.T, asked.T).T
+        return np.where((self.time >= self.set_points.times[0])[:, None], errors, 0.0)
 
     def moves(self) -> list[SetPointResult]:
         """Measure what became of the set points from the first that differs from the start on."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from airpuck.physics.angle import pose_difference
 from airpuck.report import style
 from airpuck.report.page import Picture, Section, Table, Text
 from airpuck.report.replay_report import OUTCOMES
@@ -61,7 +59,7 @@ def _settled(flight: Tracked) -> str:
 
 def _distance(flight: Tracked) -> str:
     """Say how far a flight was from its set points."""
-    x, y, yaw = np.sqrt(np.mean(_errors(flight) ** 2, axis=0))
+    x, y, yaw = np.sqrt(np.mean(flight.twin.errors**2, axis=0))
     return f"{1e3 * np.hypot(x, y):.0f} mm and {yaw:.2f} rad"
 
 
@@ -77,16 +75,6 @@ def _times(flight: Tracked) -> str:
     """Say how long control steps took."""
     median, most, _ = flight.step_times
     return f"{median:.2f} and {most:.2f} ms"
-
-
-def _errors(flight: Tracked) -> Float[np.ndarray, "N 3"]:
-    """Return pose minus set point in force at each pose, yaw the shorter way."""
-    track = flight.twin
-    inside = track.time >= track.set_points.times[0]
-    number = np.searchsorted(track.set_points.times, track.time, side="right") - 1
-    asked = track.set_points.poses[np.maximum(number, 0)]
-    errors = pose_difference(np, track.pose.T, asked.T).T
-    return np.where(inside[:, None], errors, 0.0)
 
 
 def law_sections(flights: Sequence[Tracked]) -> list[Section]:
@@ -151,7 +139,7 @@ def error_figure(flights: Sequence[Tracked]) -> Figure:
         one.axhline(0.0, color=style.GREY, linewidth=0.8)
         for flight, color in zip(flights, flight_colors(flights), strict=True):
             time = flight.twin.time - flight.origin
-            one.plot(time, factor * _errors(flight)[:, channel], color=color, linewidth=1.4)
+            one.plot(time, factor * flight.twin.errors[:, channel], color=color, linewidth=1.4)
         one.set_ylabel(f"{name} [{unit}]")
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(0.0, _end(flights))
