@@ -13,7 +13,7 @@ from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times, shor
 def table():
     distance, speed, direction = (0.0, 0.25, 1.0), (0.0, 1.0), (0.0, np.pi / 2, np.pi)
     grid = np.meshgrid(np.sqrt(distance), speed, direction, indexing="ij")
-    rest = 1.0 + grid[0] * 2 + grid[1] * 0.5 + grid[2] * 0.25
+    rest = 1.0 + grid[0] * 2 + grid[1] * 0.5 - np.cos(grid[2]) * 0.25
     times = np.stack([rest, rest / 2])
     return MinimalTimes("test", *map(np.array, (distance, speed, direction)), times, {"worst": 0.0})
 
@@ -22,16 +22,16 @@ def test_what_is_linear_is_looked_up_exactly():
     found, random = table(), np.random.default_rng(0)
     away, velocity = random.uniform(-0.7, 0.7, (2, 50)), random.uniform(-0.7, 0.7, (2, 50))
     distance, speed = np.hypot(*away), np.hypot(*velocity)
-    angle = np.arccos((away * velocity).sum(axis=0) / distance / speed)
-    expected = 1.0 + 2 * np.sqrt(distance) + 0.5 * speed + 0.25 * angle
+    cosine = (away * velocity).sum(axis=0) / distance / speed
+    expected = 1.0 + 2 * np.sqrt(distance) + 0.5 * speed - 0.25 * cosine
     np.testing.assert_allclose(found(away, velocity), expected, rtol=1e-12)
     np.testing.assert_allclose(found(away, velocity, "any"), expected / 2, rtol=1e-12)
     assert found(away[:, 0], velocity[:, 0]) == pytest.approx(expected[0])
 
 
 def test_beyond_the_axes_the_nearest_entry_answers():
-    assert table()((5.0, 0.0), (0.0, 0.0)) == pytest.approx(3.0)
-    assert table()((1.0, 0.0), (9.0, 0.0)) == pytest.approx(3.5)
+    assert table()((5.0, 0.0), (0.0, 1.0)) == pytest.approx(3.5)
+    assert table()((1.0, 0.0), (9.0, 0.0)) == pytest.approx(3.25)
 
 
 def test_a_file_gives_the_table_back(tmp_path):

@@ -21,6 +21,8 @@ from airpuck.planning.transcription import program_for
 _FORMAT = "airpuck minimal times 1"
 #: Intervals of the plans behind the table: within half a percent of finer ones.
 _INTERVALS = 20
+#: Offsets of the corners of a cell, along each axis.
+_CORNERS = np.ogrid[:2, :2, :2]
 
 Arrival = Literal["rest", "any"]
 ARRIVALS: tuple[Arrival, ...] = ("rest", "any")
@@ -53,7 +55,7 @@ class MinimalTimes:
     error: Mapping[str, float]
 
     def __call__(self, away: Any, velocity: Any, arrival: Arrival = "rest") -> Any:
-        """Look shortest times up, interpolated in √distance, speed and direction.
+        """Look shortest times up, interpolated in √distance, speed and cosine of the direction.
 
         Parameters
         ----------
@@ -71,22 +73,23 @@ class MinimalTimes:
         """
         away, velocity = np.asarray(away, dtype=float), np.asarray(velocity, dtype=float)
         distance, speed = np.hypot(*away), np.hypot(*velocity)
-        cross = away[0] * velocity[1] - away[1] * velocity[0]
-        direction = np.abs(np.arctan2(cross, (away * velocity).sum(axis=0)))
+        # Times are even in the direction, and so flat where it is 0 or π, as a cosine is.
+        both = np.maximum(distance * speed, 1e-12)
+        cosine = (away[0] * velocity[0] + away[1] * velocity[1]) / both
         value = self.time[ARRIVALS.index(arrival)]
         places = (
             _place(np.sqrt(self.distance), np.sqrt(distance)),
             _place(self.speed, speed),
-            _place(self.direction, direction),
+            _place(-np.cos(self.direction), -cosine),
         )
-        total = np.zeros(np.broadcast(distance, speed).shape)
-        for corner in np.ndindex(2, 2, 2):
-            index = tuple(low + c for (low, _), c in zip(places, corner, strict=True))
-            shares = [
-                share if c else 1 - share for (_, share), c in zip(places, corner, strict=True)
-            ]
-            total = total + value[index] * shares[0] * shares[1] * shares[2]
-        return total
+        lows, shares = zip(*places, strict=True)
+        # The corners of the cell, as first three axes; then one axis after the other.
+        flat = (1,) * both.ndim
+        corners = (low + c.reshape(c.shape + flat) for low, c in zip(lows, _CORNERS, strict=True))
+        time = value[tuple(corners)]
+        for share in shares:
+            time = time[0] + share * (time[1] - time[0])
+        return time
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the table as TOML.
@@ -166,12 +169,13 @@ def shortest_time(
     _, guess, final_yaw = next(starts(request, _INTERVALS))
     solved = program.solve(request, guess, final_yaw)
     if not solved.converged:
-        solved, _ = search(request, _INTERVALS)
+        solved, _ = search(request, 2 * _INTERVALS)
     return float(solved.path.durations.sum())
 
 
 def _place(axis: Float[np.ndarray, " k"], value: Any) -> tuple[Any, Any]:
     """Return the entry below a value, and the share of the way to the next."""
-    value = np.clip(value, axis[0], axis[-1])
-    low = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, len(axis) - 2)
-    return low, (value - axis[low]) / (axis[low + 1] - axis[low])
+    low = axis[1:-1].searchsorted(value, side="right")
+    begin = axis[low]
+    share = (value - begin) / (axis[low + 1] - begin)
+    return low, np.minimum(np.maximum(share, 0.0), 1.0)
