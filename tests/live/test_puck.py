@@ -1,14 +1,16 @@
 """A puck on the graph, of a twin in another process."""
 
+import signal
+
 import numpy as np
 
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.recording.message import StreamCodec
 
-from .processes import Process, Watch
+from .processes import POSES, Process, Watch
 
-TOPIC = "/optitrack/puck/pose"
+TOPIC, MALLET = "/optitrack/puck/pose", "/optitrack/mallet/pose"
 
 
 def test_its_poses_are_on_the_graph_and_a_filter_follows_them(domain):
@@ -29,3 +31,31 @@ def test_its_poses_are_on_the_graph_and_a_filter_follows_them(domain):
     assert not [event for event in found.events if event.kind == "hit"]
     assert 0.3 < abs(found.belief.mean[4]) < 1.01
     assert abs(found.belief.mean[0] - 0.6) < 1e-3
+
+
+def test_the_craft_plays_a_scripted_human_on_the_graph(domain):
+    start = ["--pose", -0.85, 0, 0, "--puck", -0.3, 0.1, 0, 0, "--human", "easy"]
+    watch = Watch(domain)
+    twin = Process("twin", "--quiet", *start, domain=domain)
+    player = Process("play", "--live", "--quiet", domain=domain)
+    try:
+        said = "flying", "the puck is seen"
+        watch.until(lambda: all(one in watch.events("play") for one in said), 120.0)
+        watch.forget()
+        # Both move, and the craft stays on its half; its edge may be a little over the line.
+        watch.until(lambda: len(watch.heard[MALLET]) > 1500, 60.0)
+        player.signal(signal.SIGINT)
+        code, _, _ = player.end()
+    finally:
+        twin.kill()
+        player.kill()
+        watch.close()
+    assert code == 0
+    crafts, mallets = (
+        np.array([StreamCodec("puck").decode(message.data)[1] for message in watch.heard[topic]])
+        for topic in (POSES, MALLET)
+    )
+    assert np.ptp(crafts[:, :2], axis=0).max() > 0.02
+    assert crafts[:, 0].max() < -0.05
+    assert np.ptp(mallets[:, :2], axis=0).max() > 0.02
+    assert mallets[:, 0].min() > 0.0

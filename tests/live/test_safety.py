@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from airpuck.control.law import Step
 from airpuck.control.reference import SetPoint
-from airpuck.live.safety import Guard, GuardedPilot, Limits
+from airpuck.craft.table import Table
+from airpuck.live.safety import Guard, GuardedPilot, Limits, half_of, played
 
 FRAME = 1 / 240
 LIMITS = Limits(geofence=(1.0, 0.5))
@@ -127,6 +128,22 @@ def test_whatever_comes_motors_run_only_on_a_fresh_pose_inside_the_fence(entries
             assert abs(last[1][1]) <= 0.5
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_others_half_is_out_of_bounds(side):
+    guard = Guard(half_of(Table(length_m=2.2, width_m=1.1), 0.07, side))
+    # Its edge is 1 cm over the line, then 3 cm.
+    last = poses(guard, 0.0, 0.5, at=(0.06 * side, 0.0, 0.0))
+    assert guard.refusal(last) is None
+    last = poses(guard, 0.5, 0.6, at=(0.04 * side, 0.0, 0.0))
+    assert guard.refusal(last) == "the craft is in the other's half"
+    last = poses(guard, 0.6, 0.7, at=(0.02 * side, 0.0, 0.0))
+    assert guard.refusal(last)
+    last = poses(guard, 0.7, 1.2, at=(0.07 * side, 0.0, 0.0))
+    assert guard.refusal(last) is None
+    # The rails hold on the own half, too; noise of a craft that leans on one is inside.
+    assert guard.limits.geofence == pytest.approx((1.04, 0.49))
+
+
 class Pilot:
     """Gives the command that a test sets."""
 
@@ -181,6 +198,22 @@ def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, comma
     last = poses(guarded, 0.52, 0.9)
     assert guarded.step(last).status == "exact"
     assert guarded.logged == [("error", f"motors idle: {reason}"), ("info", "flying")]
+
+
+def test_a_pilot_that_plays_hears_of_puck_and_mallet_and_may_fail_there():
+    assert played(Pilot()) == ()
+    pilot, heard = Pilot(), []
+    pilot.puck = lambda time, pose: heard.append((time, pose))
+    pilot.mallet = lambda time, pose: 1 / 0
+    assert played(pilot) == ("puck", "mallet")
+    made = GuardedPilot(pilot, Guard(LIMITS), np.full(2, 0.03), lambda *_: None)
+    assert played(made) == ("puck", "mallet")
+    last = poses(made, 0.0, 0.5)
+    made.puck(last, "where")
+    assert heard == [(last, "where")]
+    assert made.step(last).flies
+    made.mallet(last, "where")
+    assert not made.step(last).flies
 
 
 @pytest.mark.parametrize("method", ["pose", "imu", "mouse", "sent"])

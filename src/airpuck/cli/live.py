@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Option
 
@@ -63,6 +63,10 @@ def twin(
             "X Y VX VY", r"A puck, and how it moves at first \[m, m/s].", numbers.COORDINATE
         ),
     ] = None,
+    human: Annotated[
+        Literal["easy", "medium", "hard"] | None,
+        Option(help="A scripted human on the right, with a mallet; for --puck."),
+    ] = None,
     seed: options.Seed = 0,
     domain: Domain = None,
     interface: Interface = None,
@@ -77,9 +81,11 @@ def twin(
 
     live = live_settings(domain, interface, mapping, duration, quiet)
     truth = airpuck.read_model(model)
+    if human is not None and puck is None:
+        raise InputError("is for --puck, which is not given", field="--human")
     start = None if puck is None else PuckState(*puck[:2], 0.0, *puck[2:])
     table = inputs.read_twin(settings)
-    figures = serve_twin(truth, live, table, seed=seed, pose=pose, puck=start)
+    figures = serve_twin(truth, live, table, seed=seed, pose=pose, puck=start, human=human)
     report(
         figures,
         json_file,
@@ -188,16 +194,7 @@ def fly(
 
     limits = Limits(geofence=fence)
     figures = fly_live(make_pilot, craft.vehicle, limits, live, period=controls.period_s)
-    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
-    jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
-    report(
-        figures,
-        json_file,
-        f"{figures['duration_s']:.1f} s, periods: {outcomes}",
-        f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
-        f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
-        quiet=quiet,
-    )
+    report_flight(figures, json_file, quiet)
 
 
 @app.command(rich_help_panel=_PANEL)
@@ -341,6 +338,20 @@ def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
         x, y = fence
         raise InputError(f"leaves the geofence, ±{x:g} m by ±{y:g} m", file=path)
     return found
+
+
+def report_flight(figures: dict[str, Any], json_file: Path | None, quiet: bool) -> None:
+    """Report how a flight on the graph went."""
+    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
+    jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
+    report(
+        figures,
+        json_file,
+        f"{figures['duration_s']:.1f} s, periods: {outcomes}",
+        f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
+        f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
+        quiet=quiet,
+    )
 
 
 def live_settings(

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
 
 from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
+from airpuck.cli.live import Domain, live_settings, report_flight
 from airpuck.cli.output import report, say
+
+if TYPE_CHECKING:
+    from airpuck.live.process import LiveSettings
 
 
 @app.command(rich_help_panel="Air hockey")
@@ -38,10 +44,23 @@ def play(
             "S", "How long to serve; by default until Ctrl-C.", numbers.LIVE_DURATION, "--duration"
         ),
     ] = None,
+    live: Annotated[
+        bool, Option("--live", help="Play on a ROS 2 graph, with puck and mallet on the table.")
+    ] = False,
+    domain: Domain = None,
+    mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends."""
+    if live:
+        inputs.refuse_others(play, "--live", {"port": port, "no_browser": no_browser})
+        on_graph = live_settings(domain, interface, mapping, duration, quiet)
+        _play_live(model, settings, level, seed, on_graph, json_file)
+        return
+    for name, given in {"--domain": domain, "--mapping": mapping}.items():
+        if given is not None:
+            raise InputError("is for --live, which is not given", field=name)
     from airpuck.arena.session import ArenaSettings, play_in_browser
     from airpuck.compute.process import low_latency
 
@@ -57,6 +76,34 @@ def play(
         f"{figures['behind_real_time_ms']['max']:.1f} ms",
         quiet=quiet,
     )
+
+
+def _play_live(
+    model: str,
+    settings: Path | None,
+    level: str,
+    seed: int,
+    on_graph: LiveSettings,
+    json_file: Path | None,
+) -> None:
+    """Fly the player behind the guard, on the left half of the table."""
+    from airpuck.compute.process import low_latency
+    from airpuck.craft.table import AirHockey
+    from airpuck.hockey.level import LEVELS
+    from airpuck.hockey.player import Player
+    from airpuck.live.fly import fly_live
+    from airpuck.live.safety import half_of
+
+    craft, table = inputs.read_belief(model), inputs.read_twin(settings) or AirHockey()
+    low_latency()
+    figures = fly_live(
+        lambda: Player(craft, table, level=LEVELS[level], seed=seed),
+        craft.vehicle,
+        half_of(table.table, craft.vehicle.radius_m, -1),
+        on_graph,
+        name="airpuck play",
+    )
+    report_flight(figures, json_file, on_graph.quiet)
 
 
 @app.command(rich_help_panel="Air hockey")

@@ -8,7 +8,7 @@ import os
 import select
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from airpuck.compute.process import prioritize
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
-from airpuck.flight.link import Measurement
+from airpuck.flight.link import Kind, Measurement
 from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
@@ -26,7 +26,7 @@ from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.clock import LoopTiming
 from airpuck.live.plan import PlanOutbox
 from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
-from airpuck.live.safety import Guard, GuardedPilot, Limits
+from airpuck.live.safety import Guard, GuardedPilot, Limits, played
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.model.model_file import Model
 
@@ -127,11 +127,19 @@ def preflight_live(
 
 
 class GraphLink:
-    """Poses from the graph, commands to the graph; a `Link`."""
+    """Poses from the graph, of the craft and others, commands to the graph; a `Link`."""
 
-    def __init__(self, process: Process, motors: tuple[str, ...], *, announces: bool) -> None:
+    def __init__(
+        self,
+        process: Process,
+        motors: tuple[str, ...],
+        *,
+        announces: bool,
+        others: Sequence[Kind] = (),
+    ) -> None:
         self._clock = process.clock
         self.poses = Inbox(process, "pose")
+        self.others: dict[Kind, Inbox] = {kind: Inbox(process, kind) for kind in others}
         self.commands = Outbox(process, "command", motors)
         self._references = Outbox(process, "reference") if announces else None
         #: When the newest pose was measured [s].
@@ -148,6 +156,8 @@ class GraphLink:
         arrived = [Measurement("pose", stamp, pose) for stamp, pose in self.poses.take()]
         if arrived:
             self.newest = arrived[-1].stamp
+        for kind, inbox in self.others.items():
+            arrived += [Measurement(kind, stamp, pose) for stamp, pose in inbox.take()]
         if self._references is not None:
             self._references.remind()
         return arrived
@@ -174,8 +184,12 @@ class _Flight:
         self._process, self._period, self._reference = process, period, pilot.reference
         follows = isinstance(self._reference, FollowedSetPoint)
         self._wishes = Inbox(process, "reference") if follows else None
-        self._link = GraphLink(process, vehicle.propeller_names, announces=not follows)
-        self._inboxes = [self._link.poses] + ([self._wishes] if self._wishes else [])
+        self._link = GraphLink(
+            process, vehicle.propeller_names, announces=not follows, others=played(pilot)
+        )
+        self._inboxes = [self._link.poses, *self._link.others.values()]
+        self._inboxes += [self._wishes] if self._wishes else []
+        self._sight: str | None = None
         self._estimates, self._plans = Outbox(process, "estimate"), PlanOutbox(process)
         self._until_plan = 0
         self._guard = Guard(limits)
@@ -233,6 +247,7 @@ class _Flight:
         if isinstance(self._reference, PlannedSetPoints) and step.flies:
             self._reference.begin(action.time)
         self._follow_wishes()
+        self._say_sight(getattr(self._pilot.pilot, "sight", None))
         for key in self.pressed() if self.pressed else "":
             self._obey(key)
         self._give_way()
@@ -250,6 +265,13 @@ class _Flight:
             refusal = followed.move(wish)
             if refusal is not None:
                 self._process.events.log("warning", f"refused: {refusal}", kind="set point")
+
+    def _say_sight(self, sight: str | None) -> None:
+        """Log how a pilot that plays sees the puck, when that changes."""
+        if sight != self._sight:
+            self._sight = sight
+            level = "warning" if sight in ("frozen", "lost") else "info"
+            self._process.events.log(level, f"the puck is {sight}", kind="puck")
 
     def _obey(self, key: str) -> None:
         """Do what the operator asks for: any other key stops the motors."""

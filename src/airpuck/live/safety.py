@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from airpuck.control.law import Step
 from airpuck.control.reference import Numbers
+from airpuck.craft.table import Table
 from airpuck.flight.pilot import Pilot, checked_step
 
 #: Takes the level and the text of an event.
@@ -24,6 +25,10 @@ class Limits:
 
     #: Greatest distance of the craft's centre from the middle of the table along x and y [m].
     geofence: tuple[float, float]
+    #: Half of the table that the craft's centre must not leave, by the sign of its x; 0: none.
+    half: int = 0
+    #: How near to the centre line it may come there [m].
+    line: float = 0.0
     #: Motors idle when no pose came for this long [s].
     pose_timeout: float = 0.05
     #: This many equal poses in a row are no measurement: every real one has noise.
@@ -34,6 +39,17 @@ class Limits:
     fastest: tuple[float, float] = (3.0, 40.0)
     #: After a fault, poses must be good for this long before motors may run again [s].
     settle: float = 0.3
+
+
+#: A craft may lean on a rail, and reach over the centre line, by so much [m].
+_OVER_RAIL, _OVER_LINE = 0.01, 0.02
+
+
+def half_of(table: Table, radius: float, side: int) -> Limits:
+    """Return the limits of a craft that plays on one half of a table, by the sign of its x."""
+    x, y = table.reach(radius)
+    fence = x + _OVER_RAIL, y + _OVER_RAIL
+    return Limits(geofence=fence, half=side, line=radius - _OVER_LINE)
 
 
 class Guard:
@@ -108,7 +124,15 @@ class Guard:
                 return f"the pose is frozen: {self.limits.frozen} equal ones in a row"
         if abs(x) > self.limits.geofence[0] or abs(y) > self.limits.geofence[1]:
             return "the craft is outside the geofence"
+        if self.limits.half and x * self.limits.half < self.limits.line:
+            return "the craft is in the other's half"
         return None
+
+
+def played(pilot: Pilot) -> tuple[Literal["puck", "mallet"], ...]:
+    """Return of which bodies beside the craft a pilot takes poses: one that plays has both."""
+    kinds: tuple[Literal["puck", "mallet"], ...] = ("puck", "mallet")
+    return tuple(kind for kind in kinds if hasattr(pilot, kind))
 
 
 class GuardedPilot:
@@ -125,6 +149,8 @@ class GuardedPilot:
         self.reference = pilot.reference
         self.imu, self.mouse = self._guarded(pilot.imu), self._guarded(pilot.mouse)
         self.sent, self._pilots_pose = self._guarded(pilot.sent), self._guarded(pilot.pose)
+        for kind in played(pilot):
+            setattr(self, kind, self._guarded(getattr(pilot, kind)))
         self._idle, self._log = idle, log
         #: Why the motors idle, as last logged; None while they run.
         self._logged: str | None = ""

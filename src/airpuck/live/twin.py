@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from airpuck.compute.process import prioritize
+from airpuck.hockey.game import Side
+from airpuck.hockey.hand import SKILLS, ScriptedHand
 from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
@@ -14,6 +16,8 @@ from airpuck.twin.twin import Twin
 NAME = "airpuck twin"
 #: Measurements that this process could not send for this long are lost [s].
 _LOST = 0.05
+#: Where the mallet of a scripted human is at first [m].
+_BEGINS = 0.85
 #: Simulated before the start, so that everything is compiled [s].
 _WARM_UP = 0.1
 
@@ -26,6 +30,7 @@ def serve_twin(
     seed: int = 0,
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
     puck: PuckState | None = None,
+    human: str | None = None,
 ) -> dict[str, Any]:
     """Put a simulated table on the graph, until its time is over, SIGINT or SIGTERM.
 
@@ -43,6 +48,8 @@ def serve_twin(
         Where the craft stands at first: x, y [m], yaw [rad].
     puck : PuckState, optional
         A puck, which comes back there out of a goal; by default there is none.
+    human : str, optional
+        Skill of a scripted human who plays on the right with a mallet; by default there is none.
 
     Returns
     -------
@@ -54,16 +61,19 @@ def serve_twin(
     InputError
         If the graph cannot be joined, or another process publishes poses.
     """
-    warm = Twin(model, twin_settings, seed=seed, pose=pose, puck=puck)
+    start: dict[str, Any] = {"seed": seed, "pose": pose, "puck": puck}
+    if human is not None:
+        start["mallet"] = _BEGINS, 0.0
+    warm = Twin(model, twin_settings, **start)
     warm.wait_until(_WARM_UP)
-    start: dict[str, Any] = {"seed": seed, "pose": pose, "puck": puck, "plant": warm.plant}
+    start["plant"] = warm.plant
     twin = Twin(model, twin_settings, **start, logs=False)
     prioritize(first=True)
     with Process(NAME, settings or LiveSettings()) as process:
         process.refuse_second("pose", (), "motion capture")
         if puck is not None:
             process.refuse_second("puck", (), "motion capture of a puck")
-        table = _Table(twin, process, puck)
+        table = _Table(twin, process, puck, human)
         while process.goes_on:
             table.turn()
         return table.to_json()
@@ -72,9 +82,16 @@ def serve_twin(
 class _Table:
     """A twin, and the streams it lives on."""
 
-    def __init__(self, twin: Twin, process: Process, puck: PuckState | None) -> None:
+    def __init__(
+        self, twin: Twin, process: Process, puck: PuckState | None, human: str | None
+    ) -> None:
         self._twin, self._process, self._puck = twin, process, puck
-        kinds = ("pose", "imu", "mouse") if puck is None else ("pose", "imu", "mouse", "puck")
+        self._human: Side | None = None
+        if twin.world.mallet is not None and human is not None:
+            self._human = Side(1, "human", twin.world.mallet)
+            self._human.hand = ScriptedHand(twin.settings, SKILLS[human])
+        kinds = ["pose", "imu", "mouse"] + ["puck"] * (puck is not None)
+        kinds += ["mallet"] * (human is not None)
         self._sensors = {kind: Outbox(process, kind) for kind in kinds}
         motors = twin.model.vehicle.propeller_names
         self._commands = Inbox(process, "command", motors, wakes=True)
@@ -99,6 +116,10 @@ class _Table:
             self._poses += measurement.kind == "pose"
         for command in commands:
             self._twin.send(command)
+        if self._human is not None:
+            puck, craft = self._twin.world.puck, self._twin.state
+            seen = None if puck is None or puck.goal else puck.state
+            self._human.act(now, seen, (float(craft[0]), float(craft[1])))
         self._report_contact()
         self._serve()
         if process.beat.begins(now):
@@ -122,11 +143,11 @@ class _Table:
 
     def _serve(self) -> None:
         """Put a puck that is in a goal back into play."""
-        play = self._twin.play
-        if play is not None and self._puck is not None and play.puck.goal:
-            side = "right" if play.puck.goal > 0 else "left"
+        puck = self._twin.world.puck
+        if puck is not None and self._puck is not None and puck.goal:
+            side = "right" if puck.goal > 0 else "left"
             self._process.events.log("info", f"the puck is in the {side} goal, and comes back")
-            play.puck.place(self._puck)
+            puck.place(self._puck)
 
     def _report_contact(self) -> None:
         """Log when commands begin and stop to reach the motors."""
