@@ -1,6 +1,7 @@
 """The player: on both sides, and when the puck is not seen as it should be."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,3 +201,18 @@ def test_noise_turns_a_shot_about_the_puck():
         found.append(angle)
     assert 0.08 < np.std(found) < 0.4
     assert airpuck.Player is Player
+
+
+def test_the_tactic_of_the_documentation_plays(plant):
+    text = (Path(__file__).parents[2] / "docs" / "hockey.md").read_text()
+    block = next(b for b in text.split("```python\n")[1:] if "class Keeper" in b)
+    source = block.partition("```")[0]
+    assert len(source.splitlines()) <= 20
+    names = {}
+    exec(source, names)
+    player = Player(MODEL, PLAY, names["Keeper"]())
+    twin = twin_of(player, PuckState(0.6, 0.1, 0.0, -1.0, 0.0, 0.0), plant)
+    for _ in control(player, twin, 1.8):
+        pass
+    assert player.intention.kind == "defend"
+    assert twin.play.puck.goal == 0
