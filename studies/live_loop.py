@@ -1,6 +1,7 @@
 """Does the loop keep its time? Twin, controller and recorder as processes, for ten minutes.
 
     python studies/live_loop.py --duration 600
+    python studies/live_loop.py --duration 600 --regulator mpc
 
 Prints jitter, latency and deadlines as the controller measures them, and the memory of all three
 processes at the start and at the end; ends with status 1 where a bound is broken. The machine
@@ -23,6 +24,7 @@ from typing import Any
 from one_line import run
 
 from airpuck import read_recording
+from airpuck.control.tuning import REGULATORS
 from airpuck.live.clock import JITTER_P99, LATENCY_P99
 
 _MAIN = "from airpuck.cli import main; main()"
@@ -45,7 +47,7 @@ def memory(process: subprocess.Popen[str]) -> float:
     return float(found[1]) / 1e3 if found else float("nan")
 
 
-def flown(duration: float, domain: int) -> dict[str, Any]:
+def flown(duration: float, domain: int, regulator: str = "lqr") -> dict[str, Any]:
     """Fly back and forth between set points; return what was measured."""
     with tempfile.TemporaryDirectory() as folder:
         figures, points, bag = (Path(folder) / name for name in ("f.json", "p.toml", "bag"))
@@ -65,7 +67,7 @@ def flown(duration: float, domain: int) -> dict[str, Any]:
             # The recorder is there long before the controller is compiled.
             processes["fly"] = started(
                 *("fly", "--model", "paper:M3", "--setpoints", points, "--duration", duration),
-                *("--json", figures, *common),
+                *("--regulator", regulator, "--json", figures, *common),
             )
             time.sleep(_START_S)
             before = {name: memory(process) for name, process in processes.items()}
@@ -104,8 +106,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--domain", type=int, default=99)
+    parser.add_argument("--regulator", choices=REGULATORS, default="lqr")
     options = parser.parse_args()
-    figures = flown(options.duration, options.domain)
+    figures = flown(options.duration, options.domain, options.regulator)
     print(json.dumps(figures, indent=2))
     held = True
     for name, value, limit in bounds(figures):
