@@ -22,9 +22,9 @@ _TOO_FAST = 2.0
 #: Behind the puck by so much a stroke begins, beyond it by so much it ends [m].
 _BACK, _THROUGH = 0.10, 0.15
 #: A stroke begins within this distance of where it should, and is over after a time [m, s].
-_READY, _STROKE = 0.02, 0.3
-#: A person sees anew where things are this often [s].
-_LOOK = 0.03
+_READY, _STROKE = 0.002, 0.3
+#: A person decides anew this often, and errs the same way for so long [s].
+_LOOK, _ERRS = 0.03, 1.0
 
 
 class Hand(Protocol):
@@ -118,6 +118,7 @@ class ScriptedHand:
         self._seen: deque[tuple[float, PuckState | None]] = deque()
         self._looks, self._wanted = 0.0, (self._home, 0.0)
         self._goes_by: list[PuckState] = []
+        self._errs, self._error = 0.0, (0.0, 0.0)
         self._aim = 0.0
         #: While a stroke lasts: until when, and along which direction.
         self._stroke: tuple[float, float, float] | None = None
@@ -135,6 +136,10 @@ class ScriptedHand:
             self._seen.popleft()
         if time >= self._looks:
             self._looks = time + _LOOK
+            if time >= self._errs:
+                self._errs = time + _ERRS
+                x, y = self._random.normal(0.0, self._skill.noise_m, 2).tolist()
+                self._error = x, y
             self._goes_by = self._foreseen(self._seen[0][1])
             self._wanted = self._decided(time, own)
         dx, dy = self._wanted[0] - own[0], self._wanted[1] - own[1]
@@ -145,8 +150,8 @@ class ScriptedHand:
         """Return where the puck is thought to be, from now on."""
         if seen is None:
             return []
-        x, y = (float(v) for v in self._random.normal((seen.x, seen.y), self._skill.noise_m))
-        puck = PuckOnTable(self._play, seen._replace(x=x, y=y), logs=False)
+        x, y = self._error
+        puck = PuckOnTable(self._play, seen._replace(x=seen.x + x, y=seen.y + y), logs=False)
         way = []
         for k in range(round(_AHEAD / _STEP)):
             puck.run(self._skill.reaction_s + k * _STEP)

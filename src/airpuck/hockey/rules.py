@@ -75,7 +75,7 @@ class Referee:
         self.server = first
         self._centre = play.puck.radius_m
         self._resumes = 0.0
-        self._side, self._side_since = 0, 0.0
+        self._side, self._side_since = first, 0.0
         self._stuck_since: float | None = None
 
     def judge(self, time: float, x: float, speed: float, goal: int) -> list[Ruling]:

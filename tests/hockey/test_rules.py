@@ -1,0 +1,80 @@
+"""The referee, by sequences made by hand."""
+
+import pytest
+
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.rules import Referee, Rules
+
+
+def referee(first=-1, **rules) -> Referee:
+    return Referee(Rules(**rules), AirHockey(), first)
+
+
+def test_a_goal_counts_for_the_other_side_who_conceded_serves_after_a_pause():
+    judge = referee(pause_s=1.0)
+    assert judge.judge(0.01, -0.3, 0.0, 0) == []
+    assert judge.judge(2.0, 1.13, 3.0, 1) == [("goal", -1)]
+    assert (judge.score, judge.phase) == ((1, 0), "goal")
+    assert judge.judge(2.5, 1.13, 3.0, 1) == []
+    assert judge.judge(3.0, 1.13, 3.0, 1) == [("serve", 1)]
+    assert judge.phase == "play"
+    assert judge.judge(4.0, -1.13, 3.0, -1) == [("goal", 1)]
+    assert judge.judge(5.0, -1.13, 3.0, -1) == [("serve", -1)]
+    assert judge.score == (1, 1)
+
+
+def test_first_to_seven_wins_and_nothing_counts_afterwards():
+    judge, time = referee(), 0.0
+    for goals in range(1, 8):
+        found = judge.judge(time := time + 1.0, 1.13, 3.0, 1)
+        assert found[0] == ("goal", -1)
+        assert found[1:] == ([("over", -1)] if goals == 7 else [])
+        if goals < 7:
+            judge.judge(time := time + 1.0, 1.13, 3.0, 1)
+    assert (judge.score, judge.phase) == ((7, 0), "over")
+    assert judge.judge(time + 5.0, -1.13, 3.0, -1) == []
+    assert judge.score == (7, 0)
+
+
+@pytest.mark.parametrize(("goal", "winner"), [(None, 0), (1, -1), (-1, 1)])
+def test_at_the_time_limit_who_leads_has_won(goal, winner):
+    judge = referee(limit_s=10.0)
+    if goal:
+        judge.judge(1.0, goal * 1.13, 3.0, goal)
+        judge.judge(2.5, goal * 1.13, 3.0, goal)
+    assert judge.judge(9.99, 0.2, 1.0, 0) == []
+    assert judge.judge(10.0, 0.2, 1.0, 0) == [("over", winner)]
+
+
+def test_a_goal_at_the_last_moment_counts():
+    judge = referee(limit_s=10.0)
+    assert judge.judge(10.0, 1.13, 3.0, 1) == [("goal", -1), ("over", -1)]
+
+
+def test_fifteen_seconds_on_one_side_give_the_puck_to_the_other():
+    judge = referee(first=-1)
+    assert judge.judge(14.99, -0.5, 1.0, 0) == []
+    assert judge.judge(15.0, -0.5, 1.0, 0) == [("foul", -1), ("serve", 1)]
+    # Who crosses the line in time begins anew.
+    assert judge.judge(29.0, 0.5, 1.0, 0) == []
+    assert judge.judge(29.5, -0.1, 1.0, 0) == []
+    assert judge.judge(31.0, 0.1, 1.0, 0) == []
+    assert judge.judge(45.9, 0.5, 1.0, 0) == []
+    assert judge.judge(46.0, 0.5, 1.0, 0) == [("foul", 1), ("serve", -1)]
+
+
+def test_a_puck_that_rests_on_the_line_is_served_anew_by_turns():
+    judge = referee(first=-1)
+    steps = [round(1.0 + 0.1 * k, 3) for k in range(31)]
+    assert [judge.judge(t, 0.01, 0.0, 0) for t in steps[:-1]] == [[]] * 30
+    assert judge.judge(steps[-1], 0.01, 0.0, 0) == [("stuck", 0), ("serve", 1)]
+    for t in steps:
+        found = judge.judge(t + 10.0, -0.01, 0.0, 0)
+    assert found == [("stuck", 0), ("serve", -1)]
+
+
+def test_a_puck_that_is_moved_is_not_stuck():
+    judge = referee()
+    for k in range(100):
+        # Touched once in two seconds.
+        assert judge.judge(1.0 + 0.1 * k, 0.01, 0.3 if k % 20 == 0 else 0.0, 0) == []
