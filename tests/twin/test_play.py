@@ -13,7 +13,7 @@ from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
 from airpuck.twin.plant import build_plant
-from airpuck.twin.play import HandMallet
+from airpuck.twin.play import HandMallet, World
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -176,3 +176,74 @@ def test_what_is_no_place_is_refused(plant, given, field):
 
 def test_settings_of_a_twin_are_a_table_to_play_on():
     assert isinstance(QUIET, AirHockey)
+
+
+def two_crafts(plant, poses, *puck):
+    settings, world = QUIET, World(QUIET, PuckState(*(puck or (0.0, 0.5))))
+    twins = [
+        Twin(MODEL, settings, plant=plant, seed=k, pose=pose, world=world)
+        for k, pose in enumerate(poses)
+    ]
+    return world, twins
+
+
+def momentum(plant, twin):
+    """Of the centre of mass, and angular momentum about the origin."""
+    disc, (x, y, yaw, vx, vy, spin) = plant.disc, twin.state[:6]
+    rx, ry = plant.dynamics.center_of_mass
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    px, py = disc.mass * (vx - spin * ry), disc.mass * (vy + spin * rx)
+    energy = (px**2 + py**2) / (2 * disc.mass) + disc.inertia * spin**2 / 2
+    turns = (x + rx) * py - (y + ry) * px + disc.inertia * spin
+    return np.array([px, py, turns, energy])
+
+
+@pytest.mark.parametrize("speed", [0.3, 2.0, 8.0])
+def test_crafts_that_meet_keep_momentum_and_do_not_tunnel(plant, speed):
+    world, twins = two_crafts(plant, [(-0.4, 0.02, 0.3), (0.4, -0.02, 2.0)])
+    for twin, sign in zip(twins, (1, -1), strict=True):
+        twin.craft.state = np.concatenate([twin.state[:3], [sign * speed, 0, 0], twin.state[6:]])
+    before = sum(momentum(plant, twin) for twin in twins)
+    together = 2 * plant.disc.radius
+    met = False
+    for k in range(round(0.6 / speed / 0.002)):
+        world.run(0.002 * k)
+        apart = twins[1].state[0] - twins[0].state[0]
+        assert apart > 0
+        assert math.dist(twins[0].state[:2], twins[1].state[:2]) > together - 1e-9
+        met = met or twins[0].state[3] < 0.9 * speed
+    assert met
+    after = sum(momentum(plant, twin) for twin in twins)
+    # Nothing drives them, no rail is near; where they are moved apart, they are moved by little.
+    np.testing.assert_allclose(after[:2], before[:2], atol=1e-3 * plant.disc.mass * speed)
+    assert abs(after[2] - before[2]) < 2e-3 * plant.disc.mass * speed
+    assert after[3] < before[3]
+
+
+def test_a_puck_between_two_crafts_gives_each_what_it_takes_from_the_other(plant):
+    poses = [(-0.5, 0.0, 0.0), (0.5, 0.0, math.pi)]
+    world, twins = two_crafts(plant, poses, 0, 0.001, 0, 4.0)
+    world.run(0.5)
+    assert world.puck is not None
+    assert [touch.met for touch in world.puck.touches][:2] == ["craft", "craft"]
+    given = sum(momentum(plant, twin)[:2] for twin in twins)
+    kept = 0.010 * np.array([world.puck.state.vx, world.puck.state.vy])
+    # The drag m k v takes the rest: m k times the way.
+    way = np.array([world.puck.state.x, world.puck.state.y - 0.001])
+    taken = np.array([0.04, 0.0]) - 0.010 * 0.2 * way
+    np.testing.assert_allclose(given + kept, taken, atol=2e-5)
+
+
+def test_each_craft_sees_the_other_as_mallet(plant):
+    _, twins = two_crafts(plant, [(-0.5, 0.1, 0.3), (0.6, -0.2, 2.0)])
+    for twin, other in (twins, twins[::-1]):
+        seen = [m.values for m in twin.wait_until(0.1) if m.kind == "mallet"]
+        assert len(seen) > 20
+        np.testing.assert_allclose(np.mean(seen, axis=0), other.state[:3], atol=1e-3)
+
+
+def test_a_world_has_its_own_puck(plant):
+    world, _ = two_crafts(plant, [(-0.5, 0.0, 0.0)])
+    with pytest.raises(InputError, match="those of the world"):
+        Twin(MODEL, plant=plant, puck=PuckState(0, 0), world=world)

@@ -59,12 +59,12 @@ def contestant(name: str) -> Contestant:
     InputError
         If nobody is called so.
     """
-    kind, _, level = name.partition(":")
+    kind, colon, level = name.partition(":")
     if kind == "human":
-        skill = _by_level(SKILLS, level or "medium", name)
+        skill = _by_level(SKILLS, level if colon else "medium", name)
         return Contestant(name, hand=lambda play, seed: ScriptedHand(play, skill, seed))
     if kind == "airpuck":
-        return _flown(name, lambda: None, _by_level(LEVELS, level or "hard", name))
+        return _flown(name, lambda: None, _by_level(LEVELS, level if colon else "hard", name))
     if ".py" in name:
         return _flown(name, tactic_maker(name), LEVELS["hard"])
     raise InputError(

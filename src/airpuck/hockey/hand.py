@@ -18,7 +18,7 @@ _AHEAD, _STEP = 0.8, 0.04
 #: A person waits here, from the own line [m].
 _HOME = 0.25
 #: A puck that comes faster than this is stopped, a slower one is struck [m/s].
-_TOO_FAST = 2.0
+_TOO_FAST = 1.2
 #: Behind the puck by so much a stroke begins, beyond it by so much it ends [m].
 _BACK, _THROUGH = 0.10, 0.15
 #: A stroke begins within this distance of where it should, and is over after a time [m, s].

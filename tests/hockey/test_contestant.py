@@ -1,0 +1,106 @@
+"""Who can play, by name; and what becomes of those who cannot."""
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.control.reference import SetPoint
+from airpuck.hockey.contestant import contestant
+from airpuck.hockey.game import Game
+from airpuck.hockey.tactic import Intention
+
+TACTICS = """
+import numpy as np
+import airpuck
+
+class Raises:
+    def decide(self, view):
+        return 1 / 0
+
+class SaysUp:
+    def decide(self, view):
+        return "up"
+
+class GoesNowhere:
+    def decide(self, view):
+        return airpuck.Intention("home", airpuck.SetPoint(float("nan"), 0, 0))
+
+class HasNoReference:
+    def decide(self, view):
+        return airpuck.Intention("home", None)
+
+class AvoidsAWord:
+    def decide(self, view):
+        return airpuck.Intention("home", airpuck.SetPoint(-0.8, 0, 0), avoid="it")
+
+class MeetsNever:
+    def decide(self, view):
+        return airpuck.Intention("home", airpuck.SetPoint(-0.8, 0, 0), meet=(1.0, np.inf, 0.0))
+
+class NeedsMore:
+    def __init__(self, more):
+        pass
+
+class DecidesNothing:
+    pass
+
+class Stays:
+    def decide(self, view):
+        return airpuck.Intention("wait", airpuck.SetPoint(-0.8, 0.1, 0))
+"""
+
+
+@pytest.fixture
+def tactics(tmp_path):
+    (tmp_path / "mine.py").write_text(TACTICS)
+    return tmp_path / "mine.py"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Raises", r"decide\(\) at 0\.0\d s: ZeroDivisionError: division by zero"),
+        ("SaysUp", r"must return an Intention, not str"),
+        ("GoesNowhere", r"as reference something else than 6 finite numbers"),
+        # With checked signatures it is `Intention` that refuses some.
+        ("HasNoReference", "reference"),
+        ("AvoidsAWord", "avoid"),
+        ("MeetsNever", r"as meet something else than 3 finite numbers"),
+        ("NeedsMore", r"cannot be made without arguments: TypeError"),
+        ("DecidesNothing", r"lacks decide"),
+    ],
+)
+def test_a_tactic_that_fails_is_named_in_one_line(tactics, name, words):
+    with pytest.raises(InputError, match=words) as error:
+        game = Game(contestant(f"{tactics}:{name}"), contestant("human"))
+        for _ in range(5):
+            game.step()
+    assert f"mine.py:{name}" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_tactic_of_ones_own_plays_on_either_side(tactics):
+    mine = contestant(f"{tactics}:Stays")
+    game = Game(mine, mine, seed=1)
+    for _ in range(150):
+        game.step()
+    for side in game.sides:
+        own = np.array(side.state[:2]) * -side.sign
+        np.testing.assert_allclose(own, (-0.8, 0.1), atol=0.03)
+    assert isinstance(game.sides[1].player.intention, Intention)
+    assert not isinstance(game.sides[1].player.intention.reference, SetPoint)  # turned
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("robot", "nobody is called so"),
+        ("", "nobody is called so"),
+        ("human:godlike", "has no such level; give easy, medium, hard"),
+        ("airpuck:", "has no such level"),
+        ("nowhere.py:Tactic", "there is no such file"),
+    ],
+)
+def test_nobody_is_called_so(name, words):
+    with pytest.raises(InputError, match=words):
+        contestant(name)
