@@ -1,13 +1,23 @@
 """Games between two sides."""
 
+import math
 from collections import Counter
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.hockey.contestant import contestant
+from airpuck.control.law import Step
+from airpuck.flight.pilot import Pilot
+from airpuck.hockey.contestant import Contestant, contestant
 from airpuck.hockey.game import Game
 from airpuck.hockey.rules import Rules
+from airpuck.model.model_file import read_model
+from airpuck.physics.puck import PuckState
+from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.read import read_recording
+from airpuck.twin.settings import default_twin_settings
 
 HARD, EASY = contestant("human:hard"), contestant("human:easy")
 
@@ -40,6 +50,146 @@ def test_a_hand_that_points_nowhere_is_named():
         def target(self, time, own, puck, opponent):
             return float("nan"), 0.0
 
-    nobody = type(HARD)("lost", hand=lambda play, seed: Lost())
+    nobody = Contestant("lost", hand=lambda play, seed: Lost())
     with pytest.raises(InputError, match="hand lost: target"):
         Game(nobody, HARD).step()
+
+
+class Pusher(Pilot):
+    """A craft that is pushed about by commands that only depend on time."""
+
+    def __init__(self, seen):
+        self.seen = seen
+
+    def mallet(self, time, pose):
+        self.seen.append(pose)
+
+    def step(self, time):
+        return Step(0.15 * (1 + np.sin(3.0 * time + np.arange(6.0))))
+
+
+def pusher(seen=None) -> Contestant:
+    def make(model, play, side, seed, opponent):
+        return Pusher([] if seen is None else seen)
+
+    return Contestant("pusher", player=make)
+
+
+def exact():
+    """Settings without noise and chance."""
+    usual = default_twin_settings()
+    nothing = {"position_noise_m": 0.0, "yaw_noise_rad": 0.0, "latency_jitter_s": 0.0}
+    return usual.model_copy(
+        update={
+            "motion_capture": usual.motion_capture.model_copy(update=nothing),
+            "radio": usual.radio.model_copy(update={"jitter_s": 0.0, "loss": 0.0}),
+        }
+    )
+
+
+def test_a_game_turned_by_half_a_turn_is_the_turned_game():
+    # The paper's offset of the centre of mass stays in the world's frame, whatever the yaw.
+    model = replace(read_model("paper:M3"), frame="body")
+    tracks = []
+    for turn, players in ((1, (pusher(), HARD)), (-1, (HARD, pusher()))):
+        game = Game(*players, settings=exact(), model=model, seed=4)
+        hand = game.sides[turn > 0]
+        hand.hand = HARD.hand(game.settings, 7)
+        game.world.puck.place(PuckState(turn * 0.3, turn * 0.11, 0.0, turn * 2.0, turn * -0.7, 3.0))
+        track = []
+        for _ in range(120):
+            game.step()
+            craft = game.sides[turn < 0]
+            assert game.puck is not None
+            places = [*craft.state[:2], *hand.state[:2], *game.puck[:2], *game.puck[3:5]]
+            track.append([*(turn * np.array(places)), game.puck.spin])
+        tracks.append(np.array(track))
+    # Rounding grows at every contact.
+    np.testing.assert_allclose(tracks[0], tracks[1], atol=1e-6)
+    assert np.ptp(tracks[0], axis=0)[[0, 1, 3, 4, 5]].min() > 0.02
+
+
+def test_a_game_of_two_crafts_is_a_bag(tmp_path):
+    seen = []
+    game = Game(pusher(seen), pusher(), seed=2, rules=Rules(limit_s=2.0))
+    game.world.puck.place(PuckState(0.6, 0.12, 0.0, 4.0, 0.0))
+    game.play()
+    write_bag(game.recording(), tmp_path / "game")
+    back = read_recording(tmp_path / "game")
+    left, right = game.sides
+    np.testing.assert_allclose(back["pose"].values[-1], left.body.pose(), atol=2e-3)
+    turned = back["mallet"].values[-1] - right.body.pose()
+    turned[2] = math.remainder(turned[2], 2 * math.pi)
+    np.testing.assert_allclose(turned, 0.0, atol=4e-3)
+    np.testing.assert_allclose(seen[-1][:2], right.body.pose()[:2], atol=0.03)
+    assert len(back["command"]) == len(back["opponent_command"]) == 200
+    assert len(back["puck"]) < 480
+    events = back["game"].values
+    assert events[-1, :2].tolist() == list(game.score) == [1.0, 0.0]
+    assert len(events) == len(game.events)
+
+
+def test_a_game_between_hands_is_recorded_too():
+    game = Game(HARD, EASY, seed=2, rules=Rules(limit_s=1.0))
+    game.play()
+    recording = game.recording()
+    assert {"pose", "puck", "mallet", "game"} == set(recording.streams)
+    left, right = game.sides
+    for name, side in (("pose", left), ("mallet", right)):
+        np.testing.assert_allclose(recording[name].values[-1, :2], side.state[:2], atol=0.03)
+
+
+def served_puck(y: float, vx: float, vy: float = 0.0) -> Game:
+    """Let a puck go where a hand that stays away may or may not meet it."""
+
+    class Away:
+        def target(self, time, own, puck, opponent):
+            return -1.0, 0.45
+
+    away = Contestant("away", hand=lambda play, seed: Away())
+    game = Game(away, away, seed=1)
+    for _ in range(40):
+        game.step()
+    assert game.world.puck is not None
+    game.world.puck.place(PuckState(-0.6, y, 0.0, vx, vy))
+    return game
+
+
+def test_a_goal_that_the_mallet_had_no_part_in_is_no_own_goal():
+    game = served_puck(0.0, -3.0)
+    while game.phase == "play":
+        game.step()
+    assert [e.kind for e in game.events if "goal" in e.kind] == ["goal"]
+    assert game.score == (0, 1)
+
+
+def test_who_turns_a_puck_into_the_own_goal_is_told():
+    game = served_puck(0.30, 0.0)
+
+    class Backwards:
+        def target(self, time, own, puck, opponent):
+            # From before the puck, through it, at the own goal.
+            before = (-0.35, 0.49) if time < 1.5 else (-1.05, -0.05)
+            return before if time < 3.0 else (-1.0, 0.45)
+
+    game.sides[0].hand = Backwards()
+    while game.phase == "play" and game.time < 5.0:
+        game.step()
+    kinds = [(e.kind, e.side) for e in game.events if "goal" in e.kind]
+    assert kinds == [("goal", 1), ("own_goal", -1)]
+
+
+def test_figures_sum_up_the_events():
+    game = played(8, rules=Rules(goals=2))
+    figures = game.figures()
+    assert (figures["left_goals"], figures["right_goals"]) == game.score
+    hits = [e for e in game.events if e.kind == "hit"]
+    assert figures["left_hits"] == sum(e.side == -1 for e in hits)
+    assert figures["left_hits"] + figures["right_hits"] == len(hits) > 5
+    assert figures["duration_s"] == game.time
+    assert figures["left_rail_contacts"] == 0
+
+
+def test_a_hand_reaches_no_farther_than_the_centre_line():
+    game = played(9, rules=Rules(limit_s=20.0))
+    assert not [e for e in game.events if e.kind == "crossed"]

@@ -1,0 +1,96 @@
+"""Games of two players, several of them; kept, and not played twice."""
+
+import json
+
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.campaigns import match_item
+from airpuck.campaigns.items import fingerprint
+from airpuck.campaigns.match import match
+from airpuck.campaigns.match_item import Match
+from airpuck.campaigns.spec import read_spec
+from airpuck.hockey.rules import Rules
+from airpuck.recording.read import read_recording
+
+from ..command_line import airpuck, refused
+
+SHORT = Rules(goals=2, limit_s=20.0)
+
+
+def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
+    first = match("human:hard", "human:easy", 3, seed=5, rules=SHORT, workers=1, output=tmp_path)
+    figures = first.to_json()
+    assert figures["games"] == 3
+    assert figures["left_wins"] + figures["right_wins"] + figures["draws"] == 3
+    assert figures["left_goals"] == sum(game["left_goals"] for game in figures["results"])
+    assert [game["seed"] for game in figures["results"]] == [5, 6, 7]
+    recording = read_recording(tmp_path / "games" / "6", needs=("pose", "puck"))
+    goals = recording["game"].values[-1, :2].tolist()
+    assert goals == [figures["results"][1][f"{side}_goals"] for side in ("left", "right")]
+    played = []
+    original = match_item.Game
+
+    def noted(*args, **kwargs):
+        played.append(kwargs["seed"])
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(match_item, "Game", noted)
+    again = match("human:hard", "human:easy", 4, seed=5, rules=SHORT, workers=1, output=tmp_path)
+    assert played == [8]
+    assert again.games[:3] == first.games
+
+
+def test_the_interval_of_wins_is_wilsons():
+    found = match("human:hard", "human:easy", 1, rules=Rules(limit_s=0.1), workers=1).to_json()
+    assert found["draws"] == 1
+    # Of no success in one trial: up to z² / (1 + z²).
+    assert found["left_wins_interval"] == pytest.approx([0.0, 1.96**2 / (1 + 1.96**2)], abs=1e-4)
+
+
+def test_a_tactic_that_fails_fails_the_match(tmp_path):
+    (tmp_path / "bad.py").write_text("class Bad:\n    def decide(self, view): return 1 / 0\n")
+    name = f"{tmp_path / 'bad.py'}:Bad"
+    with pytest.raises(InputError, match="ZeroDivisionError") as error:
+        match(name, "human", rules=SHORT, workers=1)
+    assert "bad.py:Bad" in str(error.value)
+
+
+def test_a_tactics_file_belongs_to_the_key_and_where_the_bag_goes_does_not(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("class Mine: ...\n")
+    name = f"{file}:Mine"
+    keys = [Match(left=name).key(fingerprint), Match(left=name, bag="games/1").key(fingerprint)]
+    assert keys[0] == keys[1]
+    file.write_text("class Mine: ... # better\n")
+    assert Match(left=name).key(fingerprint) != keys[0]
+    assert Match().key(fingerprint) != Match(right="human:hard").key(fingerprint)
+
+
+def test_a_campaign_can_play(tmp_path):
+    (tmp_path / "mine.py").write_text("class Mine: ...\n")
+    (tmp_path / "spec.toml").write_text(
+        'kind = "match"\nseeds = 2\nbase.left = "mine.py:Mine"\n'
+        'grid.right = ["human:easy", "airpuck:hard"]\n'
+    )
+    entries = read_spec(tmp_path / "spec.toml")
+    assert [entry.item.right for entry in entries] == ["human:easy"] * 2 + ["airpuck:hard"] * 2
+    assert entries[0].item.left == str(tmp_path / "mine.py:Mine")
+
+
+def test_from_the_command_line(tmp_path):
+    who = ("--left", "human:hard", "--right", "human:easy")
+    done = airpuck(
+        "match", *who, "--games", "2", "--limit", "5", "--workers", "1", "--json", "-", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert (figures["left"], figures["right"], figures["games"]) == ("human:hard", "human:easy", 2)
+    assert figures["rail_contacts"] == 0
+    shown = airpuck("match", *who, "--limit", "5", "-q", cwd=tmp_path)
+    assert "human:hard" in shown.stdout
+    assert "times real time" in shown.stdout
+    watched = airpuck("match", *who, "--limit", "1", "--watch", cwd=tmp_path)
+    assert "over" in watched.stdout
+    refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "nobody is called so")
+    refused(airpuck("match", "--watch", "--games", "2", cwd=tmp_path), "--watch")
