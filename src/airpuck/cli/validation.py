@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.drift import Drift
     from airpuck.evaluation.fit_measures import FitMeasures
     from airpuck.evaluation.presentation import Presentation
+    from airpuck.model.model_file import Model
 
 #: Most faults that a table lists.
 _MOST_SPANS = 30
@@ -194,15 +195,8 @@ def compare(
     if alone and output is not None:
         raise InputError("needs a RECORDING that models are judged on", field="-o")
     read, called = [airpuck.read_model(name) for name in names], _short_names(names)
-    figures: dict[str, Any] = {}
-    shown: list[Any] = []
-    if len(read) == 2 and (alone or all(m.known is not None for m in read)):
-        try:
-            drift = airpuck.drift(*read)
-        except InputError as error:
-            if alone:
-                raise
-            drift = airpuck.Drift((), (f"drift is unknown: {error.problem}",))
+    figures, shown = dict[str, Any](), list[Any]()
+    if (drift := _drift_of(read, alone)) is not None:
         figures["drift"] = drift.to_json()
         shown += _drift_lines(called, drift)
     if not alone:
@@ -234,6 +228,18 @@ def compare(
             page = evaluation_report(read, evaluations, trajectory, output, **said, origin=origin())
             shown.append(page)
     report(figures, json_file, *shown)
+
+
+def _drift_of(models: Sequence[Model], alone: bool) -> Drift | None:
+    """Return what drifted between two models; None where that is neither asked nor known."""
+    if len(models) != 2 or not (alone or all(m.known is not None for m in models)):
+        return None
+    try:
+        return airpuck.drift(*models)
+    except InputError as error:
+        if alone:
+            raise
+        return airpuck.Drift((), (f"drift is unknown: {error.problem}",))
 
 
 def _short_names(names: Sequence[str]) -> list[str]:

@@ -218,9 +218,9 @@ def _propeller_checks(
     agrees = "agrees"
     if abs(found.rotation) > _TURNED:
         back = turned(measured, -found.rotation)
-        others = match_effects(back, stated, every)
-        if _worth(others, cosines(back, stated)) > _worth(matches, likeness) + _BETTER:
-            matches, seen, agrees = others, cosines(back, stated), _TURNS
+        others, upright = match_effects(back, stated, every), cosines(back, stated)
+        if _worth(others, upright) > _worth(matches, likeness) + _BETTER:
+            matches, seen, agrees = others, upright, _TURNS
     verdicts = [_verdict(matches[k], k, names, agrees) for k in range(len(names))]
     return tuple(
         PropellerCheck(

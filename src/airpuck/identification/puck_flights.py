@@ -171,6 +171,7 @@ def _reduced(
     """Return gradient and curvature of the fit by the drag, and mean squared residuals."""
     time = flight.time - flight.time[0]
     sigma, rate = sigmas(drag, time), np.maximum(drag, 1e-9)
+    _, velocity, _ = _straight(sigma, flight.pose)
     change = (time[:, None] * np.exp(-rate * time[:, None]) - sigma) / rate
     small = rate * time[-1] < 1e-4
     change = np.where(small, -(time[:, None] ** 2) / 2, change)
@@ -179,8 +180,7 @@ def _reduced(
         basis, _ = np.linalg.qr(np.stack([np.ones_like(time), sigma[:, axis]], axis=1))
         centred = flight.pose[:, axis] - flight.pose[0, axis]
         residual = centred - basis @ (basis.T @ centred)
-        speed = _slope(sigma[:, axis], centred)
-        column = change[:, axis] * speed
+        column = change[:, axis] * velocity[axis]
         column = column - basis @ (basis.T @ column)
         scale = noise[axis] ** 2
         found[:, axis] = (
@@ -191,18 +191,18 @@ def _reduced(
     return found[0], found[1], found[2]
 
 
-def _slope(sigma: Float[np.ndarray, " n"], value: Float[np.ndarray, " n"]) -> float:
-    around = sigma - sigma.mean()
-    return float(around @ value / (around @ around))
+def _straight(
+    sigma: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Fit a path straight in σ: pose and velocity at σ = 0, and the spread Σ (σ - mean)²."""
+    around = sigma - sigma.mean(axis=0)
+    spread = (around**2).sum(axis=0)
+    velocity = (around * (pose - pose[0])).sum(axis=0) / spread
+    return pose.mean(axis=0) - velocity * sigma.mean(axis=0), velocity, spread
 
 
 def _line(flight: Flight, drag: Float[np.ndarray, " 3"], noise: Float[np.ndarray, " 3"]) -> Line:
     """Fit one flight with given drags."""
-    time = flight.time - flight.time[0]
-    sigma = sigmas(drag, time)
-    around = sigma - sigma.mean(axis=0)
-    spread = (around**2).sum(axis=0)
-    velocity = (around * (flight.pose - flight.pose[0])).sum(axis=0) / spread
-    pose = flight.pose.mean(axis=0) - velocity * sigma.mean(axis=0)
+    pose, velocity, spread = _straight(sigmas(drag, flight.time - flight.time[0]), flight.pose)
     times = float(flight.time[0]), float(flight.time[-1])
     return Line(*times, pose, velocity, drag, noise / np.sqrt(spread))
