@@ -27,7 +27,7 @@ from airpuck.hockey.prediction import PuckBelief, predict_path
 from airpuck.hockey.skills import Stage
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import PuckState
-from airpuck.planning.minimal_time import read_minimal_times
+from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times
 from airpuck.report.style import new_figure, png, styled
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
@@ -45,14 +45,14 @@ def shot(stage: Stage, speed: float, rng: np.random.Generator) -> PuckState:
     return PuckState(float(x), float(y), 0.0, vx, vy, 0.0)
 
 
-def could_be_saved(pitch: Pitch, start: PuckState) -> bool:
+def could_be_saved(pitch: Pitch, times_of: MinimalTimes, start: PuckState) -> bool:
     """Return whether the shortest times allow to touch the puck before it is in."""
     times = np.arange(0.0, 3.0, 0.002)
     belief = PuckBelief(0.0, np.array(start), np.zeros((6, 6)))
     places = predict_path(pitch.play, belief, times)[:, :2]
     before = places[:, 0] > -pitch.goal_line
     ways = np.linspace(0.0, 2.0, 2001)
-    shortest = read_minimal_times()(np.stack([ways, 0 * ways]), np.zeros((2, len(ways))), "any")
+    shortest = times_of(np.stack([ways, 0 * ways]), np.zeros((2, len(ways))), "any")
     reach = np.interp(np.maximum(times - pitch.delay, 0.0), shortest, ways)
     apart = np.linalg.norm(places - pitch.home, axis=1) - pitch.contact_distance
     return bool((apart <= reach)[before].any())
@@ -100,11 +100,11 @@ def main() -> None:
     settings = default_twin_settings().with_delay(model.transport_delay)
     play = AirHockey(table=settings.table, puck=settings.puck, mallet=settings.mallet)
     stage = Stage(model, settings, play, build_plant(model, settings), pitch_of(model, play))
-    rows = []
+    rows, shortest = [], read_minimal_times()
     for speed in SPEEDS.tolist():
         rng = np.random.default_rng([options.seed, round(10 * speed)])
         starts = [shot(stage, speed, rng) for _ in range(options.shots)]
-        possible = np.mean([could_be_saved(stage.pitch, start) for start in starts])
+        possible = np.mean([could_be_saved(stage.pitch, shortest, start) for start in starts])
         count = sum(saved(stage, start, k) for k, start in enumerate(starts))
         interval = binomtest(count, options.shots).proportion_ci(method="wilson")
         rows.append(
