@@ -21,7 +21,7 @@ from airpuck.planning.plan import Plan
 #: How far ahead on the plan the craft aims, and by how much later than planned it may come to rest,
 #: but no sooner than motors and thrusts can do anything about [s].
 _HORIZON, _LATER, _LEAST = 0.6, 0.03, 0.08
-#: For how long after its end a plan is flown; then its goal is a set point [s].
+#: For how long after its end a plan to rest is flown; then its goal is a set point [s].
 _AFTERWARDS = 0.1
 #: Errors there (x, y, γ and their rates) and thrusts beside the planned ones for a period [N] that
 #: count as much as each other.
@@ -72,7 +72,7 @@ class PlanTracker(TrackingController):
         """Correct the planned thrusts for an estimate; see `TrackingController.steer`."""
         vehicle, plan = self.model.vehicle, self.reference
         acting = now + self.model.transport_delay
-        if not isinstance(plan, Plan) or not 0 <= acting - plan.begin < plan.duration + _AFTERWARDS:
+        if not isinstance(plan, Plan) or not 0 <= acting - plan.begin < _given_up(plan):
             return super().steer(estimate, now)
         curves, lag, drive = self.model.dynamics.thrust, self._lag, self._drive
         ahead = self.tuning.period_s * np.arange(self._periods(plan, acting) + 1)
@@ -160,6 +160,11 @@ def _rests(plan: Plan) -> bool:
     return bool((np.abs(plan.states[-1, 3:6]) < _AT_REST[3:]).all())
 
 
+def _given_up(plan: Plan) -> float:
+    """Return how long after its beginning a plan is flown no longer [s]."""
+    return plan.duration + (_AFTERWARDS if _rests(plan) else 0.0)
+
+
 def _flown_on(
     plan: Plan, acting: float, ahead: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, "K s"]:
@@ -197,8 +202,8 @@ def least_correction(
         return float(price @ (price / 2 - missed) + x @ (free - x / 2))
 
     price = np.zeros(len(missed))
+    slope, x = residual(price)
     for _ in range(_ITERATIONS):
-        slope, x = residual(price)
         if np.abs(slope).max() < _TOLERANCE:
             break
         inside = a[:, (x > low) & (x < high)]
@@ -207,6 +212,7 @@ def least_correction(
         while dual(price + share * step) > before + 1e-4 * share * (slope @ step) and share > 1e-4:
             share /= 2
         price = price + share * step
+        slope, x = residual(price)
     return x
 
 
