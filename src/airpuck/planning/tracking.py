@@ -27,6 +27,8 @@ _AFTERWARDS = 0.1
 #: count as much as each other.
 _PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
 _CORRECTION = 0.05
+#: For how long a disturbance is believed: under full thrust it mostly shows a late packet [s].
+_LASTING = 0.1
 #: Step of the differences that linearise accelerations; tolerance and iterations of the program.
 _DIFFERENCE = 1e-5
 #: Parts of a period over which planned commands are averaged.
@@ -118,10 +120,12 @@ class PlanTracker(TrackingController):
         surplus = (share - flying[:, None]) * (forces[1:] + forces[:-1]) / 2
         transition, pushes = self._linearised((states[1:] + states[:-1]).T / 2)
         onward, running = np.eye(6), np.zeros((6, n))
+        _, disturbed = point_mass(period)
         gains, missed = np.empty((6, count, n)), np.zeros(6)
         for k in reversed(range(count)):
             push = onward @ pushes[k]
-            missed += push @ surplus[k]
+            lasting = np.exp(-ahead[k] / _LASTING) * estimate.disturbance
+            missed += push @ surplus[k] + onward @ disturbed @ lasting
             push = push * share
             gains[:, k] = self._drive * (push / 2 + running)
             running = (1 + self._lag) / 2 * push + self._lag * running
