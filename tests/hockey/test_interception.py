@@ -94,6 +94,25 @@ def test_no_contact_needs_the_other_half_or_a_rail():
     assert stays_inside(view, places, fast).tolist() == [False, True, False]
 
 
+def test_a_craft_that_is_thrown_back_has_room_for_it():
+    puck = Disc(0.0, 0.0, vx=-5.0, radius=0.03165, mass=0.010, inertia=5e-6)
+    craft = Disc(0.0, 0.0, radius=0.07, mass=PITCH.craft_mass, inertia=PITCH.craft_inertia)
+    strike(puck, craft, 1.0, 0.0, PLAY.puck.craft)
+    recoil = np.array([craft.vx, 0.0])
+    assert recoil[0] == pytest.approx(-5.0 * PITCH.recoil)
+    # It goes on for 80 ms, and then brakes: v (t + v / 2a).
+    room = -recoil[0] * (0.08 - recoil[0] / (2 * PITCH.acceleration))
+    view = view_of((0, 0, 0, 0, 0, 0))
+    for share, fits in ((0.98, False), (1.02, True)):
+        place = np.array([PITCH.fence[0, 0] + share * room, 0.0])
+        assert stays_inside(view, place, np.zeros(2), recoil) == fits
+    # A shot at the goal is met with room behind, on the way forwards.
+    view = view_of((0.6, 0.0, 0.0, -5.0, 0.0, 0.0))
+    met = Guard().propose(view, Outlook(view)).reference
+    assert isinstance(met, Rendezvous)
+    assert met.state[0] >= PITCH.home[0] - 1e-9
+
+
 def test_the_way_round_the_puck_does_not_touch_it():
     # The puck lies between the craft and its own goal.
     view = view_of((-0.8, 0.02, 0, 0, 0, 0), craft=(-0.5, 0, 0, 0, 0, 0))

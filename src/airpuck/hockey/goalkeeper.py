@@ -49,6 +49,8 @@ def block(view: View, outlook: Outlook) -> Intention:
     speed = np.maximum(np.hypot(motions[:, 0], motions[:, 1]), 1e-6)
     places = outlook.places[1:count] + pitch.contact_distance * motions / speed[:, None]
     places = pitch.clipped(places)
+    # Room to be thrown back: not nearer to the rail than home.
+    places[:, 0] = np.maximum(places[:, 0], pitch.home[0])
     apart = np.linalg.norm(places - outlook.places[1:count], axis=1)
     late = slack(view, times, places, np.zeros_like(places))
     # What is beyond the fence covers less; of places with time enough the one nearest to here.
@@ -58,10 +60,10 @@ def block(view: View, outlook: Outlook) -> Intention:
     late -= 5.0 * (apart < pitch.contact_distance - 0.004)
     best = int(np.argmax(late))
     place, time = places[best], float(times[best])
-    there = standing(place)
-    reference = Rendezvous(
-        time, (*place, view.craft[2], 0.0, 0.0, 0.0), precision=_BLOCK, then=there
-    )
+    # Forwards by half of the recoil, so that it goes back as fast as it came.
+    forwards = -pitch.recoil / 2 * motions[best]
+    state = (*place, view.craft[2], *forwards, 0.0)
+    reference = Rendezvous(time, state, precision=_BLOCK, then=standing(place))
     return Intention("defend", reference, (time, *outlook.places[1 + best].tolist()))
 
 

@@ -25,6 +25,8 @@ _DEEPER = 0.006
 _PRECISE = (0.0015, 0.0015, math.inf, 0.04, 0.04, math.inf)
 #: Shares of the way that are looked at for whether it leads through the puck.
 _SHARES = np.linspace(0.1, 0.9, 9)
+#: A recoil is seen, and propellers act on it, so much later [s].
+_NOTICED = 0.08
 #: The puck is passed at least so far away [m].
 _PASSING = 0.012
 
@@ -88,13 +90,25 @@ def slack(
 
 
 def stays_inside(
-    view: View, place: Float[np.ndarray, "*n 2"], velocity: Float[np.ndarray, "*n 2"]
+    view: View,
+    place: Float[np.ndarray, "*n 2"],
+    velocity: Float[np.ndarray, "*n 2"],
+    recoil: Float[np.ndarray, "*n 2"] | float = 0.0,
 ) -> Any:
-    """Return whether a craft with a velocity at a place got there, and can stop, on its half."""
-    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    """Return whether a craft with a velocity at a place got there, and can stop, on its half.
+
+    The recoil, what a contact changes of the velocity, goes on until it is noticed.
+    """
     pitch = view.pitch
-    braking = velocity * speed / (2 * pitch.acceleration)
-    return pitch.inside(place) & pitch.inside(place + braking) & pitch.inside(place - braking)
+    start = place - _braking(view, velocity)
+    stop = place + recoil * _NOTICED + _braking(view, velocity + recoil)
+    return pitch.inside(place) & pitch.inside(start) & pitch.inside(stop)
+
+
+def _braking(view: View, velocity: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+    """Return the way on which the craft stops."""
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    return velocity * speed / (2 * view.pitch.acceleration)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class Level:
 #: By name.
 LEVELS = {
     "easy": Level(thrust=0.35, reaction_s=0.15, shot_noise_rad=0.25),
-    "medium": Level(thrust=0.6, reaction_s=0.08, shot_noise_rad=0.12),
+    "medium": Level(thrust=0.8, reaction_s=0.04, shot_noise_rad=0.06),
     "hard": Level(),
 }
 

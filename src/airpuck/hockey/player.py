@@ -46,7 +46,7 @@ _MARGIN = 0.01
 #: A way on which the craft's acceleration is measured [m].
 _SHORT = 0.3
 #: Home lies so far before the line of the own goal [m].
-_HOME = 0.06
+_HOME = 0.10
 
 
 class Player(Pilot):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -93,7 +94,9 @@ class Catch:
         velocity = recede[..., None] * unit(normal)
         place = outlook.places[4::3, None] - view.pitch.contact_distance * unit(normal)
         times = np.broadcast_to(outlook.times[4::3, None], normal.shape)
-        fits = stays_inside(view, place, velocity) & (speed[:, None] > _SLOW)
+        closing = speed[:, None] * np.cos(_BESIDE) + recede
+        recoil = -view.pitch.recoil * closing[..., None] * unit(normal)
+        fits = stays_inside(view, place, velocity, recoil) & (speed[:, None] > _SLOW)
         if not fits.any():
             return None
         late = np.full(normal.shape, -np.inf)
@@ -114,7 +117,7 @@ class Catch:
         return None
 
 
-def _receding(view: View, speed, aslant):
+def _receding(view: View, speed: Any, aslant: Any) -> Any:
     """Return the craft's speed along the normal after which the puck leaves it slowly."""
     pitch, puck = view.pitch, view.pitch.play.puck
     gives = pitch.craft_mass / (pitch.craft_mass + puck.mass_kg) * (1 + puck.craft.restitution)

@@ -63,10 +63,15 @@ class Pitch:
         """Where the other's goal is along x [m]; the own one is at the negative of that."""
         return self.play.table.length_m / 2
 
-    def inside(self, places: Float[np.ndarray, "*n 2"], margin: float = 0.0) -> Any:
+    @cached_property
+    def recoil(self) -> float:
+        """What the craft's speed changes by at a contact, as a share of the closing speed."""
+        puck = self.play.puck
+        return (1 + puck.craft.restitution) * puck.mass_kg / (puck.mass_kg + self.craft_mass)
+
+    def inside(self, places: Float[np.ndarray, "*n 2"]) -> Any:
         """Return whether the craft's middle may be at places."""
-        low, high = self.fence
-        return np.all((places >= low + margin) & (places <= high - margin), axis=-1)
+        return np.all((places >= self.fence[0]) & (places <= self.fence[1]), axis=-1)
 
     def clipped(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Return the places nearest to some where the craft's middle may be."""
