@@ -19,6 +19,7 @@ import sys
 import time
 
 import numpy as np
+from one_line import run
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -94,4 +95,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -65,6 +65,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.hockey.player import Player as Player
     from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
     from airpuck.hockey.rules import Rules as Rules
+    from airpuck.hockey.skills import skills as skills
     from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
     from airpuck.identification.adam import Adam as Adam
     from airpuck.identification.bootstrap import bootstrap as bootstrap
@@ -143,6 +144,7 @@ _NAMES = {
     "hockey.player": "Player",
     "hockey.puck_filter": "PuckFilter",
     "hockey.rules": "Rules",
+    "hockey.skills": "skills",
     "hockey.tactic": "Intention Tactic View",
     "identification.adam": "Adam",
     "identification.bootstrap": "bootstrap",

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
+from airpuck.twin import craft as craft_module
 from airpuck.twin import experiments
-from airpuck.twin import twin as twin_module
 from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -74,7 +74,7 @@ def flown(jitter: float, duration: float, seed: int = 0, noise: bool = True) -> 
             twins.append(self)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(twin_module, "RadioLink", WatchedRadio)
+        patch.setattr(craft_module, "RadioLink", WatchedRadio)
         patch.setattr(experiments, "Twin", WatchedTwin)
         recording = experiments.excite(
             TRUTH, duration, seed, settings=settings(jitter, noise), plant=plant()
