@@ -231,3 +231,19 @@ def test_it_ends_with_the_game(arena):
         arena.process.join(5)
         assert arena.process.exitcode == 0
     arena.pipe = multiprocessing.Pipe()[0]
+
+
+def test_orders_are_kept_while_the_game_stands_still_and_of_wishes_the_newest(arena):
+    with arena.page() as page:
+        news(page, "role")
+        page.send('{"do": "level", "level": "easy"}')
+        for number in range(450):
+            page.send(struct.pack("<Iff", number, 0.5, 0.5))
+            time.sleep(0.001)
+        page.send('{"do": "think", "on": true}')
+        arena.pipe.send_bytes(NEWS + b'{"is": "status"}')
+        news(page, "status")
+        time.sleep(0.2)
+        arena.hears("sit", "level", "think")
+        # The pipe was full of wishes before it; the newest comes after all.
+        assert arena.heard() == (WISH, (449, 0.5, 0.5))

@@ -153,9 +153,12 @@ def test_pause(begun):
     begun.run(0.1)
     assert begun.phases == ["paused"]
     assert len({state.time for state in begun.states}) == 1
+    begun.wish(9, 0.6, 0.3)  # the pointer moves meanwhile, and then rests
+    begun.run(0.05)
     begun.order("go")
-    begun.run(0.1)
+    begun.run(0.8)
     assert begun.phases == ["play"]
+    assert begun.states[-1].mallet[:2] == pytest.approx((0.6, 0.3), abs=1e-3)
 
 
 def test_a_level_begins_a_new_game(begun):

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import Reference, Rendezvous, SetPoint, SetPoints, TimedPath
+from airpuck.control.reference import (
+    Reference,
+    Rendezvous,
+    SetPoint,
+    SetPoints,
+    TimedPath,
+    asked,
+)
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
@@ -235,3 +242,12 @@ def test_a_rendezvous_is_chased_at_its_velocity_and_then_what_follows():
     after = meet.over(1.1, np.array([0.1, 0.5]))
     assert after.arrival is None
     np.testing.assert_allclose(after.states[:, 2], 0.3)
+
+
+def test_what_is_asked_for_at_a_rendezvous_is_to_be_there_and_then_what_follows():
+    first = Rendezvous(2.0, (-0.2, 0.0, 0.1, -1.0, 0.0, 0.0), then=SetPoint(0.0, 0.0, 0.3))
+    meet = Rendezvous(1.0, (0.5, 0.1, 0.0, 2.0, 0.0, -1.0), then=first)
+    np.testing.assert_array_equal(asked(meet, -5.0), meet.state)
+    np.testing.assert_array_equal(asked(meet, 1.5), first.state)
+    np.testing.assert_array_equal(asked(meet, 2.5), [0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(asked(SetPoint(1.0, 2.0, 3.0), 0.0), [1, 2, 3, 0, 0, 0])

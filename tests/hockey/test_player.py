@@ -8,7 +8,7 @@ import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import Rendezvous, SetPoint, course
+from airpuck.control.reference import Rendezvous, SetPoint, asked, course
 from airpuck.craft.table import AirHockey
 from airpuck.flight.loop import control
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
@@ -82,6 +82,7 @@ def test_both_sides_see_the_same_game_turned(plant):
 def test_a_turned_reference_is_the_same_motion_seen_from_the_other_side():
     meet = Rendezvous(1.0, (0.3, 0.1, 0.2, 1.0, -0.5, 0.3), then=SetPoint(0.1, 0.2, 0.0))
     times = np.array([0.1, 0.3, 0.5])
+    np.testing.assert_array_equal(asked(TurnedReference(meet), 0.4), turned(meet.state))
     ours, other = course(meet, 0.4, times), course(TurnedReference(meet), 0.4, times)
     np.testing.assert_allclose(other.states[:, :2], -ours.states[:, :2])
     np.testing.assert_allclose(other.states[:, 2], ours.states[:, 2] + math.pi)

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey, Table
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.skills import _STARTS, SKILLS, Skill, Stage, skills
 from airpuck.model.model_file import read_model
@@ -54,3 +55,18 @@ def test_a_few_episodes_of_each():
     assert found["defend"].successes == 3
     assert found["hit"].successes >= 2
     assert found["prepare"].successes >= 1
+
+
+@pytest.mark.parametrize(
+    "table, names",
+    [
+        (Table(length_m=0.5, width_m=0.25, goal_width_m=0.1), ("hit",)),
+        (Table(length_m=0.3, width_m=0.6, goal_width_m=0.1), ("hit",)),  # it fills its half
+    ],
+)
+def test_a_table_without_room_is_refused(table, names):
+    with pytest.raises(InputError) as error:
+        skills(
+            MODEL, settings=SETTINGS.model_copy(update={"table": table}), episodes=1, names=names
+        )
+    assert error.value.field == "table"

@@ -1,5 +1,7 @@
 """Frames of an animation are the recording's, nothing is made up; arrows, propellers, names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -143,6 +145,16 @@ def test_the_table_is_drawn_only_around_a_flight_on_it():
     assert x1 > off.pose[:, 0].max() + radius
     assert y0 < min(off.pose[:, 1].min(), -0.1) - radius  # the set points are in view too
     assert y1 > off.pose[:, 1].max() + radius
+
+
+def test_a_game_is_shown_on_its_table_whatever_the_craft_is_asked_for():
+    recording = flight()
+    asked = recording["reference"]
+    far = replace(asked, values=asked.values + np.array([-3.0, 0, 0, 0, 0, 0]))
+    streams = {**recording.streams, "reference": far}
+    assert read_scene(replace(recording, streams=streams), CRAFT).table is None
+    game = replace(recording, streams={**streams, "puck": recording["pose"]})
+    assert read_scene(game, CRAFT).table == (2.2, 1.1)
 
 
 def test_frames_are_evenly_spaced():

@@ -9,11 +9,14 @@ from scipy.interpolate import CubicSpline
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
+from airpuck.craft.table import Table
 from airpuck.model.model_file import nominal_model, published_model
+from airpuck.physics.puck import PuckState
 from airpuck.physics.rollout import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag_writer import write_bag
 from airpuck.twin.plant import build_plant
+from airpuck.twin.play import World
 from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
 from airpuck.twin.twin import Twin
 
@@ -294,3 +297,14 @@ def test_contacts_with_a_rail_are_noted(plant):
     first = np.searchsorted(time, twin.contacts[0])
     assert state[first - 2, 4] > 0 > state[first + 1, 4]
     assert twin.contacts == sorted(twin.contacts)
+
+
+def test_a_table_or_a_world_that_cannot_be_is_refused(plant):
+    small = QUIET.model_copy(update={"table": Table(length_m=0.2, width_m=0.12, goal_width_m=0.1)})
+    with pytest.raises(InputError, match="table: is smaller than the craft"):
+        Twin(MODEL, small, plant=plant)
+    with pytest.raises(InputError, match="world: is shared to play; give it a puck"):
+        Twin(MODEL, QUIET, plant=plant, world=World(QUIET))
+    alone = Twin(MODEL, QUIET, plant=plant, world=World(QUIET, PuckState(0.5, 0.0)))
+    with pytest.raises(InputError, match="give it a second disc"):
+        alone.wait_until(0.1)

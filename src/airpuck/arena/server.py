@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import select
 import signal
 import socket
 import time
@@ -42,6 +41,8 @@ _RATE, _BURST = 500.0, 500.0
 _NEWS = 64
 #: What the system may keep of what was sent [bytes]: more would only be late.
 _SENT = 16_384
+#: Orders of the player that may wait for the game, while it makes a new one.
+_ORDERS = 32
 #: A page that does not answer for so long is gone [s].
 _PATIENCE = 4.0
 #: Kinds of messages from the game, and to it, by their first byte.
@@ -112,6 +113,10 @@ class _Server:
         self._pages: list[_Page] = []
         self._player: _Page | None = None
         self._thinks = False
+        #: What waits for the game: it stands still while it makes a new one.
+        self._orders: deque[bytes] = deque()
+        self._wish: bytes | None = None
+        self._tells = False
         packaged = resources.files("airpuck") / "packaged"
         self._files = {
             path: ((packaged / name).read_text("utf-8"), kind)
@@ -203,41 +208,63 @@ class _Server:
         free = self._player is None
         if free:
             self._player = page
-            self._tell_game(ORDER, b'{"do": "sit"}')
+            self._order(b'{"do": "sit"}')
         page.tell(json.dumps({"is": "role", "role": "player" if free else "watcher"}))
 
     def _leave(self, page: _Page) -> None:
         """Free the seat, if the page had it."""
         if self._player is page:
-            self._player = None
-            self._tell_game(ORDER, b'{"do": "leave"}')
+            self._player = self._wish = None
+            self._order(b'{"do": "leave"}')
         self._count_thinkers()
 
     def _obey(self, page: _Page, asked: Wish | Order) -> None:
         """Do what a page asks for, if it may."""
         if isinstance(asked, Wish):
             if page is self._player:
-                self._tell_game(WISH, packed_wish(asked))
+                self._wish = WISH + packed_wish(asked)
+                self._tell_game()
         elif asked.do == "think":
             page.thinks = asked.on
             self._count_thinkers()
         elif asked.do == "sit":
             if page is not self._player:
                 self._seat(page)
-        elif page is self._player:
-            self._tell_game(ORDER, json.dumps(asked._asdict()).encode())
+        elif page is self._player and len(self._orders) < _ORDERS:
+            self._order(json.dumps(asked._asdict()).encode())
 
     def _count_thinkers(self) -> None:
         """Let the game say what the craft thinks while any page shows it."""
         thinks = any(page.thinks for page in self._pages)
         if thinks != self._thinks:
             self._thinks = thinks
-            self._tell_game(ORDER, json.dumps({"do": "think", "on": thinks}).encode())
+            self._order(json.dumps({"do": "think", "on": thinks}).encode())
 
-    def _tell_game(self, kind: bytes, content: bytes) -> None:
-        """Tell the game; drop what it has no room for, since it stands still."""
-        if select.select([], [self._pipe], [], 0)[1]:
-            self._pipe.send_bytes(kind + content)
+    def _order(self, content: bytes) -> None:
+        """Give the game an order, as soon as it has room for it."""
+        self._orders.append(ORDER + content)
+        self._tell_game()
+
+    def _tell_game(self) -> None:
+        """Tell the game what waits for it, when it has room: all orders, the newest wish."""
+        if not self._tells:
+            self._tells = True
+            asyncio.get_running_loop().add_writer(self._pipe.fileno(), self._tell_next)
+
+    def _tell_next(self) -> None:
+        """Tell the game one thing; it has room."""
+        try:
+            if self._orders:
+                self._pipe.send_bytes(self._orders.popleft())
+            elif self._wish is not None:
+                self._pipe.send_bytes(self._wish)
+                self._wish = None
+        except OSError:  # it has ended, and whoever hears it will notice
+            self._orders.clear()
+            self._wish = None
+        if not self._orders and self._wish is None:
+            self._tells = False
+            asyncio.get_running_loop().remove_writer(self._pipe.fileno())
 
     def _hear_game(self, message: bytes) -> None:
         """Pass on what the game says."""

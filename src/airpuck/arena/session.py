@@ -298,10 +298,9 @@ class Session:
                 wish = read_message(message[1:])
             else:
                 self._obey(json.loads(message[1:]))
-        if isinstance(wish, Wish):
+        if isinstance(wish, Wish) and self._seated:
             self._heard = wish.number
-            if self.phase == "play":
-                self._hand.wanted = wish.x, wish.y
+            self._hand.wanted = wish.x, wish.y
 
     def _obey(self, order: dict[str, Any]) -> None:
         """Do what the page asks for."""

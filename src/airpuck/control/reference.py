@@ -208,6 +208,10 @@ class Rendezvous:
             raise InputError("give six positive numbers; inf is free", field="precision")
         self.then = then or SetPoint(*self.state[:3].tolist())
 
+    def asked(self, now: float) -> Float[np.ndarray, " 6"]:
+        """Return the state to reach, or what follows; see `asked`."""
+        return asked(self.then, now) if self.time < now else self.state
+
     def at(self, now: float, ahead: float) -> Target:
         """Return a state on the way through it, or what follows; see `Reference.at`."""
         if self.time < now + ahead:
@@ -223,6 +227,16 @@ class Rendezvous:
         poses = self.state[:3] - left * self.state[3:]
         states = np.hstack([poses, np.tile(self.state[3:], (len(ahead), 1))])
         return Course(states, np.zeros_like(poses), Arrival(self.time - now, self.precision))
+
+
+def asked(reference: Reference, now: float) -> Float[np.ndarray, " 6"]:
+    """Return the state that is asked for now, to be shown and logged.
+
+    Where a reference has a method `asked`, its word counts: a state to reach later is one place,
+    though `Reference.at` gives a way through it.
+    """
+    own = getattr(reference, "asked", None)
+    return reference.at(now, 0.0).state if own is None else own(now)
 
 
 def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> Course:

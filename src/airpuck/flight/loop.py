@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
+from airpuck.control.reference import asked
 from airpuck.flight.link import Link, Measurement
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 
@@ -126,10 +127,10 @@ def control(
             for measurement in link.wait_until(moment):
                 _tell(pilot, measurement, on_board)
         now = link.now
-        asked = pilot.reference.at(now, 0.0).state
-        if not np.array_equal(asked, announced):
-            link.announce(asked)
-            announced = asked
+        wanted = asked(pilot.reference, now)
+        if not np.array_equal(wanted, announced):
+            link.announce(wanted)
+            announced = wanted
         began = time.perf_counter()
         step = checked_step(pilot, pilot.step(now))
         took = time.perf_counter() - began
@@ -139,7 +140,7 @@ def control(
             problem = f"step() at {now:.2f} s: its command {error.problem}"
             raise InputError(problem, field=f"pilot {type(pilot).__name__}") from error
         pilot.sent(now, step.command)
-        yield Action(due, now, step, asked, took)
+        yield Action(due, now, step, wanted, took)
         k = max(k + 1, math.floor((link.now - start) / period))
 
 

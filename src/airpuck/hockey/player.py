@@ -14,7 +14,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
 from airpuck.control.mpc import MPC
-from airpuck.control.reference import Course, Reference, Rendezvous, SetPoint, Target, course
+from airpuck.control.reference import Course, Reference, Rendezvous, SetPoint, Target, asked, course
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import AirHockey
@@ -335,6 +335,10 @@ class TurnedReference:
         """Return the target; see `Reference.at`."""
         target = self.own.at(now, ahead)
         return Target(turned(target.state), target.acceleration * [-1.0, -1.0, 1.0])
+
+    def asked(self, now: float) -> Float[np.ndarray, " 6"]:
+        """Return the state that is asked for now; see `airpuck.control.reference.asked`."""
+        return turned(asked(self.own, now))
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
         """Return the same at several times; see `course`."""

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
 from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.flight.loop import control
@@ -36,6 +37,8 @@ _LONGEST = 10.0
 _STOPPED = 0.1
 #: Farther in the other half than this, the craft does not touch a puck any more that goes on [m].
 _GONE = 0.05
+#: So many draws find a start, or there is none.
+_DRAWS = 2000
 
 SkillName = Literal["defend", "hit", "prepare"]
 SKILLS: tuple[SkillName, ...] = ("defend", "hit", "prepare")
@@ -102,10 +105,19 @@ def skills(
     -------
     mapping of str to Skill
         The skills by name.
+
+    Raises
+    ------
+    InputError
+        If the table has no room for the craft beside the puck, or for such starts.
     """
     settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
     play = AirHockey(table=settings.table, puck=settings.puck, mallet=settings.mallet)
     table = Stage(model, settings, play, build_plant(model, settings), pitch_of(model, play))
+    reach, _ = play.table.reach(table.pitch.craft_radius)
+    if _beside_rail(table) <= 0 or -table.pitch.home[0] > reach:
+        size = f"{play.table.length_m:g} × {play.table.width_m:g} m"
+        raise _no_room(f"for the craft beside the puck in its half; it is {size}")
     found = {}
     for name in names:
         ends = []
@@ -199,7 +211,7 @@ def _in_zone(stage: Stage, state: PuckState) -> bool:
 def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
     """Return a shot that would be in the own goal, directly or over rails."""
     along, across = _scaled(stage)
-    while True:
+    for _ in range(_DRAWS):
         x, y = rng.uniform([0.29 * along, -0.4 * across], [0.65 * along, 0.4 * across])
         speed, angle = rng.uniform(1.0, 3.0), rng.uniform(-0.5, 0.5)
         spin = rng.uniform(-10.0, 10.0)
@@ -208,19 +220,21 @@ def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
         alone.run(_LONGEST)
         if alone.goal < 0:
             return start
+    raise _no_room("for a shot at the goal")
 
 
 def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
     """Return a resting or slow puck in the own half."""
     along, _ = _scaled(stage)
     width = _beside_rail(stage)
-    while True:
+    for _ in range(_DRAWS):
         x, y = rng.uniform([-0.7 * along, -width], [-0.2 * along, width])
         speed = rng.uniform(0.0, 0.5)
         angle, spin = rng.uniform(-math.pi / 2 - 0.1, math.pi / 2 + 0.1), rng.uniform(-2.0, 2.0)
         start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
         if _free(stage, start):
             return start
+    raise _no_room("for a puck in front of the craft")
 
 
 def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
@@ -230,13 +244,20 @@ def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
     outer, inner = table.width_m / 2 - puck.radius_m - 0.002, _beside_rail(stage)
     side = np.array([[-0.8 * along, -0.2 * along], [inner, outer]])
     bottom = np.array([[-0.94 * along, -0.8 * along], [table.goal_width_m / 2, outer]])
-    areas = [float(np.prod(area[:, 1] - area[:, 0])) for area in (side, bottom)]
-    while True:
+    # There is no bottom beside a goal as wide as the table.
+    areas = [float(np.prod(np.maximum(area[:, 1] - area[:, 0], 0.0))) for area in (side, bottom)]
+    for _ in range(_DRAWS):
         area = side if rng.random() < areas[0] / sum(areas) else bottom
         x, y = rng.uniform(area[:, 0], area[:, 1])
         start = PuckState(x, y * rng.choice([-1.0, 1.0]))
         if _free(stage, start):
             return start
+    raise _no_room("for a puck near a rail")
+
+
+def _no_room(what: str) -> InputError:
+    """Return what is wrong with a table."""
+    return InputError(f"has no room {what}", field="table")
 
 
 def _free(stage: Stage, start: PuckState) -> bool:

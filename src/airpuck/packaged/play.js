@@ -19,7 +19,8 @@ let table, hello, socket, role = "watcher";
 let status = { phase: "waiting", score: [0, 0], level: "" };
 const states = [];          // oldest first
 const arrivals = [];        // [when, how far this page's clock is ahead of the state's] [s]
-const trail = [];           // [x, y, when]
+const trail = [];           // [x, y, when, which way of the puck]
+let ways = 0;               // the puck has been put somewhere so often
 let thought = null, thinking = false, figuresShown = 0;
 
 // The connection -------------------------------------------------------------------------------
@@ -62,6 +63,8 @@ function see(data) {
   };
   const now = performance.now() / 1000, newest = states.at(-1);
   if (newest && state.time < newest.time) states.length = 0;
+  if (!states.length || jumps(newest.puck, state.puck)) ways++;
+  state.way = ways;
   const ahead = now - state.time;
   // After a pause this page's clock is ahead by more.
   if (arrivals.length && (now - arrivals.at(-1)[0] > 0.25 || ahead - arrivals.at(-1)[1] > 0.25))
@@ -77,6 +80,10 @@ function clockAhead() {
   return least;
 }
 
+function jumps(from, to) {
+  return Math.hypot(to[0] - from[0], to[1] - from[1]) > JUMP;
+}
+
 // What is seen at a moment on the server's clock -----------------------------------------------
 function stateAt(time) {
   let k = states.length - 1;
@@ -85,9 +92,9 @@ function stateAt(time) {
   const beyond = k === states.length - 1, [before, after] = states.slice(beyond ? -2 : k);
   const until = beyond ? Math.min(time, after.time + BEHIND) : time;
   const share = (until - before.time) / (after.time - before.time);
-  const between = (from, to) => Math.hypot(to[0] - from[0], to[1] - from[1]) > JUMP ? to
+  const between = (from, to) => jumps(from, to) ? to
     : from.map((value, i) => value + share * (i === 2 ? turn(to[i] - value) : to[i] - value));
-  return { ...(beyond ? after : before), hidden: before.hidden || after.hidden, puck: between(before.puck, after.puck),
+  return { ...(beyond ? after : before), way: after.way, hidden: before.hidden || after.hidden, puck: between(before.puck, after.puck),
     craft: between(before.craft, after.craft), mallet: between(before.mallet, after.mallet) };
 }
 function turn(angle) {
@@ -182,12 +189,12 @@ function draw(stamp) {
   if (figures.latencies.length > 3600) figures.latencies.splice(0, 600);
   showFigures(now);
 }
-function leaveTrail({ hidden, puck: [x, y] }, now) {
+function leaveTrail({ hidden, way, puck: [x, y] }, now) {
   const last = trail.at(-1);
   if (hidden) { if (last) trail.push(null); }
   else {
-    if (last && Math.hypot(x - last[0], y - last[1]) > JUMP) trail.push(null);
-    trail.push([x, y, now]);
+    if (last && way !== last[3]) trail.push(null);
+    trail.push([x, y, now, way]);
   }
   while (trail.length && (!trail[0] || now - trail[0][2] > TRAIL)) trail.shift();
 }

@@ -154,9 +154,11 @@ def read_scene(
         raise InputError(f"{span[0]:g} {span[1]:g} leaves fewer than two poses", field="span")
     in_force = _in_force(command_time, start, stop)
     asked = _in_force(reference_time, start, stop)
-    rails, view = _surroundings(
-        np.concatenate([poses[shown, :2], reference[asked, :2]]), vehicle.radius_m, table
-    )
+    game = read_game(recording, on_axis, 1 if poses[0, 0] > 0 else -1, (start, stop))
+    places = poses[shown, :2]
+    if game is None:  # who plays stays on the table, whatever it is asked for
+        places = np.concatenate([places, reference[asked, :2]])
+    rails, view = _surroundings(places, vehicle.radius_m, table)
     return Scene(
         vehicle=vehicle,
         name=Path(recording.source).name,
@@ -173,7 +175,7 @@ def read_scene(
         table=rails,
         view=view,
         plans=() if log is None else _plans(log, float(aligned.command_time[0]), start, stop),
-        game=read_game(recording, on_axis, 1 if poses[0, 0] > 0 else -1, (start, stop)),
+        game=game,
     )
 
 

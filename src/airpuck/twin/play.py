@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey, Contact, Mallet, Table
 from airpuck.physics.puck import PuckState, strike
 from airpuck.twin.craft import Craft
@@ -162,7 +163,10 @@ class World:
 
     def other(self, body: Craft | HandMallet) -> Craft | HandMallet:
         """Return the disc on the other side."""
-        return next(each for each in self.bodies if each is not body)
+        found = next((each for each in self.bodies if each is not body), None)
+        if found is None:
+            raise InputError("is shared, but by nobody; give it a second disc", field="world")
+        return found
 
     @property
     def mallet(self) -> HandMallet | None:

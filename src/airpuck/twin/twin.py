@@ -59,7 +59,8 @@ class Twin:
     Raises
     ------
     InputError
-        If the seed is no number to begin with, or the craft or the puck would not be on the table.
+        If the seed is no number to begin with, the craft or the puck would not be on the table, or
+        a world that is shared lacks a puck or, when time passes, a second disc.
     """
 
     def __init__(
@@ -90,6 +91,8 @@ class Twin:
             played = _played(puck, mallet)
         elif puck is not None or mallet is not None:
             raise InputError("are those of the world; leave them out", field="puck and mallet")
+        elif world.puck is None:
+            raise InputError("is shared to play; give it a puck", field="world")
         else:
             played = ("puck", "mallet")
         self.now = 0.0
@@ -253,6 +256,8 @@ def _check_pose(pose: Any, table: Table, radius: float) -> None:
     if len(pose) != 3 or not all(map(math.isfinite, pose)):
         raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field="pose")
     reach = table.reach(radius)
+    if min(reach) < 0:
+        raise InputError("is smaller than the craft", field="table")
     if abs(pose[0]) > reach[0] or abs(pose[1]) > reach[1]:
         raise InputError(
             f"is beyond the rails; x must lie within ±{reach[0]:g} m, y within ±{reach[1]:g} m",
