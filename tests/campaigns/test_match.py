@@ -1,6 +1,7 @@
 """Games of two players, several of them; kept, and not played twice."""
 
 import json
+import shutil
 
 import pytest
 
@@ -25,7 +26,8 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     assert figures["left_wins"] + figures["right_wins"] + figures["draws"] == 3
     assert figures["left_goals"] == sum(game["left_goals"] for game in figures["results"])
     assert [game["seed"] for game in figures["results"]] == [5, 6, 7]
-    recording = read_recording(tmp_path / "games" / "6", needs=("pose", "puck"))
+    (bag,) = (tmp_path / "games").glob("6-*")
+    recording = read_recording(bag, needs=("pose", "puck"))
     goals = recording["game"].values[-1, :2].tolist()
     assert goals == [figures["results"][1][f"{side}_goals"] for side in ("left", "right")]
     played = []
@@ -39,6 +41,13 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     again = match("human:hard", "human:easy", 4, seed=5, rules=SHORT, workers=1, output=tmp_path)
     assert played == [8]
     assert again.games[:3] == first.games
+    # What lost its bag is played again; games of others have bags of their own.
+    shutil.rmtree(bag)
+    match("human:hard", "human:easy", 3, seed=5, rules=SHORT, workers=1, output=tmp_path)
+    assert played == [8, 6]
+    assert bag.exists()
+    match("human:easy", "human:easy", 1, seed=6, rules=SHORT, workers=1, output=tmp_path)
+    assert len(list((tmp_path / "games").glob("6-*"))) == 2
 
 
 def test_the_interval_of_wins_is_wilsons():
@@ -64,6 +73,7 @@ def test_a_tactics_file_belongs_to_the_key_and_where_the_bag_goes_does_not(tmp_p
     assert keys[0] == keys[1]
     file.write_text("class Mine: ... # better\n")
     assert Match(left=name).key(fingerprint) != keys[0]
+    assert Match(left=f"{file}:Other").key(fingerprint) != Match(left=name).key(fingerprint)
     assert Match().key(fingerprint) != Match(right="human:hard").key(fingerprint)
 
 
@@ -94,3 +104,8 @@ def test_from_the_command_line(tmp_path):
     assert "over" in watched.stdout
     refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "nobody is called so")
     refused(airpuck("match", "--watch", "--games", "2", cwd=tmp_path), "--watch")
+
+
+def test_the_last_seed_of_a_match_has_a_limit():
+    with pytest.raises(InputError, match=r"4\.61e18: either side has a seed of its own"):
+        match("human", "human", 2, seed=2**62 - 1, workers=1)

@@ -37,6 +37,15 @@ class MeetsNever:
     def decide(self, view):
         return airpuck.Intention("home", airpuck.SetPoint(-0.8, 0, 0), meet=(1.0, np.inf, 0.0))
 
+class SeesNoPath:
+    def decide(self, view):
+        home = airpuck.SetPoint(-0.8, 0, 0)
+        return airpuck.Intention("home", home, path=np.zeros((4, 3)))
+
+class HopesInWords:
+    def decide(self, view):
+        return airpuck.Intention("home", airpuck.SetPoint(-0.8, 0, 0), chance="high")
+
 class NeedsMore:
     def __init__(self, more):
         pass
@@ -66,6 +75,8 @@ def tactics(tmp_path):
         ("HasNoReference", "reference"),
         ("AvoidsAWord", "avoid"),
         ("MeetsNever", r"as meet something else than 3 finite numbers"),
+        ("SeesNoPath", "path"),
+        ("HopesInWords", "chance"),
         ("NeedsMore", r"cannot be made without arguments: TypeError"),
         ("DecidesNothing", r"lacks decide"),
     ],

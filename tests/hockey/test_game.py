@@ -179,6 +179,28 @@ def test_who_turns_a_puck_into_the_own_goal_is_told():
     assert kinds == [("goal", 1), ("own_goal", -1)]
 
 
+def test_who_stops_a_shot_and_then_pushes_it_in_is_told():
+    game = served_puck(0.30, 0.0)
+
+    class Backwards:
+        def target(self, time, own, puck, opponent):
+            before = (-0.35, 0.49) if time < 1.5 else (-1.05, -0.05)
+            return before if time < 3.0 else (-1.0, 0.45)
+
+    game.sides[0].hand = Backwards()
+    # A second ago the same side stopped what would have been a goal.
+    game._touched, game._last_touch = (-1, True), game.time
+    while game.phase == "play" and game.time < 5.0:
+        game.step()
+    assert [(e.kind, e.side) for e in game.events if "goal" in e.kind][1:] == [("own_goal", -1)]
+
+
+def test_a_seed_too_large_for_two_sides_is_told():
+    with pytest.raises(InputError, match=r"seed.*4\.61e18: either side has a seed of its own"):
+        Game(HARD, EASY, seed=2**62)
+    assert Game(HARD, EASY, seed=2**62 - 1).step() is not None
+
+
 def test_figures_sum_up_the_events():
     game = played(8, rules=Rules(goals=2))
     figures = game.figures()

@@ -204,6 +204,24 @@ def test_noise_turns_a_shot_about_the_puck():
     assert airpuck.Player is Player
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_lists_and_arrays_of_a_tactic_are_turned_on_either_side(side):
+    class Plain:
+        def decide(self, view):
+            given = Intention("home", SetPoint(*view.pitch.home, 0.0))
+            # Without the check of signatures, which only tests have.
+            object.__setattr__(given, "path", [[0.1, 0.2], [0.3, 0.4]])
+            object.__setattr__(given, "meet", np.array([1.0, 0.1, 0.2]))
+            object.__setattr__(given, "avoid", np.array([0.1, 0.2, 0.05]))
+            return given
+
+    player = Player(MODEL, PLAY, Plain(), side=side)
+    found = player._in_world(Plain().decide(player))
+    np.testing.assert_allclose(found.path, -side * np.array([[0.1, 0.2], [0.3, 0.4]]))
+    np.testing.assert_allclose(found.meet, [1.0, -side * 0.1, -side * 0.2])
+    np.testing.assert_allclose(found.avoid, [-side * 0.1, -side * 0.2, 0.05])
+
+
 def test_the_tactic_of_the_documentation_plays(plant):
     text = (Path(__file__).parents[2] / "docs" / "hockey.md").read_text()
     block = next(b for b in text.split("```python\n")[1:] if "class Keeper" in b)

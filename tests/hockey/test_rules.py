@@ -1,6 +1,7 @@
 """The referee, by sequences made by hand."""
 
 import pytest
+from pydantic import ValidationError
 
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.rules import Referee, Rules
@@ -78,3 +79,9 @@ def test_a_puck_that_is_moved_is_not_stuck():
     for k in range(100):
         # Touched once in two seconds.
         assert judge.judge(1.0 + 0.1 * k, 0.01, 0.3 if k % 20 == 0 else 0.0, 0) == []
+
+
+@pytest.mark.parametrize("goals", [0, -1, 1001])
+def test_somebody_can_win(goals):
+    with pytest.raises(ValidationError, match="goals"):
+        Rules(goals=goals)

@@ -70,6 +70,7 @@ SMOOTHING = Range(0, 0.01, "with more, commands hardly change in a second", "s²
 INTERVALS = Range(10, 400, "fewer miss switches, and more take minutes")
 PULSE_ROUNDS = Range(1, 100, "the battery lasts for some minutes")
 SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")
+GAME_SEED = Range(0, 2**62 - 1, "either side has a seed of its own, and these are kept in 64 bits")
 DOMAIN = Range(0, 232, "each DDS domain has its own ports, from 7400 + 250 per domain on")
 PORT = Range(1, 65_535, "TCP has as many ports")
 GAMES = Range(1, 100_000, "each takes about a minute of one core")

@@ -136,8 +136,11 @@ def completed(
     progress: Callable[[int, int, int], None] = lambda done, of, failed: None,
 ) -> Campaign:
     """Compute the items that have no result in a folder yet."""
-    found = {entry.key: read_result(folder, entry.key) for entry in entries}
-    results = {k: r for k, r in found.items() if r and (r.failure is None or not retry)}
+    results = {}
+    for entry in entries:
+        result = read_result(folder, entry.key)
+        if result and (entry.item.is_kept() if result.failure is None else not retry):
+            results[entry.key] = result
     missing = [entry for entry in entries if entry.key not in results]
     failed = sum(result.failure is not None for result in results.values())
     progress(len(results), len(entries), failed)

@@ -91,6 +91,8 @@ Count = Annotated[int, pydantic.Field(ge=1)]
 Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
 Duration = Annotated[float, _within(numbers.FLIGHT_DURATION)]
 Hold = Annotated[float, _within(numbers.HOLD)]
+#: The class in FILE.py:NAME.
+_CLASS = re.compile(r"(?<=\.py):[^:/]*$")
 #: How much a craft differs from its model, at random; see `moved`.
 Spread = Fraction
 
@@ -108,12 +110,16 @@ class Item(Section):
     def run(self) -> list[Row]:
         """Compute the item's figures."""
 
+    def is_kept(self) -> bool:
+        """Return whether what it wrote, besides its figures, is still there."""
+        return True
+
     def key(self, fingerprint: Callable[[str], str]) -> str:
         """Hash the fields, the content of the files that they name, and our version."""
         content = self.model_dump(mode="json")
         for field in self.SOURCES:
             names = content[field] if isinstance(content[field], list) else [content[field]]
-            content[field] = [fingerprint(name) if is_file(name) else name for name in names]
+            content[field] = [_identity(name, fingerprint) for name in names]
         text = json.dumps([type(self).__name__, __version__, content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
@@ -123,9 +129,17 @@ def is_file(name: str | None) -> bool:
     return name is not None and name.partition(":")[0] not in ("paper", "airpuck", "human")
 
 
+def _identity(name: str | None, fingerprint: Callable[[str], str]) -> str | None:
+    """Return what stands for a name in a key: of a file its content, and which class of it."""
+    if name is None or not is_file(name):
+        return name
+    attribute = _CLASS.search(name)
+    return fingerprint(name) + (attribute.group() if attribute else "")
+
+
 def fingerprint(name: str) -> str:
-    """Hash a file, all files in a folder, or FILE.py:NAME."""
-    path = Path(re.sub(r"(?<=\.py):[^:/]*$", "", name))
+    """Hash a file, all files in a folder, or the file of FILE.py:NAME."""
+    path = Path(_CLASS.sub("", name))
     if not path.is_dir():
         return sha256(path)
     files = sorted(file for file in path.rglob("*") if file.is_file())

@@ -24,6 +24,7 @@ from airpuck.hockey.contestant import contestant
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import read_model
 from airpuck.twin.settings import TwinSettings
+from airpuck.twin.twin import check_seed
 
 
 @dataclass(frozen=True)
@@ -134,8 +135,8 @@ def match(
     rules : Rules, optional
         By default first to seven.
     output : path-like, optional
-        Folder to keep the games in, as bags ``games/SEED``; games that are there already are not
-        played again.
+        Folder to keep the games in, as bags ``games/SEED-KEY``, where KEY stands for all that
+        makes the game; those that are there already are not played again.
     workers : int, optional
         Number of processes; by default as many as there are processors. One needs no Dask.
     progress : callable, optional
@@ -152,7 +153,8 @@ def match(
         If nobody is called so, a player fails, or Dask is not installed.
     """
     numbers.GAMES.check(games, "games")
-    numbers.SEED.check(seed, "seed")
+    for number in (seed, seed + games - 1):
+        check_seed(number, limits=numbers.GAME_SEED)
     if workers is not None:
         numbers.WORKERS.check(workers, "workers")
     for name in (left, right):
@@ -178,9 +180,13 @@ def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
     """Yield a game for each seed."""
     once = cache(fingerprint)
     for seed in seeds:
-        bag = None if folder is None else str((folder / "games" / f"{seed}").absolute())
-        game = item.model_copy(update={"seed": seed, "bag": bag})
-        yield Entry(game.key(once), {}, game)
+        game = item.model_copy(update={"seed": seed})
+        key = game.key(once)
+        if folder is not None:
+            # Games of others may be kept in the same folder.
+            bag = (folder / "games" / f"{seed}-{key[:8]}").absolute()
+            game = game.model_copy(update={"bag": str(bag)})
+        yield Entry(key, {}, game)
 
 
 def _here(entries: list[Entry]) -> Iterator[tuple[Entry, Result]]:

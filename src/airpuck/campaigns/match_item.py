@@ -32,6 +32,10 @@ class Match(Item):
     #: Folder to write the game to; no part of what is computed.
     bag: Annotated[str | None, pydantic.Field(exclude=True)] = None
 
+    def is_kept(self) -> bool:
+        """Tell whether the bag is there; see `Item.is_kept`."""
+        return self.bag is None or Path(self.bag).exists()
+
     def run(self) -> list[Row]:
         """Play; see `Item.run`."""
         low_latency()
@@ -45,6 +49,6 @@ class Match(Item):
         )
         game.play()
         # The same game gives the same bag.
-        if self.bag is not None and not Path(self.bag).exists():
+        if self.bag is not None and not self.is_kept():
             write_bag(game.recording(), self.bag)
         return [game.figures()]

@@ -229,8 +229,9 @@ class Shoot:
         value = chance * np.exp(-_PATIENCE * (time - view.time))
         blocked = None
         for each in np.argsort(value)[::-1].tolist():
+            # A later contact of lower value may have a higher chance.
             if chance[each] < self.least:
-                break
+                continue
             meeting = Meeting(float(time[each]), float(normal[each]), float(speed[each]))
             kind: Kind = "bank" if bounces[each] > 0.5 else "strike"
             kind = "clear" if self.clears else kind

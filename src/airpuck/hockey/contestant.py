@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,15 @@ def _what_is_wrong(intention: Any, time: float) -> str:
             found = np.zeros(0)
         if found.shape != shape or not np.isfinite(found).all():
             return f"gave as {name} something else than {shape[0]} finite numbers"
+    path, chance = intention.path, intention.chance
+    try:
+        found = np.zeros((0, 2)) if path is None else np.array(path, dtype=float)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape[1:] != (2,) or not np.isfinite(found).all():
+        return "gave as path something else than finite numbers of shape (N, 2)"
+    if not (chance is None or isinstance(chance, Real)):
+        return "gave as chance something else than a number"
     return ""
 
 

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.flight.link import Kind
 from airpuck.flight.loop import Action, control
@@ -36,6 +37,8 @@ _ASIDE = 0.15
 _FOLLOWED = 3.0
 #: A craft that stays at a rail meets it anew after so long, or faster than this [s, m/s].
 _AGAIN, _SLIDES = 0.1, 0.05
+#: A disc that touches the puck again within this is still in the same contact [s].
+_SAME = 0.2
 
 
 #: ``hit``: a side's disc touched the puck, with an impulse [N s]; ``rail``, ``post``: the puck did
@@ -179,7 +182,7 @@ class Game:
         seed: int = 0,
         logs: bool = True,
     ) -> None:
-        check_seed(seed)
+        check_seed(seed, limits=numbers.GAME_SEED)
         settings = settings or default_twin_settings()
         model = model or read_model("paper:M3")
         self.settings, self.seed, self._logs = settings, seed, logs
@@ -209,6 +212,8 @@ class Game:
             self.world.observers.append(self._cameras)
         #: Who touched the puck last, and whether it would have been a goal against them anyway.
         self._touched: tuple[int, bool] = (0, False)
+        #: When [s].
+        self._last_touch = -math.inf
         self._before = self._puck.state
         self._serve(self.referee.server)
 
@@ -338,8 +343,11 @@ class Game:
         near = min(self.sides, key=lambda s: math.dist(s.state[:2], (x, y)) - s.radius).sign
         for time, met, impulse in self._puck.touches:
             if met in ("craft", "mallet"):
-                if self._touched[0] != near:
+                side, anyway = self._touched
+                # One that stopped a shot, and touches the puck anew, does that by itself.
+                if side != near or (anyway and time > self._last_touch + _SAME):
                     self._touched = near, self._would_score(-near)
+                self._last_touch = time
                 yield GameEvent(time, "hit", near, impulse)
             elif met != "goal":
                 yield GameEvent(time, met, 1 if x > 0 else -1, impulse)

@@ -119,7 +119,7 @@ class ScriptedHand:
         self._looks, self._wanted = 0.0, (self._home, 0.0)
         self._goes_by: list[PuckState] = []
         self._errs, self._error = 0.0, (0.0, 0.0)
-        self._aim = 0.0
+        self._aim = float(self._random.normal(0.0, skill.aim_rad))
         #: While a stroke lasts: until when, and along which direction.
         self._stroke: tuple[float, float, float] | None = None
 

@@ -301,15 +301,15 @@ class Player(Pilot):
 
     def _in_world(self, intention: Intention) -> Intention:
         """Return an intention in the world's frame."""
-        if self.side < 0:
-            return intention
+        sign, own = -self.side, intention.reference
+        # A user's tactic may give lists and arrays for all of these.
         meet, path, avoid = intention.meet, intention.path, intention.avoid
         return replace(
             intention,
-            reference=TurnedReference(intention.reference),
-            meet=meet and (meet[0], -meet[1], -meet[2]),
-            path=None if path is None else -path,
-            avoid=avoid and (-avoid[0], -avoid[1], avoid[2]),
+            reference=own if self.side < 0 else TurnedReference(own),
+            meet=None if meet is None else (meet[0], sign * meet[1], sign * meet[2]),
+            path=None if path is None else sign * np.asarray(path, float),
+            avoid=None if avoid is None else (sign * avoid[0], sign * avoid[1], avoid[2]),
         )
 
     def _turned(self, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

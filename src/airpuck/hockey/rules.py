@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
+
+import pydantic
 
 from airpuck.boundary.files import NonNegative, Positive, Section
+from airpuck.boundary.numbers import GOALS
 from airpuck.craft.table import AirHockey
 
 #: In play, waiting for the puck after a goal, or over.
@@ -30,7 +33,7 @@ class Rules(Section):
         From a goal to the next serve.
     """
 
-    goals: int = 7
+    goals: Annotated[int, pydantic.Field(ge=GOALS.low, le=GOALS.high)] = 7
     limit_s: Positive = 300.0
     foul_s: Positive = 15.0
     stuck_s: Positive = 3.0

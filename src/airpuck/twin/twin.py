@@ -244,11 +244,11 @@ def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple
     return ("puck",) if mallet is None else ("puck", "mallet")
 
 
-def check_seed(seed: Any, field: str = "seed") -> None:
+def check_seed(seed: Any, field: str = "seed", limits: numbers.Range = numbers.SEED) -> None:
     """Refuse what random numbers cannot begin with."""
     if not isinstance(seed, Integral):
         raise InputError(f"must be a whole number, not {seed!r}", field=field)
-    numbers.SEED.check(int(seed), field)
+    limits.check(int(seed), field)
 
 
 def _check_pose(pose: Any, table: Table, radius: float) -> None:
