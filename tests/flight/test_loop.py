@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from airpuck.control.law import FLYING, Prediction, Step
-from airpuck.control.reference import SetPoint, SetPoints
+from airpuck.control.reference import Rendezvous, SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.flight.link import Measurement
 from airpuck.flight.loop import control, fly
@@ -179,6 +179,15 @@ def test_a_reference_is_announced_when_it_changes_and_only_then():
     np.testing.assert_array_equal(log.reference[:31], np.zeros((31, 3)))
     np.testing.assert_array_equal(log.reference[31], [1, 0.3, 1.5])
     np.testing.assert_array_equal(log.reference[-1], [0.5, -0.3, -1])
+
+
+def test_a_rendezvous_is_announced_as_the_state_to_reach():
+    link, state = FakeLink(), (0.5, 0.1, 0.0, 2.0, 0.0, -1.0)
+    fly(FakePilot(Rendezvous(0.295, state, then=SetPoint(0.0, 0.0, 0.3))), link, 0.5)
+    (first, met), (second, after) = link.announced
+    assert (first, second) == pytest.approx((0.0, 0.3))
+    np.testing.assert_array_equal(met, state)
+    np.testing.assert_array_equal(after, [0, 0, 0.3, 0, 0, 0])
 
 
 def test_sensors_on_board_are_told_of_if_asked_for():
