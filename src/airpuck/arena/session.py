@@ -326,8 +326,7 @@ class Session:
 
     def _renew(self) -> None:
         """Begin a new game, and tell the page that it takes a moment."""
-        self._status = {**self._status, "phase": "starting"}
-        self._say(self._status)
+        self._tell_status("starting")
         # The page and its server need not wait for the compiler.
         prioritize(first=False)
         self._begin()
@@ -363,19 +362,19 @@ class Session:
         self._pipe.send_bytes(STATE + state)
         for event in events:
             self._report(event)
-        status = {
-            "is": "status",
-            "phase": self.phase,
-            "score": list(game.score),
-            "level": self._level,
-        }
-        if status != self._status:
-            self._status = status
-            self._say(status)
+        self._tell_status(self.phase)
         if self._thinks and steps % _THOUGHTS_EVERY == 0 and self.phase == "play":
             self._pipe.send_bytes(
                 THOUGHT + json.dumps(thought_of(self._player, game.time)).encode()
             )
+
+    def _tell_status(self, phase: str) -> None:
+        """Tell the page how the game stands, if that has changed."""
+        score = list(self._game.score)
+        status = {"is": "status", "phase": phase, "score": score, "level": self._level}
+        if status != self._status:
+            self._status = status
+            self._say(status)
 
     def _report(self, event: GameEvent) -> None:
         """Tell the page of what can be heard or called out."""
