@@ -21,7 +21,6 @@ from scipy.stats import binomtest
 
 import airpuck
 from airpuck.compute.process import keep_compiled_programs
-from airpuck.craft.table import AirHockey
 from airpuck.flight.loop import control
 from airpuck.hockey.player import Player, pitch_of
 from airpuck.hockey.prediction import PuckBelief, predict_path
@@ -38,7 +37,7 @@ SPEEDS = np.arange(1.0, 10.5, 1.0)
 
 def shot(stage: Stage, speed: float, rng: np.random.Generator) -> PuckState:
     """Return a shot from the other half at a place of the goal that leaves the posts alone."""
-    half = stage.play.table.goal_width_m / 2 - stage.play.puck.radius_m
+    half = stage.settings.table.goal_width_m / 2 - stage.settings.puck.radius_m
     x, y = rng.uniform([0.33, -0.4], [0.73, 0.4])
     aim = rng.uniform(-half, half)
     way = np.array([-stage.pitch.goal_line - x, aim - y])
@@ -61,7 +60,7 @@ def could_be_saved(pitch: Pitch, times_of: MinimalTimes, start: PuckState) -> bo
 
 def saved(stage: Stage, start: PuckState, seed: int) -> bool:
     """Fly the craft against a shot; return whether it is not in."""
-    player = Player(stage.model, stage.play, seed=seed)
+    player = Player(stage.model, stage.settings, seed=seed)
     twin = stage.twin(start, seed)
     assert twin.play is not None
     puck = twin.play.puck
@@ -99,8 +98,7 @@ def main() -> None:
     keep_compiled_programs()
     model = airpuck.read_model("paper:M3")
     settings = default_twin_settings().with_delay(model.transport_delay)
-    play = AirHockey(table=settings.table, puck=settings.puck, mallet=settings.mallet)
-    stage = Stage(model, settings, play, build_plant(model, settings), pitch_of(model, play))
+    stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings))
     rows, shortest = [], read_minimal_times()
     for speed in SPEEDS.tolist():
         rng = np.random.default_rng([options.seed, round(10 * speed)])

@@ -30,7 +30,7 @@ def test_the_interval_is_wilsons():
 
 @pytest.mark.parametrize("name", SKILLS)
 def test_starts_are_the_challenges_on_this_table(name):
-    stage = Stage(MODEL, SETTINGS, PLAY, build_plant(MODEL, SETTINGS), pitch_of(MODEL, PLAY))
+    stage = Stage(MODEL, SETTINGS, build_plant(MODEL, SETTINGS), pitch_of(MODEL, PLAY))
     rng = np.random.default_rng(0)
     starts = np.array([_STARTS[name](stage, rng) for _ in range(80)])
     x, y, _, vx, vy, spin = starts.T

@@ -123,22 +123,25 @@ def _what_is_wrong(intention: Any, time: float) -> str:
         "avoid": (intention.avoid, (3,)),
     }
     for name, (given, shape) in numbers.items():
-        try:
-            found = np.zeros(shape) if given is None else np.array(given, dtype=float)
-        except (TypeError, ValueError):
-            found = np.zeros(0)
-        if found.shape != shape or not np.isfinite(found).all():
+        found = None if given is None else _finite(given)
+        if given is not None and (found is None or found.shape != shape):
             return f"gave as {name} something else than {shape[0]} finite numbers"
     path, chance = intention.path, intention.chance
-    try:
-        found = np.zeros((0, 2)) if path is None else np.array(path, dtype=float)
-    except (TypeError, ValueError):
-        found = np.zeros(0)
-    if found.shape[1:] != (2,) or not np.isfinite(found).all():
+    found = None if path is None else _finite(path)
+    if path is not None and (found is None or found.shape[1:] != (2,)):
         return "gave as path something else than finite numbers of shape (N, 2)"
     if not (chance is None or isinstance(chance, Real)):
         return "gave as chance something else than a number"
     return ""
+
+
+def _finite(given: Any) -> np.ndarray | None:
+    """Return finite numbers as an array; None if they are others."""
+    try:
+        found = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    return found if np.isfinite(found).all() else None
 
 
 def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Contestant:

@@ -112,11 +112,10 @@ def skills(
         If the table has no room for the craft beside the puck, or for such starts.
     """
     settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
-    play = AirHockey(table=settings.table, puck=settings.puck, mallet=settings.mallet)
-    table = Stage(model, settings, play, build_plant(model, settings), pitch_of(model, play))
-    reach, _ = play.table.reach(table.pitch.craft_radius)
+    table = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings))
+    reach, _ = settings.table.reach(table.pitch.craft_radius)
     if _beside_rail(table) <= 0 or -table.pitch.home[0] > reach:
-        size = f"{play.table.length_m:g} × {play.table.width_m:g} m"
+        size = f"{settings.table.length_m:g} × {settings.table.width_m:g} m"
         raise _no_room(f"for the craft beside the puck in its half; it is {size}")
     found = {}
     for name in names:
@@ -136,7 +135,6 @@ class Stage:
 
     model: Model
     settings: TwinSettings
-    play: AirHockey
     plant: Plant
     pitch: Pitch
 
@@ -157,7 +155,7 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
     """Play one episode; return whether it succeeded, and whether it ended with a stopped puck."""
     rng = np.random.default_rng(seed)
     puck = _STARTS[name](stage, rng)
-    player = Player(stage.model, stage.play, _TACTICS[name](), seed=int(rng.integers(2**31)))
+    player = Player(stage.model, stage.settings, _TACTICS[name](), seed=int(rng.integers(2**31)))
     twin = stage.twin(puck, int(rng.integers(2**31)))
     assert twin.play is not None
     body = twin.play.puck
@@ -177,7 +175,7 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
         return body.goal >= 0, slow
     if name == "prepare":
         return slow and _in_zone(stage, state), slow
-    return _scores(stage.play, body), slow
+    return _scores(stage.settings, body), slow
 
 
 def _scores(play: AirHockey, body: PuckOnTable) -> bool:
@@ -192,13 +190,13 @@ def _scores(play: AirHockey, body: PuckOnTable) -> bool:
 
 def _scaled(stage: Stage) -> tuple[float, float]:
     """Return by how much this table is longer and wider than the Challenge's."""
-    table = stage.play.table
+    table = stage.settings.table
     return table.length_m / _LENGTH, table.width_m / _WIDTH
 
 
 def _beside_rail(stage: Stage) -> float:
     """Return how near a puck can be to the middle that leaves no room for the craft behind it."""
-    table, puck = stage.play.table, stage.play.puck
+    table, puck = stage.settings.table, stage.settings.puck
     return table.width_m / 2 - puck.radius_m - 2 * stage.pitch.craft_radius
 
 
@@ -216,7 +214,7 @@ def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
         speed, angle = rng.uniform(1.0, 3.0), rng.uniform(-0.5, 0.5)
         spin = rng.uniform(-10.0, 10.0)
         start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
-        alone = PuckOnTable(stage.play, start, logs=False)
+        alone = PuckOnTable(stage.settings, start, logs=False)
         alone.run(_LONGEST)
         if alone.goal < 0:
             return start
@@ -240,7 +238,7 @@ def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
 def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
     """Return a resting puck near a rail, where it cannot be shot."""
     along, _ = _scaled(stage)
-    table, puck = stage.play.table, stage.play.puck
+    table, puck = stage.settings.table, stage.settings.puck
     outer, inner = table.width_m / 2 - puck.radius_m - 0.002, _beside_rail(stage)
     side = np.array([[-0.8 * along, -0.2 * along], [inner, outer]])
     bottom = np.array([[-0.94 * along, -0.8 * along], [table.goal_width_m / 2, outer]])

@@ -29,10 +29,11 @@ _PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
 _CORRECTION = 0.05
 #: For how long a disturbance is believed: under full thrust it mostly shows a late packet [s].
 _LASTING = 0.1
-#: Step of the differences that linearise accelerations; tolerance and iterations of the program.
+#: Step of the differences that linearise accelerations.
 _DIFFERENCE = 1e-5
 #: Parts of a period over which planned commands are averaged.
 _PARTS = 4
+#: Of Newton's method: largest slope left, and iterations.
 _TOLERANCE, _ITERATIONS = 1e-6, 40
 #: The craft rests at a place when it has been as near as this (x, y, γ and their rates) for so long
 #: [s]; longer than a pilot's steps on the spot before a flight.
