@@ -1,5 +1,6 @@
 """A puck on the graph, of a twin in another process."""
 
+import json
 import signal
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_the_craft_plays_a_scripted_human_on_the_graph(domain):
     start = ["--pose", -0.85, 0, 0, "--puck", -0.3, 0.1, 0, 0, "--human", "easy"]
     watch = Watch(domain)
     twin = Process("twin", "--quiet", *start, domain=domain)
-    player = Process("play", "--live", "--quiet", domain=domain)
+    player = Process("play", "--live", "--quiet", "--json", "-", domain=domain)
     try:
         said = "flying", "the puck is seen"
         watch.until(lambda: all(one in watch.events("play") for one in said), 120.0)
@@ -45,12 +46,14 @@ def test_the_craft_plays_a_scripted_human_on_the_graph(domain):
         # Both move, and the craft stays on its half; its edge may be a little over the line.
         watch.until(lambda: len(watch.heard[MALLET]) > 1500, 60.0)
         player.signal(signal.SIGINT)
-        code, _, _ = player.end()
+        code, out, _ = player.end()
     finally:
         twin.kill()
         player.kill()
         watch.close()
     assert code == 0
+    figures = json.loads(out)
+    assert sum(figures["score"]) == sum(figures["goals"]) <= figures["duration_s"]
     crafts, mallets = (
         np.array([StreamCodec("puck").decode(message.data)[1] for message in watch.heard[topic]])
         for topic in (POSES, MALLET)

@@ -340,13 +340,16 @@ def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
     return found
 
 
-def report_flight(figures: dict[str, Any], json_file: Path | None, quiet: bool) -> None:
-    """Report how a flight on the graph went."""
+def report_flight(
+    figures: dict[str, Any], json_file: Path | None, quiet: bool, *lines: str
+) -> None:
+    """Report how a flight on the graph went; after other lines."""
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
     report(
         figures,
         json_file,
+        *lines,
         f"{figures['duration_s']:.1f} s, periods: {outcomes}",
         f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
         f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",

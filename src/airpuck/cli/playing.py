@@ -93,6 +93,7 @@ def _play_live(
     from airpuck.hockey.player import Player
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import half_of
+    from airpuck.live.score import NAMES, Score
 
     craft, table = inputs.read_belief(model), inputs.read_twin(settings) or AirHockey()
     low_latency()
@@ -102,8 +103,11 @@ def _play_live(
         half_of(table.table, craft.vehicle.radius_m, -1),
         on_graph,
         name="airpuck play",
+        spectators=[Score(table)],
     )
-    report_flight(figures, json_file, on_graph.quiet)
+    left, right = figures["score"]
+    score = f"{NAMES[0]} {left} : {right} {NAMES[1]}"
+    report_flight(figures, json_file, on_graph.quiet, score)
 
 
 @app.command(rich_help_panel="Air hockey")

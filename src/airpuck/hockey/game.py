@@ -383,9 +383,15 @@ class Game:
 
     def _serve(self, side: int) -> None:
         """Put the puck into a half, where no disc is."""
-        x, y = side * _SERVE, float(self._random.uniform(-_ASIDE, _ASIDE))
-        for one in self.sides:
-            if math.dist(one.state[:2], (x, y)) < one.radius + self._puck.radius:
-                y = math.copysign(one.radius + 2 * self._puck.radius, -one.state[1]) + one.state[1]
-        self._puck.place(PuckState(x, y))
+        serve(self.world, side, self._random)
         self._touched = (0, False)
+
+
+def serve(world: World, side: int, random: np.random.Generator) -> None:
+    """Put the puck into a half of a world, at rest, where no disc is."""
+    assert world.puck is not None
+    x, y, radius = side * _SERVE, float(random.uniform(-_ASIDE, _ASIDE)), world.puck.radius
+    for disc in (body.disc() for body in world.bodies):
+        if math.dist((disc.x, disc.y), (x, y)) < disc.radius + radius:
+            y = math.copysign(disc.radius + 2 * radius, -disc.y) + disc.y
+    world.puck.place(PuckState(x, y))

@@ -114,6 +114,18 @@ class Referee:
             found += [broken, self._serve(time, -broken.side or -self.server)]
         return found
 
+    def resume(self, time: float, side: int) -> None:
+        """Go on with a puck that somebody has put into play.
+
+        Parameters
+        ----------
+        time : float
+            When [s].
+        side : int
+            On whose side.
+        """
+        self._serve(time, side)
+
     def _scored(self, time: float, side: int) -> Ruling:
         left, right = self.score
         self.score = (left + (side < 0), right + (side > 0))

@@ -10,7 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -55,6 +55,7 @@ def fly_live(
     over: Callable[[float], bool] = lambda time: False,
     name: str = NAME,
     warm_up: bool = True,
+    spectators: Sequence[Spectator] = (),
 ) -> dict[str, Any]:
     """Fly a craft on the graph, until its time is over, SIGINT or SIGTERM.
 
@@ -76,6 +77,8 @@ def fly_live(
         What others see as its name.
     warm_up : bool, default True
         Whether the pilot flies some steps before, so that everything is compiled.
+    spectators : sequence of Spectator, optional
+        Who sees what is measured and done, in their order.
 
     Returns
     -------
@@ -99,7 +102,9 @@ def fly_live(
         prioritize(first=True)
         # Another one may have begun meanwhile.
         process.refuse_second("command", vehicle.propeller_names, "controller")
-        flight = _Flight(process, pilot, vehicle, limits, period)
+        for spectator in spectators:
+            spectator.begin(process, pilot)
+        flight = _Flight(process, pilot, vehicle, limits, period, spectators)
         with keyboard() as flight.pressed:
             return flight.run(over)
 
@@ -126,6 +131,27 @@ def preflight_live(
     return judge_test(pilot, model)
 
 
+@runtime_checkable
+class Spectator(Protocol):
+    """Sees a flight while it goes on; it must not hold up the loop."""
+
+    def begin(self, process: Process, pilot: Pilot) -> None:
+        """Take note of who flies, before time begins."""
+        ...
+
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a pose of the craft or of something else."""
+        ...
+
+    def after(self, action: Action) -> None:
+        """Do what is to be done once a period; its command is sent."""
+        ...
+
+    def to_json(self) -> dict[str, Any]:
+        """Return figures for ``--json``."""
+        ...
+
+
 class GraphLink:
     """Poses from the graph, of the craft and others, commands to the graph; a `Link`."""
 
@@ -136,12 +162,14 @@ class GraphLink:
         *,
         announces: bool,
         others: Sequence[Kind] = (),
+        spectators: Sequence[Spectator] = (),
     ) -> None:
         self._clock = process.clock
         self.poses = Inbox(process, "pose")
         self.others: dict[Kind, Inbox] = {kind: Inbox(process, kind) for kind in others}
         self.commands = Outbox(process, "command", motors)
         self._references = Outbox(process, "reference") if announces else None
+        self._spectators = spectators
         #: When the newest pose was measured [s].
         self.newest: float | None = None
 
@@ -158,6 +186,9 @@ class GraphLink:
             self.newest = arrived[-1].stamp
         for kind, inbox in self.others.items():
             arrived += [Measurement(kind, stamp, pose) for stamp, pose in inbox.take()]
+        for spectator in self._spectators:
+            for measurement in arrived:
+                spectator.measured(measurement)
         if self._references is not None:
             self._references.remind()
         return arrived
@@ -179,17 +210,27 @@ class _Flight:
     pressed: Callable[[], str] | None = None
 
     def __init__(
-        self, process: Process, pilot: Pilot, vehicle: Vehicle, limits: Limits, period: float
+        self,
+        process: Process,
+        pilot: Pilot,
+        vehicle: Vehicle,
+        limits: Limits,
+        period: float,
+        spectators: Sequence[Spectator] = (),
     ) -> None:
         self._process, self._period, self._reference = process, period, pilot.reference
         follows = isinstance(self._reference, FollowedSetPoint)
         self._wishes = Inbox(process, "reference") if follows else None
         self._link = GraphLink(
-            process, vehicle.propeller_names, announces=not follows, others=played(pilot)
+            process,
+            vehicle.propeller_names,
+            announces=not follows,
+            others=played(pilot),
+            spectators=spectators,
         )
+        self._spectators = spectators
         self._inboxes = [self._link.poses, *self._link.others.values()]
         self._inboxes += [self._wishes] if self._wishes else []
-        self._sight: str | None = None
         self._estimates, self._plans = Outbox(process, "estimate"), PlanOutbox(process)
         self._until_plan = 0
         self._guard = Guard(limits)
@@ -230,6 +271,7 @@ class _Flight:
             "poses": link.poses.good,
             "refused": link.poses.bad,
             "events": process.events.counts,
+            **{k: v for spectator in self._spectators for k, v in spectator.to_json().items()},
         }
 
     def _after(self, action: Action) -> None:
@@ -247,7 +289,8 @@ class _Flight:
         if isinstance(self._reference, PlannedSetPoints) and step.flies:
             self._reference.begin(action.time)
         self._follow_wishes()
-        self._say_sight(getattr(self._pilot.pilot, "sight", None))
+        for spectator in self._spectators:
+            spectator.after(action)
         for key in self.pressed() if self.pressed else "":
             self._obey(key)
         self._give_way()
@@ -265,13 +308,6 @@ class _Flight:
             refusal = followed.move(wish)
             if refusal is not None:
                 self._process.events.log("warning", f"refused: {refusal}", kind="set point")
-
-    def _say_sight(self, sight: str | None) -> None:
-        """Log how a pilot that plays sees the puck, when that changes."""
-        if sight != self._sight:
-            self._sight = sight
-            level = "warning" if sight in ("frozen", "lost") else "info"
-            self._process.events.log(level, f"the puck is {sight}", kind="puck")
 
     def _obey(self, key: str) -> None:
         """Do what the operator asks for: any other key stops the motors."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from airpuck.compute.process import prioritize
-from airpuck.hockey.game import Side
-from airpuck.hockey.hand import SKILLS, ScriptedHand
+from airpuck.live.human import BEGINS, Human
 from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
@@ -16,8 +15,6 @@ from airpuck.twin.twin import Twin
 NAME = "airpuck twin"
 #: Measurements that this process could not send for this long are lost [s].
 _LOST = 0.05
-#: Where the mallet of a scripted human is at first [m].
-_BEGINS = 0.85
 #: Simulated before the start, so that everything is compiled [s].
 _WARM_UP = 0.1
 
@@ -49,7 +46,8 @@ def serve_twin(
     puck : PuckState, optional
         A puck, which comes back there out of a goal; by default there is none.
     human : str, optional
-        Skill of a scripted human who plays on the right with a mallet; by default there is none.
+        Skill of a scripted human who plays on the right with a mallet, and serves by the rules; by
+        default there is none.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def serve_twin(
     """
     start: dict[str, Any] = {"seed": seed, "pose": pose, "puck": puck}
     if human is not None:
-        start["mallet"] = _BEGINS, 0.0
+        start["mallet"] = BEGINS, 0.0
     warm = Twin(model, twin_settings, **start)
     warm.wait_until(_WARM_UP)
     start["plant"] = warm.plant
@@ -73,7 +71,7 @@ def serve_twin(
         process.refuse_second("pose", (), "motion capture")
         if puck is not None:
             process.refuse_second("puck", (), "motion capture of a puck")
-        table = _Table(twin, process, puck, human)
+        table = _Table(twin, process, puck, human, seed)
         while process.goes_on:
             table.turn()
         return table.to_json()
@@ -83,13 +81,10 @@ class _Table:
     """A twin, and the streams it lives on."""
 
     def __init__(
-        self, twin: Twin, process: Process, puck: PuckState | None, human: str | None
+        self, twin: Twin, process: Process, puck: PuckState | None, human: str | None, seed: int
     ) -> None:
         self._twin, self._process, self._puck = twin, process, puck
-        self._human: Side | None = None
-        if twin.world.mallet is not None and human is not None:
-            self._human = Side(1, "human", twin.world.mallet)
-            self._human.hand = ScriptedHand(twin.settings, SKILLS[human])
+        self._human = None if human is None else Human(twin, process, human, seed)
         kinds = ["pose", "imu", "mouse"] + ["puck"] * (puck is not None)
         kinds += ["mallet"] * (human is not None)
         self._sensors = {kind: Outbox(process, kind) for kind in kinds}
@@ -117,11 +112,10 @@ class _Table:
         for command in commands:
             self._twin.send(command)
         if self._human is not None:
-            puck, craft = self._twin.world.puck, self._twin.state
-            seen = None if puck is None or puck.goal else puck.state
-            self._human.act(now, seen, (float(craft[0]), float(craft[1])))
+            self._human.act(now)
+        else:
+            self._serve()
         self._report_contact()
-        self._serve()
         if process.beat.begins(now):
             self._commands.report_strangers()
             speeds = " ".join(f"{speed:.3f}" for speed in self._twin.state[6:].tolist())
@@ -142,7 +136,7 @@ class _Table:
         }
 
     def _serve(self) -> None:
-        """Put a puck that is in a goal back into play."""
+        """Put a puck that is in a goal back to where it was at first."""
         puck = self._twin.world.puck
         if puck is not None and self._puck is not None and puck.goal:
             side = "right" if puck.goal > 0 else "left"

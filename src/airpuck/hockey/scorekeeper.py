@@ -1,0 +1,223 @@
+"""The score of a game that is only seen: goals, from where the puck was and that it is gone."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.puck_filter import PuckFilter
+from airpuck.hockey.rules import Referee, Rules, Ruling
+from airpuck.physics.puck import PuckState
+from airpuck.twin.puck import PuckOnTable
+
+#: Poses in a row, each as the last ones foretold, before the puck's motion is believed.
+_SURE = 3
+#: A puck that was about to be in, and is not seen for so long, is in [s].
+_GONE = 0.2
+#: Nothing stops a puck that will be in so soon, or that rails and discs cannot meet any more [s].
+_AT_ONCE, _IN_THE_MOUTH = 0.02, 0.6
+#: So far beyond the rail's line it is in the mouth of the goal; poses may be off by more
+#: elsewhere [m].
+_MOUTH, _OFF = 1e-3, 0.02
+#: A puck that is elsewhere sooner than at twice its speed, or at this one, was put there [m/s];
+#: give or take [m].
+_SENT_BACK, _NEAR = 5.0, 0.05
+#: The same pose again of a puck that moved faster than this is no measurement [m/s].
+_MOVING = 0.1
+#: Without any pose for so long the cameras were blind [s].
+_BLIND = 0.1
+#: A puck that is not seen for so long may have been carried anywhere [s].
+_LOST = 1.0
+
+
+class _Leaving(NamedTuple):
+    """A puck that is about to be in a goal."""
+
+    #: By the sign of x.
+    goal: int
+    #: When and where it was seen last, and how fast [s, m, m/s].
+    time: float
+    x: float
+    y: float
+    speed: float
+
+
+class Scorekeeper:
+    """Applies the rules to a puck of which only poses are known.
+
+    A goal is a puck that was about to be in, with nothing in between that could stop it, and is
+    then not seen for 0.2 s by cameras that see other things, or is elsewhere sooner than a puck can
+    get there: put back into play. Then nothing counts until it is seen in play. Poses that freeze,
+    jump, are not finite or off the table are none; cameras that see nothing say nothing.
+
+    Parameters
+    ----------
+    play : AirHockey
+        Table and puck.
+    rules : Rules, optional
+        By default first to seven; the time limit and the pause before a serve are not used.
+
+    Attributes
+    ----------
+    games : int
+        The how manieth game this is: after the end, the next puck in play begins another.
+    calls : Counter
+        How often something was called, by kind and side, in all games.
+    """
+
+    def __init__(self, play: AirHockey, rules: Rules | None = None) -> None:
+        # Who puts the puck back decides when.
+        unhurried = {"pause_s": math.inf, "limit_s": math.inf}
+        self._play = play
+        self._rules = (rules or Rules()).model_copy(update=unhurried)
+        self._filter = PuckFilter(play)
+        self._line = play.table.length_m / 2
+        self.games = 1
+        self.calls: Counter[tuple[str, int]] = Counter()
+        self._referee = Referee(self._rules, play, first=-1)
+        #: Whether the puck has yet to be seen in play.
+        self._away = True
+        self._known = 0
+        self._leaving: _Leaving | None = None
+        #: In which goal it was that is seen elsewhere now; 0: in none.
+        self._returned = 0
+        self._newest: Float[np.ndarray, " 3"] | None = None
+        #: When a jump was seen, and to where [s, m].
+        self._landed = (-math.inf, 0.0, 0.0)
+        #: The last frame of the cameras [s].
+        self._frame = -math.inf
+
+    @property
+    def score(self) -> tuple[int, int]:
+        """Goals of left and right in this game."""
+        return self._referee.score
+
+    def frame(self, time: float) -> None:
+        """Take note that the cameras see something.
+
+        Parameters
+        ----------
+        time : float
+            When [s].
+        """
+        if math.isfinite(time) and time > self._frame:
+            if time - self._frame > _BLIND:
+                self._leaving = None
+            self._frame = time
+
+    def puck(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose of the puck.
+
+        Parameters
+        ----------
+        time : float
+            Its stamp [s].
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+        """
+        before = self._filter.belief
+        if not self._is_measured(pose):
+            return
+        self.frame(time)
+        self._newest = pose
+        self._filter.pose(time, pose)
+        # A game may last for hours.
+        self._filter.events.clear()
+        belief = self._filter.belief
+        if belief is None or belief is before:
+            return
+        # A filter that begins anew knows nothing of the velocity.
+        self._known = 1 if belief.covariance[3, 3] > 1.0 else self._known + 1
+        x, y = belief.mean[:2].tolist()
+        if self._known == 1:
+            self._landed = time, x, y
+        if self._known < _SURE:
+            return
+        if self._leaving is not None and self._carried(self._leaving):
+            self._returned = self._leaving.goal
+        self._leaving = self._about_to_be_in()
+
+    def judge(self) -> list[Ruling]:
+        """Say what has happened since the last call.
+
+        Returns
+        -------
+        list of Ruling
+            Goals, fouls, a puck that is stuck, the end of a game; empty as a rule.
+        """
+        belief = self._filter.belief
+        if belief is None:
+            return []
+        x, speed = float(belief.mean[0]), float(np.hypot(*belief.mean[3:5]))
+        goal, age = self._returned, self._frame - belief.time
+        if self._leaving is not None and age > _GONE:
+            goal = self._leaving.goal
+        found: list[Ruling] = []
+        if goal:
+            self._returned, self._leaving = 0, None
+            found = self._referee.judge(self._frame, x, speed, goal)
+            self._away = True
+        elif age > _LOST:
+            self._away = True
+        elif self._known >= _SURE and age <= _BLIND and abs(x) < self._rail + _MOUTH:
+            if self._away:
+                self._resume(belief.time, 1 if x > 0 else -1)
+            found = self._referee.judge(belief.time, x, speed, 0)
+        # Who has the puck serves.
+        found = [ruling for ruling in found if ruling.kind != "serve"]
+        self.calls.update(found)
+        return found
+
+    @property
+    def _rail(self) -> float:
+        """How far from the middle a puck can get that is not in the mouth of a goal [m]."""
+        return self._line - self._play.puck.radius_m
+
+    def _resume(self, time: float, side: int) -> None:
+        """Go on with a puck that somebody has put into play; after the end, in another game."""
+        if self._referee.phase == "over":
+            self._referee = Referee(self._rules, self._play, side)
+            self.games += 1
+        self._referee.resume(time, side)
+        self._away = False
+
+    def _is_measured(self, pose: Float[np.ndarray, " 3"]) -> bool:
+        """Return whether a pose may be one of a puck on the table or in the mouth of a goal."""
+        if not np.isfinite(pose).all():
+            return False
+        table, radius = self._play.table, self._play.puck.radius_m
+        x, y = np.abs(pose[:2]).tolist()
+        in_front = y < table.goal_width_m / 2
+        far = self._line + radius if in_front else self._rail + _OFF
+        if x >= far or y > table.width_m / 2 - radius + _OFF:
+            return False
+        belief = self._filter.belief
+        same = self._newest is not None and np.array_equal(pose, self._newest)
+        return not (same and belief is not None and np.hypot(*belief.mean[3:5]) > _MOVING)
+
+    def _about_to_be_in(self) -> _Leaving | None:
+        """Return that the puck is about to be in a goal, if nothing can stop it any more."""
+        belief = self._filter.belief
+        if belief is None or self._away:
+            return None
+        state = PuckState(*belief.mean.tolist())
+        horizon = _IN_THE_MOUTH if abs(state.x) > self._rail + _MOUTH else _AT_ONCE
+        if abs(state.x + state.vx * horizon) < self._line:
+            return None
+        alone = PuckOnTable(self._play, state, logs=False)
+        alone.run(horizon)
+        if not alone.goal:
+            return None
+        return _Leaving(alone.goal, belief.time, state.x, state.y, math.hypot(state.vx, state.vy))
+
+    def _carried(self, leaving: _Leaving) -> bool:
+        """Return whether no puck gets from a goal to where it was seen next by itself."""
+        time, x, y = self._landed
+        way = math.hypot(x - leaving.x, y - leaving.y)
+        fastest = max(2 * leaving.speed, _SENT_BACK)
+        return time > leaving.time and way > _NEAR + fastest * (time - leaving.time)

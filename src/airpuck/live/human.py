@@ -1,0 +1,48 @@
+"""The human at the twin's table: moves the mallet on the right, and serves by the rules."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from airpuck.hockey.game import Side, serve
+from airpuck.hockey.hand import SKILLS, ScriptedHand
+from airpuck.hockey.rules import Referee, Rules
+from airpuck.live.process import Process
+from airpuck.twin.twin import Twin
+
+#: Where the mallet is at first [m].
+BEGINS = 0.85
+#: A puck that is the other's, or is stuck, is fetched so much later than that is called [s].
+_FETCHED = 0.2
+
+
+class Human:
+    """A human on the right of a twin that has a puck and a mallet."""
+
+    def __init__(self, twin: Twin, process: Process, skill: str, seed: int) -> None:
+        world = twin.world
+        assert world.puck is not None
+        assert world.mallet is not None
+        self._world, self._twin, self._events = world, twin, process.events
+        self._puck, self._random = world.puck, np.random.default_rng([seed, 21])
+        self._side = Side(1, "human", world.mallet)
+        self._side.hand = ScriptedHand(twin.settings, SKILLS[skill])
+        # The one who serves keeps neither score nor time.
+        usual = Rules()
+        changes = {"foul_s": usual.foul_s + _FETCHED, "stuck_s": usual.stuck_s + _FETCHED}
+        rules = usual.model_copy(update={**changes, "limit_s": math.inf, "goals": math.inf})
+        self._referee = Referee(rules, twin.settings, 1 if self._puck.state.x > 0 else -1)
+
+    def act(self, now: float) -> None:
+        """See puck and craft, move the mallet, and put the puck where it belongs."""
+        puck, craft = self._puck, self._twin.state
+        seen = None if puck.goal else puck.state
+        self._side.act(now, seen, (float(craft[0]), float(craft[1])))
+        speed = math.hypot(puck.state.vx, puck.state.vy)
+        for kind, side in self._referee.judge(now, puck.state.x, speed, puck.goal):
+            if kind == "serve":
+                where = "right" if side > 0 else "left"
+                self._events.log("info", f"the puck is served on the {where}")
+                serve(self._world, side, self._random)

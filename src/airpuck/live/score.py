@@ -1,0 +1,66 @@
+"""The score of a game on the graph, from what the one who flies sees."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from airpuck.craft.table import AirHockey
+from airpuck.flight.link import Measurement
+from airpuck.flight.loop import Action
+from airpuck.flight.pilot import Pilot
+from airpuck.hockey.rules import Ruling
+from airpuck.hockey.scorekeeper import Scorekeeper
+from airpuck.live.process import Process
+
+#: Who plays on the left, and on the right.
+NAMES = ("airpuck", "human")
+#: What is said of a ruling: about whom, and of the other.
+_SAID = {
+    "goal": "goal for {}",
+    "foul": "foul of {}, the puck was too long on its side; it goes to {}",
+    "stuck": "the puck is stuck at the centre line; serve it anew",
+    "over": "{} wins; the next serve begins another game",
+}
+
+
+class Score:
+    """Keeps the score of a flight that plays, and says what changes; a `Spectator`."""
+
+    def __init__(self, play: AirHockey) -> None:
+        self.keeper = Scorekeeper(play)
+        #: What was called in the latest period.
+        self.rulings: list[Ruling] = []
+        self._sight: str | None = None
+
+    def begin(self, process: Process, pilot: Pilot) -> None:
+        """Take note of who flies; see `Spectator`."""
+        self._events, self._pilot = process.events, pilot
+
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a pose; see `Spectator`."""
+        if measurement.kind == "puck":
+            self.keeper.puck(measurement.stamp, measurement.values)
+        else:
+            self.keeper.frame(measurement.stamp)
+
+    def after(self, action: Action) -> None:
+        """Say what has been called, and how the puck is seen; see `Spectator`."""
+        self.rulings = self.keeper.judge()
+        left, right = self.keeper.score
+        for kind, side in self.rulings:
+            said = _SAID[kind].format(*NAMES[:: -1 if side > 0 else 1])
+            self._events.log("info", f"{said}, {left} : {right}", kind=f"{said} {left} {right}")
+        sight = getattr(self._pilot, "sight", self._sight)
+        if sight != self._sight:
+            self._sight = sight
+            level = "warning" if sight in ("frozen", "lost") else "info"
+            self._events.log(level, f"the puck is {sight}", kind="puck")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return score, games, and goals and fouls in all games; see `Spectator`."""
+        calls = self.keeper.calls
+        return {
+            "score": list(self.keeper.score),
+            "games": self.keeper.games,
+            **{f"{kind}s": [calls[kind, -1], calls[kind, 1]] for kind in ("goal", "foul")},
+        }
