@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import subprocess
 import sys
 import time
@@ -16,9 +17,10 @@ import pytest
 from PIL import Image
 
 import airpuck
+from airpuck.arena.live_page import live_hello
 from airpuck.arena.messages import packed_state
+from airpuck.arena.page import hello_of
 from airpuck.arena.server import NEWS, STATE, THOUGHT
-from airpuck.arena.session import hello_of
 from airpuck.craft.table import Mallet, Table
 from airpuck.twin.play import HandMallet
 from airpuck.twin.settings import default_twin_settings
@@ -85,10 +87,15 @@ class Page:
         """Let everything stand somewhere, and be drawn."""
         for _ in range(20):
             self._time += 0.01
-            state = packed_state(self._time, 0, False, puck, (*mallet, 0.0, 0.0), craft, (0.0,) * 6)
-            self._arena.pipe.send_bytes(STATE + state)
-            time.sleep(0.01)
+            places = puck, (*mallet, 0.0, 0.0), craft
+            self._state = STATE + packed_state(self._time, 0, False, *places, (0.0,) * 6)
+            self.again()
         time.sleep(0.1)
+
+    def again(self) -> None:
+        """Tell the newest state once more."""
+        self._arena.pipe.send_bytes(self._state)
+        time.sleep(0.01)
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
         """Where a place of the table is on the screen."""
@@ -139,6 +146,16 @@ def test_everything_is_where_the_state_says(browser, arena, width, height, tall)
     assert page.errors == []
     ours = (f"http://127.0.0.1:{arena.port}", f"ws://127.0.0.1:{arena.port}", "data:")
     assert [url for url in page.asked if not url.startswith(ours)] == []
+
+
+def test_everything_stays_where_it_is_while_time_stands_still(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    page.status("paused")
+    page.show()
+    for _ in range(250):
+        page.again()
+    np.testing.assert_allclose(page.color(0.8, -0.1), VERMILLION, atol=12)
+    assert page.tab.evaluate("airpuck.states.length") <= 20
 
 
 def test_the_pointer_is_told_in_metres(browser, arena):
@@ -229,7 +246,8 @@ def test_thoughts_are_drawn_on_request(browser, arena):
         "is": "thought",
         "words": "strike 64 %",
         "said": "strike 64 %, in 0.21 s",
-        "meet": [-0.4 + 0.03165, 0.2],  # the ring of a puck goes through where we look
+        # The first dash of a puck's ring goes through where we look.
+        "meet": [-0.4 - 0.03165 * math.cos(0.18), 0.2 + 0.03165 * math.sin(0.18)],
         "path": [[-0.3, 0.2], [1.1, 0.0]],
         "predicted": [[0.3, 0.2], [-0.3, 0.2]],
     }
@@ -263,6 +281,54 @@ def test_the_second_page_watches_and_may_sit_down(browser, arena):
     second.tab.click("#go")
     arena.hears("sit")
     second.until("document.getElementById('pause').disabled === false")
+
+
+@pytest.fixture
+def graph() -> Iterator[Arena]:
+    """The server of a game on a graph."""
+    made = Arena(live_hello(airpuck.read_model("paper:M3"), default_twin_settings()))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, graph):
+    page = Page(browser, graph, viewport={"width": 1280, "height": 720})
+    graph.hears("sit")
+    page.status("starting")
+    assert page.tab.locator("#title").inner_text() == "One moment"
+    page.status("watch", (2, 1))
+    assert not page.tab.locator("#card").is_visible()
+    assert page.tab.locator(".score").inner_text().split() == ["airpuck", "2", ":", "1", "human"]
+    assert page.tab.locator("nav button:visible").count() == 2  # the eye, and sound
+    page.show()
+    floor = page.color(0.4, -0.3)
+    np.testing.assert_allclose(page.color(0.8, -0.1), VERMILLION, atol=12)
+    # Neither craft nor mallet are seen now; nothing else changes.
+    nowhere = (math.nan,) * 3
+    page.show(mallet=nowhere[:2], craft=nowhere)
+    np.testing.assert_allclose(page.color(0.8, -0.1), floor, atol=6)
+    np.testing.assert_allclose(page.color(0.29, 0.2), (34, 34, 34), atol=12)
+    # The human is at the table: no pointer moves the mallet.
+    page.tab.mouse.move(*page.pixel(0.5, 0.25))
+    page.tab.keyboard.press("t")
+    assert graph.heard()[1]["do"] == "think"
+    page.status("play", (2, 1))
+    page.show()
+    page.tab.mouse.move(*page.pixel(0.4, 0.2))
+    _, (_, x, y) = graph.heard()
+    assert (x, y) == pytest.approx((0.4, 0.2), abs=0.004)
+    for kind, side, words in (
+        ("goal", 1, "Goal!"),
+        ("over", 1, "You win"),
+        ("foul", -1, "Foul: 15 s on its side"),
+        ("stuck", 0, "Stuck: serve again"),
+    ):
+        event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
+        graph.pipe.send_bytes(NEWS + json.dumps(event).encode())
+        page.until(f"document.getElementById('call').textContent === {words!r}")
+    assert page.errors == []
 
 
 def test_a_page_says_that_the_game_has_gone(browser, arena):

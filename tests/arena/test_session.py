@@ -17,8 +17,9 @@ import airpuck
 from airpuck.arena import session as session_module
 from airpuck.arena.address import address_of, listen
 from airpuck.arena.messages import Wish, packed_wish
+from airpuck.arena.page import ArenaSettings, Pages
 from airpuck.arena.server import NEWS, ORDER, STATE, THOUGHT, WISH
-from airpuck.arena.session import ArenaSettings, PageHand, Session, play_in_browser
+from airpuck.arena.session import Session, play_in_browser
 from airpuck.boundary.errors import InputError
 from airpuck.hockey.player import Player
 from airpuck.twin.settings import default_twin_settings
@@ -70,7 +71,7 @@ class Table:
         try:
             return self.session.run(duration)
         finally:
-            self.session._pipe.send_bytes(b"end")
+            self.session._pages._pipe.send_bytes(b"end")
             listening.join()
 
     def _listen(self) -> None:
@@ -92,7 +93,9 @@ def table() -> Iterator[Table]:
     """One for all tests, since a player takes a while to make; each begins a new game."""
     near, far = multiprocessing.Pipe()
     pytest.MonkeyPatch().setattr(session_module, "prioritize", lambda **_: None)
-    session = Session(near, airpuck.read_model("paper:M3"), default_twin_settings(), "medium", 0)
+    session = Session(
+        Pages(near), airpuck.read_model("paper:M3"), default_twin_settings(), "medium", 0
+    )
     yield Table(session, far)
     near.close()
     far.close()
@@ -221,17 +224,12 @@ def test_a_goal_is_called_and_counted(begun):
 
 def test_a_server_that_is_gone_is_said():
     near, far = multiprocessing.Pipe()
-    session = Session(near, airpuck.read_model("paper:M3"), default_twin_settings(), "hard", 0)
+    session = Session(
+        Pages(near), airpuck.read_model("paper:M3"), default_twin_settings(), "hard", 0
+    )
     far.close()
     with pytest.raises(RuntimeError, match="server of the page has ended"):
         session.run(1.0)
-
-
-def test_the_hand_waits_where_it_is_until_it_is_moved():
-    hand = PageHand()
-    assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (0.1, 0.2)
-    hand.wanted = (0.5, -0.25)
-    assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (-0.5, 0.25)
 
 
 def test_what_cannot_be_served_is_refused():

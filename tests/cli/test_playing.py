@@ -1,6 +1,11 @@
-"""`airpuck skills`."""
+"""`airpuck skills`, and what `airpuck play` refuses."""
 
 import json
+
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.cli.app import app
 
 from ..command_line import airpuck, refused
 
@@ -14,3 +19,18 @@ def test_skills_on_the_command_line():
     assert figures["defend"]["successes"] == 1
     assert "defend: 1 of 1" in ended.stderr
     assert refused(airpuck("skills", "--episodes", "0"), "--episodes")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("--no-page",), "--no-page: is for --live, which is not given"),
+        (("--domain", "3"), "--domain: is for --live, which is not given"),
+        (("--live", "--no-page", "--port", "9000"), "--port: does not go with --no-page"),
+        (("--live", "--no-page", "--no-browser"), "--no-browser: does not go with --no-page"),
+        (("--live", "--port", "0"), "--port: must be from 1 to 65535"),
+    ],
+)
+def test_play_refuses_in_one_line(arguments, problem):
+    with pytest.raises(InputError, match=problem):
+        app([*("play", *arguments)], standalone_mode=False)

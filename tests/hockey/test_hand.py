@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.hand import SKILLS, ScriptedHand, Skill
+from airpuck.hockey.hand import SKILLS, GuidedHand, ScriptedHand, Skill
 from airpuck.physics.puck import PuckState
 from airpuck.twin.play import HandMallet, World
 
@@ -88,3 +88,10 @@ def test_its_first_stroke_has_an_error_of_aim_too():
         hand = ScriptedHand(PLAY, skill, seed)
         starts.add(hand.target(0.0, (-0.85, 0.2), rests, (0.9, 0.0)))
     assert len(starts) == 5
+
+
+def test_a_guided_hand_waits_where_it_is_until_it_is_moved():
+    hand = GuidedHand()
+    assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (0.1, 0.2)
+    hand.wanted = (0.5, -0.25)
+    assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (-0.5, 0.25)

@@ -63,3 +63,17 @@ def test_a_topic_has_one_type(pair):
     first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
     with pytest.raises(InputError, match=r"/pose: is geometry_msgs/msg/PoseStamped already"):
         first.publisher("/pose", other.msgtype, other.types, SENSOR)
+
+
+def test_who_has_subscribed_is_known_but_oneself(pair):
+    first, second = pair
+    hears = second.subscription("/mallet/target", POSE.msgtype, POSE.types, SENSOR)
+    second.publisher("/mallet", POSE.msgtype, POSE.types, SENSOR)
+    until(lambda: first.subscribers("/mallet/target") and first.publishers("/mallet"))
+    (sender,) = first.publishers("/mallet")
+    assert first.subscribers("/mallet/target") == {sender.participant}
+    assert second.subscribers("/mallet/target") == set()
+    assert first.subscribers("/other") == set()
+    assert hears.take() == []
+    second.close()
+    until(lambda: not first.subscribers("/mallet/target"))

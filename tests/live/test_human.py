@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import time
+
 import pytest
 
 import airpuck
+from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.human import BEGINS, Human
 from airpuck.live.process import LiveSettings, Process
 from airpuck.physics.puck import PuckState
+from airpuck.recording.message import StreamCodec
 
 
 class Table:
@@ -20,6 +25,11 @@ class Table:
         start = {"pose": (-0.9, 0.4, 0.0), "puck": puck, "mallet": (BEGINS, 0.0)}
         self.twin = airpuck.Twin(model, **start, logs=False)
         self.human = Human(self.twin, process, human, 0)
+
+    @property
+    def mallet(self) -> tuple[float, float]:
+        """Where it is."""
+        return self.twin.world.mallet.x, self.twin.world.mallet.y
 
     def run(self, until: float) -> None:
         """Let time pass."""
@@ -60,3 +70,81 @@ def test_a_puck_that_the_craft_leaves_alone_is_the_humans_after_fifteen_seconds(
     assert table.puck.state.x < 0
     table.run(begin + 15.4)
     assert table.said == ["the puck is served on the left", "the puck is served on the right"]
+
+
+class Guide:
+    """Somebody on the graph who says where the mallet is wanted, while time passes."""
+
+    def __init__(self, table: Table, process: Process, domain: int) -> None:
+        self._table, self._clock = table, process.clock
+        self.graph = Graph("guide", domain=domain)
+        self._codec = StreamCodec("mallet_target")
+        codec, topic = self._codec, process.settings.topics.mallet_target
+        self._publisher = self.graph.publisher(topic, codec.msgtype, codec.types, SENSOR)
+
+    def lead(
+        self, *place: float, seconds: float = 0.6, age: float = 0.0, data: bytes = b""
+    ) -> None:
+        """Say it a hundred times a second."""
+        begin = self._clock.now
+        while (now := self._clock.now) < begin + seconds:
+            stamp = self._clock.stamp_ns(now - age)
+            self._publisher.send(self._codec.encode(stamp, place))
+            self.wait(0.01)
+
+    def wait(self, seconds: float) -> None:
+        """Say nothing; the table's time is the clock's."""
+        time.sleep(seconds)
+        self._table.run(self._clock.now)
+
+
+@pytest.fixture(scope="module")
+def guided(process, domain):
+    table = Table(process, PuckState(-0.7, 0.4), "page")
+    guide = Guide(table, process, domain)
+    until = time.monotonic() + 10.0
+    while not guide.graph.subscribers(process.settings.topics.mallet_target):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    yield table, guide
+    guide.graph.close()
+
+
+def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guided):
+    table, guide = guided
+    guide.wait(0.1)
+    assert table.mallet == (BEGINS, 0.0)
+    guide.lead(0.5, 0.2, 0.0, seconds=0.8)
+    assert table.mallet == pytest.approx((0.5, 0.2), abs=1e-3)
+    # Wherever it is wanted, it keeps to its half of the table.
+    guide.lead(-1e300, 1e300, 0.0, seconds=0.8)
+    assert table.mallet == pytest.approx((0.04815, 0.55 - 0.04815), abs=1e-3)
+    mallet = table.twin.world.mallet
+    guide.lead(1.0, -0.5, 0.0, seconds=0.1)
+    assert 0.0 < math.hypot(mallet.vx, mallet.vy) <= 4.0 + 1e-6
+
+
+def test_it_stays_when_nobody_says_where_it_is_wanted(guided):
+    table, guide = guided
+    guide.lead(0.8, 0.0, 0.0, seconds=0.8)
+    guide.lead(0.2, 0.4, 0.0, seconds=0.05)
+    guide.wait(0.5)
+    stopped = table.mallet
+    guide.wait(0.5)
+    assert table.mallet == pytest.approx(stopped, abs=1e-6)
+
+
+@pytest.mark.parametrize("place", [(math.nan, 0.1, 0.0), (0.3, math.inf, 0.0)])
+def test_places_that_are_not_finite_are_refused(guided, place):
+    table, guide = guided
+    guide.lead(0.8, 0.0, 0.0, seconds=0.8)
+    guide.lead(*place)
+    assert table.mallet == pytest.approx((0.8, 0.0), abs=1e-3)
+    assert "refused: a place for the mallet that is not finite" in table.said
+
+
+def test_old_places_are_refused(guided):
+    table, guide = guided
+    guide.lead(0.8, 0.0, 0.0, seconds=0.8)
+    guide.lead(0.3, 0.3, 0.0, age=0.3, seconds=0.4)
+    assert table.mallet == pytest.approx((0.8, 0.0), abs=1e-3)

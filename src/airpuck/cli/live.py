@@ -64,8 +64,11 @@ def twin(
         ),
     ] = None,
     human: Annotated[
-        Literal["easy", "medium", "hard"] | None,
-        Option(help="A scripted human on the right, with a mallet; for --puck."),
+        Literal["easy", "medium", "hard", "page"] | None,
+        Option(
+            help="A human on the right, with a mallet: a script, or who is at the page of "
+            "airpuck play --live; for --puck."
+        ),
     ] = None,
     seed: options.Seed = 0,
     domain: Domain = None,

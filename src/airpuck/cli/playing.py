@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,7 @@ from airpuck.cli.live import Domain, live_settings, report_flight
 from airpuck.cli.output import report, say
 
 if TYPE_CHECKING:
+    from airpuck.arena.page import ArenaSettings
     from airpuck.live.process import LiveSettings
 
 
@@ -32,7 +34,8 @@ def play(
         str | None,
         Option(
             metavar="NAME",
-            help="Network interface, such as wlan0, for a phone; by default this machine alone.",
+            help="Network interface, such as wlan0, for a phone, and for --live; by default this "
+            "machine alone.",
         ),
     ] = None,
     model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
@@ -47,21 +50,27 @@ def play(
     live: Annotated[
         bool, Option("--live", help="Play on a ROS 2 graph, with puck and mallet on the table.")
     ] = False,
+    no_page: Annotated[bool, Option("--no-page", help="With --live: serve no page.")] = False,
     domain: Domain = None,
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends."""
+    from airpuck.arena.page import ArenaSettings
+
     if live:
-        inputs.refuse_others(play, "--live", {"port": port, "no_browser": no_browser})
+        if no_page:
+            shown = {"port": port, "no_browser": no_browser}
+            inputs.refuse_others(play, "--no-page", shown)
         on_graph = live_settings(domain, interface, mapping, duration, quiet)
-        _play_live(model, settings, level, seed, on_graph, json_file)
+        page = None if no_page else ArenaSettings(port, interface, not no_browser)
+        _play_live(model, settings, level, seed, on_graph, page, json_file)
         return
-    for name, given in {"--domain": domain, "--mapping": mapping}.items():
-        if given is not None:
+    for name, given in {"--domain": domain, "--mapping": mapping, "--no-page": no_page}.items():
+        if given:
             raise InputError("is for --live, which is not given", field=name)
-    from airpuck.arena.session import ArenaSettings, play_in_browser
+    from airpuck.arena.session import play_in_browser
     from airpuck.compute.process import low_latency
 
     arena = ArenaSettings(port, interface, not no_browser, duration)
@@ -84,30 +93,41 @@ def _play_live(
     level: str,
     seed: int,
     on_graph: LiveSettings,
+    page: ArenaSettings | None,
     json_file: Path | None,
 ) -> None:
-    """Fly the player behind the guard, on the left half of the table."""
+    """Fly the player behind the guard, on the left half of the table; perhaps with a page."""
+    from airpuck.arena.live_page import LivePage, live_hello
+    from airpuck.arena.page import invite, served
     from airpuck.compute.process import low_latency
     from airpuck.craft.table import AirHockey
     from airpuck.hockey.level import LEVELS
     from airpuck.hockey.player import Player
-    from airpuck.live.fly import fly_live
+    from airpuck.live.fly import Spectator, fly_live
     from airpuck.live.safety import half_of
     from airpuck.live.score import NAMES, Score
 
     craft, table = inputs.read_belief(model), inputs.read_twin(settings) or AirHockey()
     low_latency()
-    figures = fly_live(
-        lambda: Player(craft, table, level=LEVELS[level], seed=seed),
-        craft.vehicle,
-        half_of(table.table, craft.vehicle.radius_m, -1),
-        on_graph,
-        name="airpuck play",
-        spectators=[Score(table)],
-    )
+    score = Score(table)
+    spectators: list[Spectator] = [score]
+    with ExitStack() as stack:
+        if page is not None:
+            # The loop that flies waits for nobody.
+            pages = stack.enter_context(served(page, live_hello(craft, table), waits=False))
+            spectators.append(LivePage(pages, score, level))
+            invite(pages, page, say(on_graph.quiet))
+        figures = fly_live(
+            lambda: Player(craft, table, level=LEVELS[level], seed=seed),
+            craft.vehicle,
+            half_of(table.table, craft.vehicle.radius_m, -1),
+            on_graph,
+            name="airpuck play",
+            spectators=spectators,
+        )
     left, right = figures["score"]
-    score = f"{NAMES[0]} {left} : {right} {NAMES[1]}"
-    report_flight(figures, json_file, on_graph.quiet, score)
+    said = f"{NAMES[0]} {left} : {right} {NAMES[1]}"
+    report_flight(figures, json_file, on_graph.quiet, said)
 
 
 @app.command(rich_help_panel="Air hockey")

@@ -90,6 +90,24 @@ SKILLS = {
 }
 
 
+class GuidedHand:
+    """A hand on the right that somebody else guides, at a page for example; a `Hand`."""
+
+    def __init__(self) -> None:
+        #: Where the mallet is wanted, in the world's frame [m]; None: where it is.
+        self.wanted: tuple[float, float] | None = None
+
+    def target(
+        self,
+        time: float,
+        own: tuple[float, float],
+        puck: PuckState | None,
+        opponent: tuple[float, float],
+    ) -> tuple[float, float]:
+        """Return where the mallet is wanted; see `Hand.target`."""
+        return own if self.wanted is None else (-self.wanted[0], -self.wanted[1])
+
+
 class ScriptedHand:
     """A scripted human: defends, strikes at the goal, clears; a `Hand`.
 

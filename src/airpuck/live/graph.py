@@ -153,7 +153,10 @@ class Graph:
         read = builtin.BuiltinDataReader
         self._participants = read(self._participant, builtin.BuiltinTopicDcpsParticipant)
         self._publications = read(self._participant, builtin.BuiltinTopicDcpsPublication)
+        self._subscriptions = read(self._participant, builtin.BuiltinTopicDcpsSubscription)
         self._endpoints: dict[UUID, Endpoint] = {}
+        #: Subscribers: their process and their topic, as in ROS.
+        self._hearers: dict[UUID, tuple[UUID, str | None]] = {}
         self._owners: dict[UUID, str] = {}
 
     def publisher(self, topic: str, msgtype: str, types: Types, quality: Quality) -> Publisher:
@@ -273,6 +276,29 @@ class Graph:
             for endpoint in self._endpoints.values()
             if endpoint.participant != left_out and topic in (None, endpoint.topic)
         ]
+
+    def subscribers(self, topic: str) -> set[UUID]:
+        """Return which other processes have subscribed to a topic, as far as discovery has come.
+
+        Parameters
+        ----------
+        topic : str
+            Its ROS name.
+
+        Returns
+        -------
+        set of UUID
+            DDS keys of the processes, as `Endpoint.participant`.
+        """
+        from cyclonedds.core import InstanceState
+
+        for item in self._subscriptions.take(_BATCH):
+            if item.sample_info.instance_state != InstanceState.Alive:
+                self._hearers.pop(item.key, None)
+            else:
+                self._hearers[item.key] = item.participant_key, dds.ros_topic(item.topic_name)
+        own = self._participant.get_guid()
+        return {who for who, one in self._hearers.values() if who != own and one == topic}
 
     @property
     def age(self) -> float:

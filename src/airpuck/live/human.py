@@ -7,19 +7,27 @@ import math
 import numpy as np
 
 from airpuck.hockey.game import Side, serve
-from airpuck.hockey.hand import SKILLS, ScriptedHand
+from airpuck.hockey.hand import SKILLS, GuidedHand, ScriptedHand
 from airpuck.hockey.rules import Referee, Rules
-from airpuck.live.process import Process
+from airpuck.live.process import Inbox, Process
 from airpuck.twin.twin import Twin
 
+#: In place of a skill.
+PAGE = "page"
 #: Where the mallet is at first [m].
 BEGINS = 0.85
 #: A puck that is the other's, or is stuck, is fetched so much later than that is called [s].
 _FETCHED = 0.2
+#: The mallet goes to where it is wanted while that was said no longer ago [s].
+_HOLDS = 0.25
 
 
 class Human:
-    """A human on the right of a twin that has a puck and a mallet."""
+    """A human on the right of a twin that has a puck and a mallet.
+
+    A script of some skill, or who is at a page (`PAGE`): then the graph says where the mallet is
+    wanted.
+    """
 
     def __init__(self, twin: Twin, process: Process, skill: str, seed: int) -> None:
         world = twin.world
@@ -28,7 +36,14 @@ class Human:
         self._world, self._twin, self._events = world, twin, process.events
         self._puck, self._random = world.puck, np.random.default_rng([seed, 21])
         self._side = Side(1, "human", world.mallet)
-        self._side.hand = ScriptedHand(twin.settings, SKILLS[skill])
+        self._hand = GuidedHand()
+        #: Where the graph wants the mallet; None where a script moves it.
+        self.targets: Inbox | None = None
+        if skill == PAGE:
+            self.targets, self._side.hand = Inbox(process, "mallet_target"), self._hand
+        else:
+            self._side.hand = ScriptedHand(twin.settings, SKILLS[skill])
+        self._wanted_at = -math.inf
         # The one who serves keeps neither score nor time.
         usual = Rules()
         changes = {"foul_s": usual.foul_s + _FETCHED, "stuck_s": usual.stuck_s + _FETCHED}
@@ -37,6 +52,7 @@ class Human:
 
     def act(self, now: float) -> None:
         """See puck and craft, move the mallet, and put the puck where it belongs."""
+        self._follow(now)
         puck, craft = self._puck, self._twin.state
         seen = None if puck.goal else puck.state
         self._side.act(now, seen, (float(craft[0]), float(craft[1])))
@@ -46,3 +62,14 @@ class Human:
                 where = "right" if side > 0 else "left"
                 self._events.log("info", f"the puck is served on the {where}")
                 serve(self._world, side, self._random)
+
+    def _follow(self, now: float) -> None:
+        """Take note of where the mallet is wanted; what is old or not finite says nothing."""
+        for stamp, (x, y, _) in self.targets.take() if self.targets else ():
+            if not (math.isfinite(x) and math.isfinite(y)):
+                text = "refused: a place for the mallet that is not finite"
+                self._events.log("warning", text)
+            elif now - stamp < _HOLDS:
+                self._hand.wanted, self._wanted_at = (float(x), float(y)), stamp
+        if now - self._wanted_at > _HOLDS:
+            self._hand.wanted = None

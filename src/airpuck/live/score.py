@@ -14,12 +14,12 @@ from airpuck.live.process import Process
 
 #: Who plays on the left, and on the right.
 NAMES = ("airpuck", "human")
-#: What is said of a ruling: about whom, and of the other.
+#: What is said of a ruling: of the score, whom it concerns, and the other.
 _SAID = {
-    "goal": "goal for {}",
-    "foul": "foul of {}, the puck was too long on its side; it goes to {}",
-    "stuck": "the puck is stuck at the centre line; serve it anew",
-    "over": "{} wins; the next serve begins another game",
+    "goal": "goal for {1}, {0}",
+    "foul": "foul of {1}, the puck was too long on its side; {2} serves, {0}",
+    "stuck": "the puck is stuck at the centre line; serve it anew, {0}",
+    "over": "{1} wins {0}; the next serve begins another game",
 }
 
 
@@ -48,8 +48,9 @@ class Score:
         self.rulings = self.keeper.judge()
         left, right = self.keeper.score
         for kind, side in self.rulings:
-            said = _SAID[kind].format(*NAMES[:: -1 if side > 0 else 1])
-            self._events.log("info", f"{said}, {left} : {right}", kind=f"{said} {left} {right}")
+            names = NAMES[:: -1 if side > 0 else 1]
+            said = _SAID[kind].format(f"{left} : {right}", *names)
+            self._events.log("info", said, kind=said)
         sight = getattr(self._pilot, "sight", self._sight)
         if sight != self._sight:
             self._sight = sight

@@ -46,8 +46,8 @@ def serve_twin(
     puck : PuckState, optional
         A puck, which comes back there out of a goal; by default there is none.
     human : str, optional
-        Skill of a scripted human who plays on the right with a mallet, and serves by the rules; by
-        default there is none.
+        Skill of a scripted human who plays on the right with a mallet, and serves by the rules, or
+        ``page``: who is at a page moves the mallet; by default there is none.
 
     Returns
     -------
@@ -118,6 +118,8 @@ class _Table:
         self._report_contact()
         if process.beat.begins(now):
             self._commands.report_strangers()
+            if self._human is not None and self._human.targets is not None:
+                self._human.targets.report_strangers()
             speeds = " ".join(f"{speed:.3f}" for speed in self._twin.state[6:].tolist())
             process.events.heartbeat(
                 "info",

@@ -63,6 +63,8 @@ function see(data) {
   };
   const now = performance.now() / 1000, newest = states.at(-1);
   if (newest && state.time < newest.time) states.length = 0;
+  // While time stands still, there is one state.
+  if (newest && state.time === newest.time) states.pop();
   if (!states.length || jumps(newest.puck, state.puck)) ways++;
   state.way = ways;
   const ahead = now - state.time;
@@ -101,12 +103,17 @@ function turn(angle) {
   return angle - TURN * Math.round(angle / TURN);
 }
 
+// Whether this page moves the mallet: on a graph with a human at the table none does.
+function plays() {
+  return role === "player" && status.phase !== "watch";
+}
+
 // The own mallet: the server's law of motion, from its newest state on, towards where the hand is ----
 const wishes = [];          // [when sent on this page's clock, x, y]
 let wishNumber = 0, lastSent = 0;
 const sentAt = new Map();   // number of a wish: time of its pointer event [ms]
 function wish(event) {
-  if (role !== "player" || !table) return;
+  if (!plays() || !table) return;
   // A finger plays where it has touched the table; the mouse may leave it.
   if (event.pointerType !== "mouse" && event.target !== table.canvas) return;
   if (event.type === "pointerrawupdate" && event.timeStamp - lastSent < APART)
@@ -122,7 +129,9 @@ function wish(event) {
   if (socket.readyState === WebSocket.OPEN) socket.send(data.buffer);
   wishes.push([performance.now() / 1000, x, y]);
   while (wishes.length > 200) wishes.shift();
-  sentAt.set(wishNumber, lastSent = event.timeStamp);
+  lastSent = event.timeStamp;
+  // On a graph nothing says when it was heard.
+  if (!hello.live) sentAt.set(wishNumber, lastSent);
 }
 function allowed(x, y) {
   const [length, width] = hello.table, r = hello.hockey.mallet;
@@ -173,7 +182,7 @@ function draw(stamp) {
   table.clear();
   leaveTrail(seen, now);
   table.drawTrail(trail.map(point => point && [point[0], point[1], (now - point[2]) / TRAIL]));
-  if (thinking && thought && status.phase === "play") {
+  if (thinking && thought && (hello.live || status.phase === "play")) {
     if (thought.predicted) table.drawPath(thought.predicted, hello.colors.grey);
     table.drawIntention(thought);
   }
@@ -218,6 +227,7 @@ function begin(news) {
   }
   Object.assign(table, hello);
   byId("left-name").textContent = hello.names[0];
+  document.body.classList.toggle("live", !!hello.live);
   byId("levels").replaceChildren(...hello.levels.map(level => {
     const button = document.createElement("button");
     button.type = "button";
@@ -242,6 +252,7 @@ function card() {
   const [left, right] = status.score;
   const keys = POINTER === "the mouse" ? "Space pauses, R begins again, T shows what the craft thinks." : "";
   if (role === "lost") return ["Connection lost", "Is airpuck play still running? This page keeps trying.", ""];
+  if (status.phase === "watch") return null;
   if (role === "watcher")
     return status.phase === "waiting"
       ? ["The seat is free", "Whoever had it has left.", "Play"] : null;
@@ -259,11 +270,12 @@ function card() {
 }
 function showCard() {
   const content = card(), watching = role === "watcher" && status.phase !== "waiting";
+  const shows = status.phase === "watch";
   byId("card").hidden = !content;
-  document.body.classList.toggle("plays", !content && role === "player");
+  document.body.classList.toggle("plays", !content && plays());
   for (const button of document.querySelectorAll("#pause, #restart, #levels button"))
     button.disabled = role !== "player";
-  byId("right-name").textContent = role === "player" ? "you" : watching ? "player (you watch)" : "player";
+  byId("right-name").textContent = shows ? hello.names[1] : role === "player" ? "you" : watching ? "player (you watch)" : "player";
   if (!content) return;
   const [title, words, go, hint] = content;
   byId("title").textContent = title;
@@ -286,8 +298,13 @@ function notice({ kind, side, strength }) {
   if (kind === "goal") {
     call("Goal!", side > 0 ? right : left);
     sound(side > 0 ? [523, 659, 784] : [392, 330, 262], 0.12, 0.18, "triangle");
+  } else if (kind === "over") {
+    const player = plays() ? "You win" : `The ${hello.names[1]} wins`;
+    side < 0 ? call("The craft wins", left) : call(player, right);
+  } else if (kind === "stuck") {
+    call("Stuck: serve again", "#66707a");
   } else if (kind === "foul") {
-    call(`Foul: ${hello.foul_s} s on ${side < 0 ? "its" : role === "player" ? "your" : "the player's"} side`, "#66707a");
+    call(`Foul: ${hello.foul_s} s on ${side < 0 ? "its" : plays() ? "your" : "the player's"} side`, "#66707a");
     sound([220, 220], 0.15, 0.12, "square");
   } else sound([{ rail: 900, post: 1400, mallet: 340, craft: 260 }[kind]], 0.045,
     Math.min(0.3, strength), "sine");

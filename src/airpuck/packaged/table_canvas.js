@@ -242,9 +242,11 @@ class TableCanvas extends Board {
     write(pen, "y [m]", 0, 0, "center", colors.ink);
     pen.restore();
   }
-  // Draw in the body frame of a pose, in metres; `draw` is given the size of a pixel.
+  // Draw in the body frame of a pose, in metres; `draw` is given the size of a pixel. What is nowhere
+  // (not a number) is not drawn.
   atPose([x, y, yaw], draw) {
     const { pen } = this;
+    if (Number.isNaN(x)) return;
     pen.save();
     pen.translate(...this.toPixels(x, y));
     pen.rotate((this.tall ? Math.PI / 2 : 0) - yaw);

@@ -55,6 +55,8 @@ class Topics(Section):
     puck, mallet : str
         Motion capture of the puck and of the human's mallet, or another craft: poses, as the
         craft's.
+    mallet_target : str
+        Where who plays at a page wants the mallet.
     opponent_command : str
         Motor commands of another craft that plays, as the craft's.
     game : str
@@ -69,6 +71,7 @@ class Topics(Section):
     mouse: TopicName = "/drone/mouse"
     puck: TopicName = "/optitrack/puck/pose"
     mallet: TopicName = "/optitrack/mallet/pose"
+    mallet_target: TopicName = "/mallet/target"
     opponent_command: TopicName = "/opponent/control"
     game: TopicName = "/game/event"
 

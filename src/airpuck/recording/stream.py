@@ -27,6 +27,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "pose": ("x_m", "y_m", "yaw_rad"),
         "puck": ("x_m", "y_m", "yaw_rad"),
         "mallet": ("x_m", "y_m", "yaw_rad"),
+        "mallet_target": ("x_m", "y_m", "yaw_rad"),
         "reference": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "estimate": ("x_m", "y_m", "yaw_rad", "vx_m_s", "vy_m_s", "spin_rad_s"),
         "imu": ("ax_m_s2", "ay_m_s2", "az_m_s2", "gx_rad_s", "gy_rad_s", "gz_rad_s"),
@@ -34,8 +35,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "game": ("left", "right", "event", "side", "value"),
     }
 )
-#: Streams of poses: the craft's, the puck's, the human's mallet's.
-POSES = ("pose", "puck", "mallet")
+#: Streams of poses: the craft's, the puck's, the human's mallet's, and where that is wanted.
+POSES = ("pose", "puck", "mallet", "mallet_target")
 #: Streams of commands: the craft's, and those of a craft that it plays against.
 COMMANDS = ("command", "opponent_command")
 
@@ -96,7 +97,8 @@ class Recording:
     ----------
     streams : mapping of str to Stream
         ``pose`` and ``command``, and where logged ``reference``, ``estimate``, ``imu``, ``mouse``,
-        ``puck``, ``mallet``, ``opponent_command``, ``game``; columns as in `COLUMNS`.
+        ``puck``, ``mallet``, ``mallet_target``, ``opponent_command``, ``game``; columns as in
+        `COLUMNS`.
     source : str
         The file or folder.
     hashes : mapping of str to str

@@ -1,0 +1,131 @@
+"""The page of a game on the ROS 2 graph: it shows what the graph says, and may move the mallet."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.arena.messages import packed_state
+from airpuck.arena.page import Pages, hello_of
+from airpuck.craft.table import AirHockey
+from airpuck.flight.link import Kind, Measurement
+from airpuck.flight.loop import Action
+from airpuck.flight.pilot import Pilot
+from airpuck.hockey.player import Player
+from airpuck.live.clock import Every
+from airpuck.live.process import Outbox, Process
+from airpuck.live.score import NAMES, Score
+from airpuck.model.model_file import Model
+
+#: A pose is shown for so long; then its body is not seen [s].
+_SEEN = 0.15
+#: How often to look whether the graph takes a place for the mallet [s].
+_LOOK = 0.5
+#: Of what has no place.
+_NOWHERE = np.full(3, math.nan)
+
+
+def live_hello(model: Model, play: AirHockey) -> dict[str, Any]:
+    """Return what a page of a game on the graph must know first: nobody pauses or begins it."""
+    return hello_of(model, play) | {"live": True, "levels": [], "names": NAMES}
+
+
+class LivePage:
+    """Shows a player's flight to the pages, and sends where they want the mallet; a `Spectator`.
+
+    Somebody at a page plays if who sends the mallet's poses also takes a place for it, as a twin
+    does that has its human there. Else the human is at the table, and pages only show. A flight
+    does not wait for its pages, nor end with them.
+    """
+
+    def __init__(self, pages: Pages, score: Score, level: str) -> None:
+        self._pages: Pages | None = pages
+        self._score, self._level = score, level
+        self._look = Every(_LOOK)
+        self._seated = self._plays = False
+        #: Where the mallet is wanted.
+        self._wanted: tuple[float, float] | None = None
+        #: The newest pose of each body, and the one before: stamp [s], pose.
+        self._poses: dict[Kind, list[tuple[float, Float[np.ndarray, " 3"]]]] = {}
+        self._shown = -math.inf
+        pages.say_status("starting", (0, 0), level)
+
+    def begin(self, process: Process, pilot: Pilot) -> None:
+        """Take note of who flies; see `Spectator`."""
+        assert isinstance(pilot, Player)
+        self._process, self._player = process, pilot
+        self._targets = Outbox(process, "mallet_target")
+
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a pose; see `Spectator`."""
+        if np.isfinite(measurement.values).all():
+            one = measurement.stamp, measurement.values
+            self._poses[measurement.kind] = [*self._poses.get(measurement.kind, [])[-1:], one]
+
+    def after(self, action: Action) -> None:
+        """Hear the pages, and show them what is new; see `Spectator`."""
+        if self._pages is None:
+            return
+        try:
+            self._hear(self._pages)
+            self._tell(self._pages, action)
+        except (EOFError, OSError):
+            self._pages = self._wanted = None
+            self._process.events.log("warning", "the server of the page has ended; it flies on")
+        if self._wanted is not None:
+            self._targets.send((*self._wanted, 0.0))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return no figures; see `Spectator`."""
+        return {}
+
+    def _hear(self, pages: Pages) -> None:
+        """Take what the pages ask for."""
+        orders, wish = pages.hear()
+        for order in orders:
+            if order["do"] in ("sit", "leave"):
+                self._seated = order["do"] == "sit"
+                self._wanted = None
+        if self._look.begins(self._process.clock.now):
+            self._plays = self._mallet_is_guided()
+        if wish is not None and self._seated and self._plays:
+            self._wanted = wish.x, wish.y
+
+    def _mallet_is_guided(self) -> bool:
+        """Return whether whose mallet is seen wants to know where a page wants it."""
+        graph, topics = self._process.graph, self._process.settings.topics
+        senders = {endpoint.participant for endpoint in graph.publishers(topics.mallet)}
+        return bool(senders & graph.subscribers(topics.mallet_target))
+
+    def _tell(self, pages: Pages, action: Action) -> None:
+        """Show where everything is, and say what was called."""
+        newest = max((poses[-1][0] for poses in self._poses.values()), default=-math.inf)
+        if newest > self._shown:
+            self._shown = newest
+            pages.show(self._state(newest, action))
+        for kind, side in self._score.rulings:
+            pages.say({"is": "event", "kind": kind, "side": side, "strength": 0.0})
+        phase = "watch" if not self._plays else "play" if self._seated else "waiting"
+        pages.say_status(phase, self._score.keeper.score, self._level)
+        pages.think(self._player, action.time)
+
+    def _state(self, time: float, action: Action) -> bytes:
+        """Return the message of where everything was at a time; what is not seen is nowhere."""
+        seen = {kind: poses for kind, poses in self._poses.items() if time - poses[-1][0] < _SEEN}
+        place = {kind: poses[-1][1] for kind, poses in seen.items()}
+        moving = np.zeros(2)
+        if len(seen.get("mallet", ())) == 2:
+            (before, last), (now, here) = seen["mallet"]
+            moving = (here - last)[:2] / (now - before) if now > before else moving
+        return packed_state(
+            time,
+            0,
+            "puck" not in place,
+            place.get("puck", np.zeros(3)).tolist(),
+            [*place.get("mallet", _NOWHERE)[:2].tolist(), *moving.tolist()],
+            place.get("pose", _NOWHERE).tolist(),
+            action.step.command.tolist(),
+        )

@@ -1,0 +1,190 @@
+"""The pages of a game as who plays it sees them: where they are served, what goes to and fro."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import select
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from multiprocessing.connection import Connection
+from typing import Any
+
+from airpuck.arena.address import listen
+from airpuck.arena.messages import Wish, read_message
+from airpuck.arena.server import NEWS, STATE, THOUGHT, WISH, serve
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.game import PERIOD
+from airpuck.hockey.level import LEVELS
+from airpuck.hockey.player import Player
+from airpuck.hockey.rules import Rules
+from airpuck.model.model_file import Model
+from airpuck.report.table_canvas import COLORS, craft_shape, hockey_shape
+
+#: Steps from one thought that is shown to the next.
+_THOUGHTS_EVERY = 3
+
+
+@dataclass(frozen=True)
+class ArenaSettings:
+    """Where a game is served, and for how long.
+
+    Parameters
+    ----------
+    port : int, default 8088
+        Port of the page.
+    interface : str, optional
+        Network interface; by default loopback, so that only this machine can play.
+    browser : bool, default True
+        Whether to open the page.
+    duration : float, optional
+        How long to go on [s]; by default until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+
+    port: int = 8088
+    interface: str | None = None
+    browser: bool = True
+    duration: float | None = None
+
+    def __post_init__(self) -> None:
+        numbers.PORT.check(self.port, "--port")
+        if self.duration is not None:
+            numbers.LIVE_DURATION.check(self.duration, "--duration")
+
+
+class Pages:
+    """The pages of a game: all that is said to them, and what they ask for.
+
+    Where `waits` is false, what they have no time for is dropped: whoever speaks must go on.
+    """
+
+    def __init__(self, pipe: Connection, *, waits: bool = True, url: str = "") -> None:
+        self._pipe, self._waits, self.url = pipe, waits, url
+        self._status: dict[str, Any] = {}
+        self._thoughts = 0
+        #: Whether anybody wants to see thoughts.
+        self.thinks = False
+
+    def hear(self) -> tuple[list[dict[str, Any]], Wish | None]:
+        """Return what the pages ask for: orders, and the newest place of the mallet, if any."""
+        orders, wish = [], None
+        while self._pipe.poll():
+            message = self._pipe.recv_bytes()
+            if message[:1] == WISH:
+                wish = read_message(message[1:])
+                continue
+            order = json.loads(message[1:])
+            if order["do"] == "think":
+                self.thinks = order["on"]
+            else:
+                orders.append(order)
+        return orders, wish if isinstance(wish, Wish) else None
+
+    def show(self, state: bytes) -> None:
+        """Show where everything is."""
+        self._send(STATE + state)
+
+    def say(self, news: dict[str, Any]) -> bool:
+        """Say something; return whether they are told."""
+        return self._send(NEWS + json.dumps(news).encode())
+
+    def say_status(self, phase: str, score: tuple[int, int], level: str) -> None:
+        """Say how the game stands, if that has changed."""
+        status = {"is": "status", "phase": phase, "score": list(score), "level": level}
+        if status != self._status and self.say(status):
+            self._status = status
+
+    def think(self, player: Player, time: float) -> None:
+        """Say what the craft thinks, now and then, to those who want to see it."""
+        self._thoughts = (self._thoughts + 1) % _THOUGHTS_EVERY
+        if self.thinks and not self._thoughts:
+            self._send(THOUGHT + json.dumps(thought_of(player, time)).encode())
+
+    def _send(self, message: bytes) -> bool:
+        """Send a message; return whether it is sent."""
+        if not self._waits and not select.select([], [self._pipe], [], 0)[1]:
+            return False
+        self._pipe.send_bytes(message)
+        return True
+
+
+@contextmanager
+def served(arena: ArenaSettings, hello: dict[str, Any], *, waits: bool = True) -> Iterator[Pages]:
+    """Serve pages, in a process of their own; `hello` is what they are told at first."""
+    if find_spec("websockets") is None:
+        raise InputError("the page needs websockets: pip install 'airpuck[play]'")
+    with listen(arena.interface, arena.port) as listening:
+        host, port = listening.getsockname()[:2]
+        context = multiprocessing.get_context("spawn")
+        pipe, far = context.Pipe()
+        server = context.Process(target=serve, args=(far, listening, host, hello), daemon=True)
+        server.start()
+        far.close()
+    try:
+        yield Pages(pipe, waits=waits, url=f"http://{host}:{port}")
+    finally:
+        pipe.close()
+        server.join(2)
+        server.kill()
+
+
+def invite(pages: Pages, arena: ArenaSettings, tell: Any) -> None:
+    """Say where the page is, and open it."""
+    tell(f"Play at {pages.url} (Ctrl-C ends)")
+    if arena.browser:
+        webbrowser.open(pages.url)
+
+
+def hello_of(model: Model, play: AirHockey) -> dict[str, Any]:
+    """Return what a page must know before it can show anything."""
+    table, mallet = play.table, play.mallet
+    x, y = table.length_m / 2, table.width_m / 2
+    rules = Rules()
+    return {
+        "table": [table.length_m, table.width_m],
+        "view": [-x, x, -y, y],
+        "craft": craft_shape(model.vehicle),
+        "colors": COLORS,
+        "hockey": hockey_shape(play),
+        "mallet": {"speed": mallet.speed_m_s, "acceleration": mallet.acceleration_m_s2},
+        "period": PERIOD,
+        "names": ["airpuck", "you"],
+        "levels": list(LEVELS),
+        "first_to": rules.goals,
+        "foul_s": rules.foul_s,
+    }
+
+
+def thought_of(player: Player, time: float) -> dict[str, Any]:
+    """Return what the craft expects and wants, for the page."""
+    intention, predicted = player.intention, player.predicted
+    thought: dict[str, Any] = {"is": "thought", "words": "", "meet": None, "path": None}
+    thought["predicted"] = None if predicted is None else predicted.round(4).tolist()
+    decision, control = (1e3 * took for took in player.took)
+    said = [] if player.sight == "seen" else [f"the puck is {player.sight}"]
+    if intention is not None:
+        words = intention.kind
+        if intention.chance is not None and math.isfinite(intention.chance):
+            words += f" {100 * intention.chance:.0f} %"
+        said.append(intention.kind)
+        thought["words"] = words
+        if intention.meet is not None:
+            when, x, y = intention.meet
+            thought["meet"] = [round(x, 4), round(y, 4)]
+            said.append(f"in {max(when - time, 0.0):.2f} s")
+        if intention.path is not None:
+            thought["path"] = intention.path.round(4).tolist()
+    said.append(f"decided in {decision:.1f} ms, controlled in {control:.1f} ms")
+    thought["said"] = ", ".join(said)
+    return thought
