@@ -8,6 +8,7 @@ import time
 import pytest
 
 import airpuck
+from airpuck.hockey.scorekeeper import Scorekeeper
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.human import BEGINS, Human
 from airpuck.live.process import LiveSettings, Process
@@ -25,6 +26,7 @@ class Table:
         start = {"pose": (-0.9, 0.4, 0.0), "puck": puck, "mallet": (BEGINS, 0.0)}
         self.twin = airpuck.Twin(model, **start, logs=False)
         self.human = Human(self.twin, process, human, 0)
+        self.keeper, self.called = Scorekeeper(self.twin.settings), []
 
     @property
     def mallet(self) -> tuple[float, float]:
@@ -34,7 +36,11 @@ class Table:
     def run(self, until: float) -> None:
         """Let time pass."""
         while self.twin.now < until:
-            self.twin.wait_until(self.twin.now + 0.005)
+            for measured in self.twin.wait_until(self.twin.now + 0.005):
+                self.keeper.frame(measured.stamp)
+                if measured.kind == "puck":
+                    self.keeper.puck(measured.stamp, measured.values)
+            self.called += self.keeper.judge()
             self.human.act(self.twin.now)
 
     @property
@@ -70,6 +76,8 @@ def test_a_puck_that_the_craft_leaves_alone_is_the_humans_after_fifteen_seconds(
     assert table.puck.state.x < 0
     table.run(begin + 15.4)
     assert table.said == ["the puck is served on the left", "the puck is served on the right"]
+    # Who only sees the puck calls the same, before the puck is fetched.
+    assert table.called == [("goal", 1), ("foul", -1)]
 
 
 class Guide:

@@ -88,6 +88,7 @@ def flight() -> Recording:
         "mouse": stream(1000, 100, COLUMNS["mouse"], 6),
         "puck": stream(2400, 240, COLUMNS["puck"], 7),
         "mallet": stream(2400, 240, COLUMNS["mallet"], 8),
+        "mallet_target": stream(1000, 100, COLUMNS["mallet_target"], 11),
         "opponent_command": stream(1000, 100, SIX, 9),
         "game": stream(20, 2, COLUMNS["game"], 10),
     }

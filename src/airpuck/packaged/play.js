@@ -171,6 +171,7 @@ window.airpuck = { figures, states, status: () => status };
 function resize() {
   table.tall = innerHeight > innerWidth;
   table.resize();
+  table.clear();
 }
 function draw(stamp) {
   requestAnimationFrame(draw);
