@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import socket
 import struct
 from typing import Any
 
 from airpuck.arena.address import listen
 from airpuck.arena.server import ORDER, serve
+
+
+def free_port() -> int:
+    """Return a port that nobody listens to."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
 
 
 class Arena:

@@ -327,8 +327,33 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
     ):
         event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
         graph.pipe.send_bytes(NEWS + json.dumps(event).encode())
-        page.until(f"document.getElementById('call').textContent === {words!r}")
+        page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
     assert page.errors == []
+
+
+@pytest.mark.parametrize("kinds", [("craft", "craft"), ("hand", "craft"), ("hand", "hand")])
+def test_a_match_shows_what_plays_on_either_side(browser, kinds):
+    hello = live_hello(airpuck.read_model("paper:M3"), default_twin_settings())
+    arena = Arena(hello | {"names": ["one.py:A", "other"], "sides": kinds})
+    try:
+        page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+        page.status("watch", (1, 0))
+        page.show(mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0))
+        white, blue = (255, 255, 255), (0, 114, 178)
+        left, right = (white if kind == "craft" else None for kind in kinds)
+        np.testing.assert_allclose(page.color(-0.8, 0.1), left or blue, atol=12)
+        np.testing.assert_allclose(page.color(0.8, -0.1), right or VERMILLION, atol=12)
+        for kind, side, words in (
+            ("over", -1, "one.py:A wins"),
+            ("over", 0, "A draw"),
+            ("foul", 1, "Foul: 15 s on other's side"),
+        ):
+            event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
+            arena.pipe.send_bytes(NEWS + json.dumps(event).encode())
+            page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
+        assert page.errors == []
+    finally:
+        arena.close()
 
 
 def test_a_page_says_that_the_game_has_gone(browser, arena):

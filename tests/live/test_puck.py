@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import struct
 
 import numpy as np
@@ -12,6 +11,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.recording.message import StreamCodec
 
+from ..arena.arena import free_port
 from .processes import POSES, Process, Watch
 
 TOPIC, MALLET = "/optitrack/puck/pose", "/optitrack/mallet/pose"
@@ -35,13 +35,6 @@ def test_its_poses_are_on_the_graph_and_a_filter_follows_them(domain):
     assert not [event for event in found.events if event.kind == "hit"]
     assert 0.3 < abs(found.belief.mean[4]) < 1.01
     assert abs(found.belief.mean[0] - 0.6) < 1e-3
-
-
-def free_port() -> int:
-    """A port that nobody listens to."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
 
 
 def hear(page, condition):

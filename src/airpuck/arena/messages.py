@@ -65,8 +65,9 @@ def packed_state(
 ) -> bytes:
     """Return the message of a state.
 
-    Puck: x, y, yaw; mallet: x, y and their rates; craft: x, y, yaw. `heard` is the number of the
-    newest wish that the game has taken.
+    Puck: x, y, yaw; mallet: x, y and their rates, or a craft in its place: x, y, yaw, 0; craft, on
+    the left: x, y, yaw. `commands` are those of the crafts from left to right. `heard` is the
+    number of the newest wish that the game has taken.
     """
     numbers = [*puck[:3], *mallet[:4], *craft[:3], *commands]
     return _STATE.pack(time, heard, hidden) + struct.pack(f"<{len(numbers)}f", *numbers)

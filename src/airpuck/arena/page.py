@@ -15,12 +15,12 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from airpuck.arena.address import listen
-from airpuck.arena.messages import Wish, read_message
+from airpuck.arena.messages import Wish, packed_state, read_message
 from airpuck.arena.server import NEWS, STATE, THOUGHT, WISH, serve
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.game import PERIOD
+from airpuck.hockey.game import PERIOD, Game, GameEvent
 from airpuck.hockey.level import LEVELS
 from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Rules
@@ -139,9 +139,9 @@ def served(arena: ArenaSettings, hello: dict[str, Any], *, waits: bool = True) -
         server.kill()
 
 
-def invite(pages: Pages, arena: ArenaSettings, tell: Any) -> None:
+def invite(pages: Pages, arena: ArenaSettings, tell: Any, what: str = "Play") -> None:
     """Say where the page is, and open it."""
-    tell(f"Play at {pages.url} (Ctrl-C ends)")
+    tell(f"{what} at {pages.url} (Ctrl-C ends)")
     if arena.browser:
         webbrowser.open(pages.url)
 
@@ -160,10 +160,40 @@ def hello_of(model: Model, play: AirHockey) -> dict[str, Any]:
         "mallet": {"speed": mallet.speed_m_s, "acceleration": mallet.acceleration_m_s2},
         "period": PERIOD,
         "names": ["airpuck", "you"],
+        "sides": ["craft", "hand"],
         "levels": list(LEVELS),
         "first_to": rules.goals,
         "foul_s": rules.foul_s,
     }
+
+
+def state_of(game: Game, heard: int = 0) -> bytes:
+    """Return the message of where everything is in a game; see `packed_state`."""
+    left, right = game.sides
+    commands: list[float] = []
+    for side in game.sides:
+        if side.action is not None:
+            commands += side.action.step.command.tolist()
+    x, y, yaw, vx, vy = right.state
+    return packed_state(
+        game.world.time,
+        heard,
+        game.puck is None,
+        game.puck or (0.0, 0.0, 0.0),
+        (x, y, vx, vy) if right.kind == "hand" else (x, y, yaw, 0.0),
+        left.state,
+        commands,
+    )
+
+
+def news_of(event: GameEvent) -> dict[str, Any] | None:
+    """Return what a page is told of an event that can be heard or is called out, or None."""
+    kind = event.kind
+    if kind == "hit":
+        kind = "craft" if event.side < 0 else "mallet"
+    elif kind not in ("rail", "post", "goal", "foul"):
+        return None
+    return {"is": "event", "kind": kind, "side": event.side, "strength": event.value}
 
 
 def thought_of(player: Player, time: float) -> dict[str, Any]:

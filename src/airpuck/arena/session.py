@@ -7,8 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from airpuck.arena.messages import packed_state
-from airpuck.arena.page import ArenaSettings, Pages, hello_of, invite, served
+from airpuck.arena.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import prioritize
 from airpuck.control.reference import SetPoint
@@ -245,21 +244,10 @@ class Session:
         """Tell the page what is new."""
         game = self._game
         self._until_home = max(self._until_home - 1, 0)
-        craft, mallet = game.sides[0], game.sides[1].state
-        puck, action = game.puck, craft.action
-        commands = () if action is None else action.step.command.tolist()
-        state = packed_state(
-            game.world.time,
-            self._heard,
-            puck is None,
-            (0.0, 0.0, 0.0) if puck is None else puck,
-            (mallet[0], mallet[1], mallet[3], mallet[4]),
-            craft.state,
-            commands,
-        )
-        self._pages.show(state)
-        for event in events:
-            self._report(event)
+        self._pages.show(state_of(game, self._heard))
+        for news in map(news_of, events):
+            if news is not None:
+                self._pages.say(news)
         self._tell_status(self.phase)
         if self.phase == "play":
             self._pages.think(self._player, game.time)
@@ -267,12 +255,3 @@ class Session:
     def _tell_status(self, phase: str) -> None:
         """Tell the page how the game stands."""
         self._pages.say_status(phase, self._game.score, self._level)
-
-    def _report(self, event: GameEvent) -> None:
-        """Tell the page of what can be heard or called out."""
-        kind = event.kind
-        if kind == "hit":
-            kind = "craft" if event.side < 0 else "mallet"
-        elif kind not in ("rail", "post", "goal", "foul"):
-            return
-        self._pages.say({"is": "event", "kind": kind, "side": event.side, "strength": event.value})

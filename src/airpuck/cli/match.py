@@ -17,7 +17,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import console, report, show_counts, table
+from airpuck.cli.output import console, report, say, show_counts, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,15 +54,27 @@ def match(
         options.output("DIR", "Keep the games, as bags; what is there is not played again."),
     ] = None,
     watch: Annotated[bool, Option("--watch", help="Show one game in real time.")] = False,
+    page: Annotated[
+        bool, Option("--page", help="With --watch: in the browser, not in the terminal.")
+    ] = False,
+    port: Annotated[
+        int | None, options.number("N", "Port of the page; by default 8088.", numbers.PORT)
+    ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other, without a page."""
+    from airpuck.arena.match_page import watch_in_browser
+    from airpuck.arena.page import ArenaSettings
     from airpuck.compute.process import low_latency
     from airpuck.hockey.contestant import contestant
     from airpuck.hockey.game import Game
     from airpuck.hockey.rules import Rules
 
+    if page and not watch:
+        raise InputError("is for --watch, which is not given", field="--page")
+    if port is not None and not page:
+        raise InputError("is for --page, which is not given", field="--port")
     rules, settings = Rules(goals=goals, limit_s=limit), inputs.read_twin(twin)
     if watch:
         if games > 1 or output is not None:
@@ -71,7 +83,11 @@ def match(
         craft = inputs.read_belief(model)
         low_latency()
         game = Game(*players, settings=settings, rules=rules, model=craft, seed=seed)
-        _watch(game)
+        if page:
+            arena = ArenaSettings() if port is None else ArenaSettings(port)
+            watch_in_browser(game, craft, arena, say(quiet))
+        else:
+            _watch(game)
         report({**game.figures(), "left": left, "right": right}, json_file, quiet=quiet)
         return
     with show_counts("games", "{} of {} games played", quiet) as progress:

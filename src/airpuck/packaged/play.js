@@ -50,8 +50,8 @@ function hear(news) {
   }
 }
 
-// A state: time f64, wishes heard u32, flags u8 …, then f32: puck x, y, yaw; mallet x, y, vx, vy; craft
-// x, y, yaw; commands of its motors.
+// A state: time f64, wishes heard u32, flags u8 …, then f32: puck x, y, yaw; on the right mallet x, y,
+// vx, vy, or craft x, y, yaw, 0; on the left craft x, y, yaw; commands of motors.
 function see(data) {
   const view = new DataView(data);
   const numbers = Array.from({ length: (data.byteLength - 16) / 4 },
@@ -153,7 +153,7 @@ function moved([x, y, vx, vy], [wantedX, wantedY], duration) {
 }
 function predictedMallet(ahead, now) {
   const newest = states.at(-1);
-  if (role !== "player" || status.phase !== "play" || !wishes.length) return newest.mallet;
+  if (status.phase !== "play" || !wishes.length) return newest.mallet;
   // A wish of this moment is heard after the way to the server, which takes as long as that back.
   const until = Math.min(now - ahead + 0.005, newest.time + 0.1);
   let mallet = newest.mallet;
@@ -179,7 +179,8 @@ function draw(stamp) {
   if (figures.frames.length > 3600) figures.frames.shift();
   if (!states.length) return;
   const now = performance.now() / 1000, ahead = clockAhead();
-  const seen = stateAt(now - ahead - BEHIND), mallet = predictedMallet(ahead, now);
+  const seen = stateAt(now - ahead - BEHIND);
+  const mallet = plays() ? predictedMallet(ahead, now) : seen.mallet;
   table.clear();
   leaveTrail(seen, now);
   table.drawTrail(trail.map(point => point && [point[0], point[1], (now - point[2]) / TRAIL]));
@@ -187,10 +188,10 @@ function draw(stamp) {
     if (thought.predicted) table.drawPath(thought.predicted, hello.colors.grey);
     table.drawIntention(thought);
   }
-  table.drawCraft(seen.craft, true, hello.colors.left);
-  table.drawThrusts(seen.craft, thrustsOf(hello.craft, seen.commands));
+  const { left, right } = hello.colors, [one, other] = hello.sides;
+  const commands = drawSide(one, seen.craft, left, seen.commands);
   if (!seen.hidden) table.drawPuck(seen.puck);
-  table.drawMallet(mallet);
+  drawSide(other, mallet, right, commands);
   for (const [number, sent] of sentAt) {
     if (number > seen.heard) break;
     sentAt.delete(number);
@@ -198,6 +199,17 @@ function draw(stamp) {
   }
   if (figures.latencies.length > 3600) figures.latencies.splice(0, 600);
   showFigures(now);
+}
+// A craft or a mallet; returns the commands that are not its own.
+function drawSide(kind, pose, color, commands) {
+  if (kind === "hand") {
+    table.drawMallet(pose, color);
+    return commands;
+  }
+  const motors = hello.craft.positions.length;
+  table.drawCraft(pose, true, color);
+  table.drawThrusts(pose, thrustsOf(hello.craft, commands.slice(0, motors)));
+  return commands.slice(motors);
 }
 function leaveTrail({ hidden, way, puck: [x, y] }, now) {
   const last = trail.at(-1);
@@ -294,18 +306,22 @@ function call(words, color) {
   void element.offsetWidth;  // starts the animation again
   element.classList.add("shown");
 }
+function whose(side) {
+  if (hello.live && !plays()) return `${hello.names[side < 0 ? 0 : 1]}'s`;
+  return side < 0 ? "its" : plays() ? "your" : "the player's";
+}
 function notice({ kind, side, strength }) {
   const { left, right } = hello.colors;
   if (kind === "goal") {
     call("Goal!", side > 0 ? right : left);
     sound(side > 0 ? [523, 659, 784] : [392, 330, 262], 0.12, 0.18, "triangle");
   } else if (kind === "over") {
-    const player = plays() ? "You win" : `The ${hello.names[1]} wins`;
-    side < 0 ? call("The craft wins", left) : call(player, right);
+    const who = side > 0 && plays() ? "You win" : `${hello.names[side < 0 ? 0 : 1]} wins`;
+    call(side ? who : "A draw", side < 0 ? left : side > 0 ? right : "#66707a");
   } else if (kind === "stuck") {
     call("Stuck: serve again", "#66707a");
   } else if (kind === "foul") {
-    call(`Foul: ${hello.foul_s} s on ${side < 0 ? "its" : plays() ? "your" : "the player's"} side`, "#66707a");
+    call(`Foul: ${hello.foul_s} s on ${whose(side)} side`, "#66707a");
     sound([220, 220], 0.15, 0.12, "square");
   } else sound([{ rail: 900, post: 1400, mallet: 340, craft: 260 }[kind]], 0.045,
     Math.min(0.3, strength), "sine");

@@ -1,0 +1,61 @@
+"""A match in the page: two players, in real time, and whoever opens it watches."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from airpuck.arena.page import ArenaSettings, hello_of, invite, news_of, served, state_of
+from airpuck.hockey.game import Game
+from airpuck.hockey.player import Player
+from airpuck.live.clock import Clock
+from airpuck.model.model_file import Model
+
+#: After the end the page shows who has won [s].
+_END = 3.0
+
+
+def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any = print) -> None:
+    """Play a game in real time, from when the first page is there; pages only show it.
+
+    Parameters
+    ----------
+    game : Game
+        The game; it is played to its end.
+    model : Model
+        The craft.
+    arena : ArenaSettings
+        Where it is shown.
+    tell : callable, default print
+        Takes the line that says where the page is.
+
+    Raises
+    ------
+    InputError
+        If websockets is not installed, or the address is not free.
+    """
+    names, kinds = ([getattr(side, what) for side in game.sides] for what in ("name", "kind"))
+    hello = hello_of(model, game.settings)
+    hello |= {"live": True, "levels": [], "names": names, "sides": kinds}
+    with served(arena, hello) as pages:
+        pages.say_status("watch", game.score, "")
+        invite(pages, arena, tell, "Watch")
+        while not pages.hear()[0]:  # the first page sits down
+            time.sleep(0.02)
+        thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
+        clock, began = Clock(), game.time
+        while game.phase != "over":
+            events = game.step()
+            pages.show(state_of(game))
+            for event in events:
+                news = news_of(event)
+                if event.kind in ("stuck", "over"):
+                    news = {"is": "event", "kind": event.kind, "side": event.side}
+                if news is not None:
+                    pages.say(news)
+            pages.say_status("watch", game.score, "")
+            pages.hear()
+            if thinker is not None:
+                pages.think(thinker, game.time)
+            clock.sleep_until(game.time - began)
+        time.sleep(_END)
