@@ -75,7 +75,7 @@ class LivePage:
         except (EOFError, OSError):
             self._pages = self._wanted = None
             self._process.events.log("warning", "the server of the page has ended; it flies on")
-        if self._wanted is not None:
+        if self._wanted is not None and self._plays:
             self._targets.send((*self._wanted, 0.0))
 
     def to_json(self) -> dict[str, Any]:

@@ -31,21 +31,27 @@ class Score:
         #: What was called in the latest period.
         self.rulings: list[Ruling] = []
         self._sight: str | None = None
+        self._new: list[Measurement] = []
 
     def begin(self, process: Process, pilot: Pilot) -> None:
         """Take note of who flies; see `Spectator`."""
         self._events, self._pilot = process.events, pilot
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a pose; see `Spectator`."""
-        if measurement.kind == "puck":
-            self.keeper.puck(measurement.stamp, measurement.values)
-        else:
-            self.keeper.frame(measurement.stamp)
+        """Take note of a pose; see `Spectator`. It is looked at when the command has left."""
+        self._new.append(measurement)
 
     def after(self, action: Action) -> None:
         """Say what has been called, and how the puck is seen; see `Spectator`."""
-        self.rulings = self.keeper.judge()
+        self.rulings = []
+        for one in self._new:
+            if one.kind == "puck":
+                self.keeper.puck(one.stamp, one.values)
+            else:
+                self.keeper.frame(one.stamp)
+            # Frame by frame, however many of them have come at once.
+            self.rulings += self.keeper.judge()
+        self._new.clear()
         left, right = self.keeper.score
         for kind, side in self.rulings:
             names = NAMES[:: -1 if side > 0 else 1]
