@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey, Contact, Puck
+from airpuck.hockey.hand import SKILLS, ScriptedHand
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.prediction import PuckModel
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
+from airpuck.twin.play import HandMallet, World
 from airpuck.twin.puck import PuckOnTable
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
@@ -158,8 +160,59 @@ def test_an_opponent_counts_where_it_can_be_in_the_way():
     start, motion = np.array([[-0.3, 0.0]]), np.array([[3.0, 0.0, 0.0]])
 
     def passes(x, y):
-        return float(flown(PLAY, start, motion, (np.array([x, y, 0.0, 0.0]), 0.048)).passes[0])
+        return float(flown(PLAY, start, motion, (np.array([x, y]), 0.048)).passes[0])
 
     assert passes(0.9, 0.0) < 0.1
     assert passes(0.0, 0.4) > 0.95
     assert passes(0.9, 0.2) < passes(0.3, 0.2)  # later, so that it has time to come
+
+
+class Person:
+    """A scripted human who plays on a world's right side."""
+
+    def __init__(self, seed: int) -> None:
+        self.hand = ScriptedHand(PLAY, SKILLS["medium"], seed)
+        self.mallet = HandMallet(PLAY.mallet, PLAY.table, 0.85, 0.0)
+        self.world = World(PLAY, PuckState(0.0, 0.0), logs=False)
+        self.world.bodies.append(self.mallet)
+        self.world.observers.append(self)
+        assert self.world.puck is not None
+        self.puck, self.due = self.world.puck, 0.0
+
+    def observe(self, time: float) -> None:
+        x, y, _, vx, vy, spin = self.puck.state
+        seen = PuckState(-x, -y, 0.0, -vx, -vy, spin)
+        own = -self.mallet.x, -self.mallet.y
+        wanted_x, wanted_y = self.hand.target(time, own, seen, (0.0, 0.0))
+        self.mallet.target = -wanted_x, -wanted_y
+        self.due = time + 0.01
+
+
+def shot_at_a_person(rng: np.random.Generator, seed: int) -> tuple[float, bool] | None:
+    """Shoot at a scripted human; return the chance to get past, and whether it was a goal.
+
+    None: a shot that nobody has to stop.
+    """
+    place = rng.uniform([-0.8, -0.35], [-0.15, 0.35])
+    motion = np.array([*rng.uniform(2.0, 5.0) * unit(rng.uniform(-1.2, 1.2)), 0.0])
+    if not flown(PLAY, place[None], motion[None]).scores[0]:
+        return None
+    person = Person(seed)
+    person.puck.place(PuckState(*place.tolist()))
+    person.world.run(0.4)
+    opponent = np.array([person.mallet.x, person.mallet.y]), person.mallet.radius
+    chance = flown(PLAY, place[None], motion[None], opponent).passes[0]
+    person.puck.place(PuckState(*place.tolist(), 0.0, *motion.tolist()))
+    person.world.run(1.9)
+    return float(chance), person.puck.goal > 0
+
+
+def test_a_person_lets_past_what_is_expected():
+    rng = np.random.default_rng(0)
+    drawn = (shot_at_a_person(rng, seed) for seed in range(400))
+    chance, goal = np.array([shot for shot in drawn if shot is not None], float).T
+    assert len(chance) > 80
+    assert chance.mean() == pytest.approx(goal.mean(), abs=0.1)
+    # They tell a good shot from a poor one.
+    good = chance > np.median(chance)
+    assert goal[good].mean() > 3 * goal[~good].mean()

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.hockey.interception import (
     Meeting,
@@ -24,7 +24,7 @@ from airpuck.hockey.tactic import Intention, Kind, View
 #: When a contact may be [s from now]; its directions [rad]; speeds of the craft [m/s].
 _TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
 _NORMALS = np.linspace(-1.4, 1.4, 61)
-_SPEEDS = np.array([0.5, 1.0, 1.7])
+_SPEEDS = np.array([0.6, 1.3, 2.1])
 #: So many of the best are looked at closely, each in these directions, too [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
 #: By which share a chance is worth less a second later.
@@ -38,6 +38,9 @@ _COMMITTED = 0.15
 #: A contact is planned, and then kept, where the way to it needs at most such a share of the
 #: craft's acceleration.
 _EASY, _STRAINED = 0.9, 1.4
+#: The opponent waits so far before its goal line [m], and goes there when it has noticed that the
+#: puck is gone [s], so fast [m/s].
+_OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
 #: How long the way of a shot is drawn [s].
 _DRAWN = np.arange(0.0, 1.0, 0.025)
 
@@ -66,7 +69,7 @@ class Shoot:
 
     Parameters
     ----------
-    least : float, default 0.25
+    least : float, default 0.05
         Probability of scoring from which on it shoots.
     error : ArrivalError, optional
         How well the craft keeps a rendezvous.
@@ -78,7 +81,7 @@ class Shoot:
 
     def __init__(
         self,
-        least: float = 0.25,
+        least: float = 0.05,
         error: ArrivalError | None = None,
         speeds: Float[np.ndarray, " L"] = _SPEEDS,
         clears: bool = False,
@@ -89,19 +92,20 @@ class Shoot:
         #: The way to where a shot begins that is not possible from here.
         self._approach: Intention | None = None
         self._found: _Found | None = None
-        self._age = 0
+        self._age = _EVERY
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return a shot, or the way to where one is possible; None: there is none."""
         if not outlook.known or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
             self._plan = self._approach = self._found = None
+            self._age = _EVERY
             return None
         self._plan = plan = self._still(view, outlook)
         self._age += 1
-        if self._found is not None:
+        if self._found is not None and outlook.may_search():
             self._choose(view, outlook, self._found)
             self._found = None
-        elif self._is_due(view, plan):
+        elif self._found is None and self._is_due(view, plan) and outlook.may_search():
             self._age, self._found = 0, self._search(view, outlook)
             if self._found is None:
                 self._approach = None
@@ -111,9 +115,8 @@ class Shoot:
 
     def _is_due(self, view: View, plan: _Shot | None) -> bool:
         """Return whether to look for another contact now."""
-        if plan is None:
-            return self._age >= _EVERY or self._approach is None
-        return self._age >= _EVERY and plan.meeting.time - view.time > _COMMITTED
+        committed = plan is not None and plan.meeting.time - view.time < _COMMITTED
+        return self._age >= _EVERY and not committed
 
     def _still(self, view: View, outlook: Outlook) -> _Shot | None:
         """Return the plan under way if it can still be kept."""
@@ -141,7 +144,7 @@ class Shoot:
         """Return the few contacts that seem best of all that the craft can be in time for."""
         pitch = view.pitch
         times = view.time + _TIMES
-        pucks = np.array([outlook.at(time) for time in times.tolist()])
+        pucks = outlook.at(times)
         near = pucks[:, 0] < pitch.fence[1, 0] + pitch.contact_distance
         times, pucks = times[near], pucks[near]
         if not len(times):
@@ -154,15 +157,18 @@ class Shoot:
         # Of what the puck does not run away from.
         motion = np.broadcast_to(pucks[:, None, None, 3:], (*shape, 3))
         fits &= ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1) > 0.2
-        late = np.full(shape, -np.inf)
         when = np.broadcast_to(times[:, None, None], shape)
-        late[fits] = slack(view, when[fits], place[fits], velocity[fits])
+        able = np.nonzero(fits)
+        able = _of(able, slack(view, when[able], place[able], velocity[able]) > 0)
         # One that the least effort leads to is hit more precisely than one at full thrust.
-        late[fits] -= effort(view, when[fits], place[fits], velocity[fits]) > _EASY
-        if not (late > 0).any():
+        able = _of(able, effort(view, when[able], place[able], velocity[able]) < _EASY)
+        if not len(able[0]):
             return None
-        chance = self._coarse(view, pucks, normal, velocity)
-        value = np.where(late > 0, chance * np.exp(-_PATIENCE * (when - view.time)), -1.0)
+        rows, inverse = np.unique(able[0], return_inverse=True)
+        chance = self._coarse(view, times[rows], pucks[rows], normal[rows], velocity[rows])
+        value = np.full(shape, -1.0)
+        later = np.exp(-_PATIENCE * (when[able] - view.time))
+        value[able] = chance[inverse, able[1], able[2]] * later
         best = self._apart(np.unravel_index(np.argsort(value, axis=None)[:-200:-1], shape), value)
         if not best:
             return None
@@ -172,6 +178,7 @@ class Shoot:
     def _coarse(
         self,
         view: View,
+        times: Float[np.ndarray, " K"],
         pucks: Float[np.ndarray, "K 6"],
         normal: Float[np.ndarray, "K J L"],
         velocity: Float[np.ndarray, "K J L 2"],
@@ -185,7 +192,9 @@ class Shoot:
             velocity,
         )
         after = struck(pitch, contacts)
-        flights = flown(pitch.play, contacts.place, after, _opponent(view))
+        opponent = _opponent(view, times - view.time)
+        others = opponent and (opponent[0][:, None, None], opponent[1])
+        flights = flown(pitch.play, contacts.place, after, others)
         spread = math.hypot(self.error.place / pitch.contact_distance, 0.02)
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
         weights = np.exp(-(apart**2) / 2)
@@ -218,13 +227,14 @@ class Shoot:
         told = predict_puck(view.puck_model, outlook.belief, times.tolist())
         pucks = told.mean[where]
         contacts = Contacts(pucks[:, :2], pucks[:, 3:], normal, speed[:, None] * unit(normal))
+        opponent = _opponent(view, time - view.time)
         chance, bounces = chances(
             view.pitch,
             view.puck_model,
             contacts,
             told.covariance[where],
             self.error,
-            _opponent(view),
+            opponent and (opponent[0][:, None], opponent[1]),
         )
         value = chance * np.exp(-_PATIENCE * (time - view.time))
         blocked = None
@@ -267,6 +277,11 @@ class Shoot:
         return Intention(shot.kind, meeting.reference(view, puck), meet, shot.path, shot.chance)
 
 
+def _of(indices: tuple[np.ndarray, ...], which: Bool[np.ndarray, " N"]) -> tuple[np.ndarray, ...]:
+    """Return some of the indices of an array's elements."""
+    return tuple(part[which] for part in indices)
+
+
 def after_contact(
     view: View, meeting: Meeting, puck: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, "N 2"]:
@@ -277,8 +292,14 @@ def after_contact(
     return predict_path(view.pitch.play, belief, meeting.time + _DRAWN)[:, :2]
 
 
-def _opponent(view: View) -> tuple[Float[np.ndarray, " 4"], float] | None:
-    """Return the other's disc, if it is seen."""
+def _opponent(
+    view: View, ahead: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 2"], float] | None:
+    """Return where the other's disc will be, on its way home, and its radius; None: unseen."""
     if view.opponent is None:
         return None
-    return view.opponent, view.pitch.opponent_radius
+    here = view.opponent[:2]
+    way = np.array([view.pitch.goal_line - _OPPONENT_WAITS, 0.0]) - here
+    covered = _OPPONENT_RETURNS * np.maximum(ahead - _OPPONENT_REACTS, 0.0)
+    share = np.minimum(covered / max(float(np.hypot(*way)), 1e-6), 1.0)
+    return here + share[:, None] * way, view.pitch.opponent_radius

@@ -187,7 +187,8 @@ class ScriptedHand:
             if time < until and puck.x - own[0] > -self._together:
                 return puck.x + _THROUGH * nx, puck.y + _THROUGH * ny
             self._stroke = None
-        if puck.vx < -_TOO_FAST or (puck.x > 0.0 and puck.vx < -0.3):
+        fast = math.hypot(puck.vx, puck.vy) > _TOO_FAST
+        if puck.vx < 0.0 and (fast or (puck.x > 0.0 and puck.vx < -0.3)):
             return self._guarded(own)
         if puck.x < 0.0:
             return self._struck(time, own)

@@ -45,6 +45,12 @@ class Outlook:
         self.places, self.motions = self.states[:, :2], self.states[:, 3:]
         #: Those of the motions without the spin's place between them: vx, vy, spin.
         self.speed = float(np.hypot(*self.motions[0, :2]))
+        self._searched = False
+
+    def may_search(self) -> bool:
+        """Return whether to search now: one search a decision, so that none takes a period."""
+        searched, self._searched = self._searched, True
+        return not searched
 
     @cached_property
     def threat(self) -> float | None:
@@ -61,10 +67,11 @@ class Outlook:
         """Whether the velocity is known well enough to plan: some frames after a hit."""
         return float(np.trace(self.belief.covariance[3:5, 3:5])) < 0.05**2
 
-    def at(self, time: float) -> Float[np.ndarray, " 6"]:
-        """Return the state of the puck at a time within the horizon."""
-        index = int(np.clip((time - self.times[0]) / STEP, 0, len(self.times) - 2))
-        share = (time - self.times[index]) / STEP
+    def at(self, time: Any) -> Float[np.ndarray, "*n 6"]:
+        """Return the state of the puck at a time, or several, within the horizon."""
+        steps = (np.asarray(time) - self.times[0]) / STEP
+        index = np.minimum(np.maximum(steps, 0), len(self.times) - 2).astype(int)
+        share = (steps - index)[..., None]
         return (1 - share) * self.states[index] + share * self.states[index + 1]
 
     def comes(self, x: float) -> bool:
@@ -148,8 +155,7 @@ def way_is_free(view: View, outlook: Outlook, meeting: Meeting) -> bool:
     left = meeting.time - view.time
     way = cubic(view.craft, meeting.place(view, puck), meeting.speed * unit(meeting.normal), left)
     times = view.time + _SHARES * left
-    pucks = np.array([outlook.at(time)[:2] for time in times.tolist()])
-    apart = np.linalg.norm(way - pucks, axis=1) - view.pitch.contact_distance
+    apart = np.linalg.norm(way - outlook.at(times)[:, :2], axis=1) - view.pitch.contact_distance
     # On the straight of the last bit it comes near by itself.
     return bool((apart > _PASSING * np.minimum(1.0, 2 * (1 - _SHARES))).all())
 

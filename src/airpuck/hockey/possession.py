@@ -35,6 +35,8 @@ _ENOUGH = 0.12
 _STRAINED = 2.0
 #: How long a push is waited for, one after the other [s], and its directions [rad].
 _WAITS, _PUSHES = (0.5, 0.9, 1.3), np.arange(20) * (2 * math.pi / 20)
+#: A catch is looked for in every so many decisions.
+_EVERY = 2
 #: A plan is kept so long before a contact, whatever else turns up [s].
 _COMMITTED = 0.15
 
@@ -51,9 +53,11 @@ class Catch:
     def __init__(self, reserve: float = 0.0) -> None:
         self.reserve = reserve
         self._meeting: Meeting | None = None
+        self._age = _EVERY
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return a contact that slows the puck down; None: there is none, or it is slow."""
+        self._age += 1
         meeting = self._still(view, outlook) or self._search(view, outlook)
         self._meeting = meeting
         if meeting is None:
@@ -84,8 +88,11 @@ class Catch:
 
     def _search(self, view: View, outlook: Outlook) -> Meeting | None:
         """Return the contact with the most time to spare, at a good place."""
-        if not outlook.known:
+        if not outlook.known or outlook.speed < _SLOW or self._age < _EVERY:
             return None
+        if not outlook.may_search():
+            return None
+        self._age = 0
         motion = outlook.motions[4::3]
         speed = np.hypot(motion[:, 0], motion[:, 1])
         against = np.arctan2(-motion[:, 1], -motion[:, 0])
@@ -161,7 +168,7 @@ class Free:
             return None
         kept = self._meeting
         if kept is None or kept.time < view.time - 0.03:
-            kept = self._search(view, outlook)
+            kept = self._search(view, outlook) if outlook.may_search() else None
         self._meeting = kept
         if kept is None:
             return None

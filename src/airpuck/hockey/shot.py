@@ -21,10 +21,11 @@ from airpuck.physics.puck import Disc, strike
 
 #: Of rails, before the line of the goal.
 MOST_BOUNCES = 2
-#: An opponent begins to move this late, and then accelerates and goes so fast [s, m/s², m/s].
-_REACTION, _PUSH, _FASTEST = 0.2, 6.0, 1.5
-#: How well that is known: [m], and as a share of the way.
-_REACH_ERROR, _REACH_SHARE = 0.04, 0.5
+#: How an opponent gets to where a straight way of the puck leads, once the puck is on it: it
+#: accelerates, then goes so fast [m/s², m/s]; how well that is known [m].
+_PUSH, _FASTEST, _REACH_ERROR = 15.0, 0.9, 0.1
+#: How often it reads a way right that has led over so many rails.
+_READS = (1.0, 1.0, 0.5)
 #: What contacts of the craft do that nobody identified: standard deviations.
 _RESTITUTION, _GRIP = 0.03, 0.1
 
@@ -72,7 +73,10 @@ class Flights:
 
 def unit(angle: Any) -> Float[np.ndarray, "*n 2"]:
     """Return the unit vectors of directions."""
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    found = np.empty((*np.shape(angle), 2))
+    np.cos(angle, out=found[..., 0])
+    np.sin(angle, out=found[..., 1])
+    return found
 
 
 def struck(
@@ -110,7 +114,7 @@ def flown(
     play: AirHockey,
     place: Float[np.ndarray, "*n 2"],
     motion: Float[np.ndarray, "*n 3"],
-    opponent: tuple[Float[np.ndarray, " 4"], float] | None = None,
+    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
     *,
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
@@ -124,7 +128,7 @@ def flown(
     place, motion : array
         Where they start [m], and velocity and spin [m/s, rad/s].
     opponent : tuple, optional
-        x, y, vx, vy of the other's disc when they start, and its radius [m].
+        Where the other's disc is when they start, and its radius [m].
     restitution, grip : array, optional
         Of the rails, shot by shot; by default the table's.
 
@@ -140,7 +144,6 @@ def flown(
     reach, line = table.reach(puck.radius_m)[1], table.length_m / 2
     x, y = place[..., 0].copy(), place[..., 1].copy()
     vx, vy, spin = (motion[..., k].copy() for k in range(3))
-    elapsed = np.zeros_like(x)
     bounces, scores = np.zeros_like(x), np.zeros(x.shape, dtype=bool)
     passes, going = np.ones_like(x), vx > 0
     drag = puck.drag_1_s
@@ -154,11 +157,12 @@ def flown(
             going &= drag * sigma < 0.98
             sigma = np.where(going, sigma, 0.0)
             if opponent is not None:
-                past = _passes((x, y, vx, vy), sigma, elapsed, opponent, puck.radius_m)
+                past = _passes((x, y, vx, vy), sigma, opponent, puck.radius_m)
+                past = 1 - _READS[bounce] * (1 - past)
                 passes = np.where(going, np.minimum(passes, past), passes)
             left = 1 - drag * sigma
             lasted = -np.log(left) / drag if drag else sigma
-            x, y, elapsed = x + vx * sigma, y + vy * sigma, elapsed + lasted
+            x, y = x + vx * sigma, y + vy * sigma
             # A post is not touched if it is a radius from the path.
             room = table.goal_width_m / 2 - puck.radius_m * np.hypot(vx, vy) / np.abs(vx)
             scores |= going & arrives & (np.abs(y) < room)
@@ -177,22 +181,18 @@ def flown(
 def _passes(
     start: tuple[Any, Any, Any, Any],
     sigma: Float[np.ndarray, "*n"],
-    elapsed: Float[np.ndarray, "*n"],
-    opponent: tuple[Float[np.ndarray, " 4"], float],
+    opponent: tuple[Float[np.ndarray, "*m 2"], float],
     radius: float,
 ) -> Float[np.ndarray, "*n"]:
-    """Return the probability that an opponent cannot cover straight ways in time."""
+    """Return the probability that an opponent does not cover straight ways in time."""
     x, y, vx, vy = start
-    state, size = opponent
-    # Where it would be without any reaction.
-    ahead = np.minimum(elapsed, _REACTION)
-    dx, dy = state[0] + state[2] * ahead - x, state[1] + state[3] * ahead - y
+    place, size = opponent
+    dx, dy = place[..., 0] - x, place[..., 1] - y
     square = np.maximum(vx * vx + vy * vy, 1e-12)
-    nearest = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
-    apart = np.hypot(dx - vx * nearest, dy - vy * nearest)
-    moving = np.maximum(elapsed + nearest - _REACTION, 0.0)
+    moving = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
+    apart = np.hypot(dx - vx * moving, dy - vy * moving)
     reached = np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)
-    return ndtr((apart - size - radius - reached) / (_REACH_ERROR + _REACH_SHARE * reached))
+    return ndtr((apart - size - radius - reached) / _REACH_ERROR)
 
 
 @cache
@@ -227,7 +227,7 @@ def chances(
     contacts: Contacts,
     covariance: Float[np.ndarray, "n 6 6"],
     error: ArrivalError,
-    opponent: tuple[Float[np.ndarray, " 4"], float] | None = None,
+    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
     count: int = 64,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return the probability that contacts score, and the mean number of bounces.

@@ -71,7 +71,9 @@ class Pitch:
 
     def inside(self, places: Float[np.ndarray, "*n 2"]) -> Any:
         """Return whether the craft's middle may be at places."""
-        return np.all((places >= self.fence[0]) & (places <= self.fence[1]), axis=-1)
+        (left, bottom), (right, top) = self.fence.tolist()
+        x, y = places[..., 0], places[..., 1]
+        return (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
 
     def clipped(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Return the places nearest to some where the craft's middle may be."""
