@@ -11,6 +11,9 @@ from airpuck.hockey.interception import Outlook
 from airpuck.hockey.possession import Catch, Free
 from airpuck.hockey.tactic import Intention, View
 
+#: In play a puck that is slower than this is shot as it comes [m/s].
+_CAUGHT = 0.35
+
 
 @runtime_checkable
 class Strategy(Protocol):
@@ -33,7 +36,14 @@ class AllRounder:
 
     def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:
         clear = Shoot(least=0.0, clears=True)
-        self.strategies = strategies or (Shoot(), Guard(), Catch(), Free(), clear, Wait())
+        self.strategies = strategies or (
+            Shoot(),
+            Guard(),
+            Catch(slowest=_CAUGHT),
+            Free(),
+            clear,
+            Wait(),
+        )
         self._blind = Blind()
 
     def decide(self, view: View) -> Intention:

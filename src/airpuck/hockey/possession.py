@@ -48,10 +48,12 @@ class Catch:
     ----------
     reserve : float, default 0
         By how much the craft must be able to be early [s].
+    slowest : float, optional
+        A puck that is slower is left alone; by default one that nearly rests [m/s].
     """
 
-    def __init__(self, reserve: float = 0.0) -> None:
-        self.reserve = reserve
+    def __init__(self, reserve: float = 0.0, slowest: float = _SLOW) -> None:
+        self.reserve, self.slowest = reserve, slowest
         self._meeting: Meeting | None = None
         self._age = _EVERY
 
@@ -72,7 +74,7 @@ class Catch:
             return None
         puck = outlook.at(self._meeting.time)
         speed = float(np.hypot(*puck[3:5]))
-        if speed < _SLOW:
+        if speed < self.slowest:
             return None
         normal = math.atan2(-puck[4], -puck[3])
         turned = math.remainder(self._meeting.normal - normal, 2 * math.pi)
@@ -88,7 +90,7 @@ class Catch:
 
     def _search(self, view: View, outlook: Outlook) -> Meeting | None:
         """Return the contact with the most time to spare, at a good place."""
-        if not outlook.known or outlook.speed < _SLOW or self._age < _EVERY:
+        if not outlook.known or outlook.speed < self.slowest or self._age < _EVERY:
             return None
         if not outlook.may_search():
             return None
@@ -103,7 +105,7 @@ class Catch:
         times = np.broadcast_to(outlook.times[4::3, None], normal.shape)
         closing = speed[:, None] * np.cos(_BESIDE) + recede
         recoil = -view.pitch.recoil * closing[..., None] * unit(normal)
-        fits = stays_inside(view, place, velocity, recoil) & (speed[:, None] > _SLOW)
+        fits = stays_inside(view, place, velocity, recoil) & (speed[:, None] > self.slowest)
         if not fits.any():
             return None
         late = np.full(normal.shape, -np.inf)
