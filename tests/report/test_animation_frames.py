@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
 from airpuck.recording.stream import Recording, Stream
+from airpuck.report.animation import animate
 from airpuck.report.animation_frames import (
     arrow_shapes,
     frame_times,
@@ -226,3 +228,16 @@ def test_the_thrust_of_the_key_is_round():
     fields = CRAFT.model_dump()
     strong = Vehicle.model_validate(fields | {"nominal": fields["nominal"] | {"thrust_N": (11.0,)}})
     assert round_thrust(strong) == pytest.approx(5)
+
+
+def test_a_game_on_a_table_of_other_sizes(tmp_path):
+    recording = flight()
+    game = replace(recording, streams={**recording.streams, "puck": recording["pose"]})
+    table = {"length_m": 2.4, "width_m": 1.2, "goal_width_m": 0.3}
+    play = AirHockey.model_validate({"table": table, "puck": {"radius_m": 0.05}})
+    scene = read_scene(game, CRAFT, play=play)
+    assert scene.table == (2.4, 1.2)
+    assert scene.game is not None
+    assert scene.game.play == play
+    text = animate(game, tmp_path / "a.html", table=play).read_text(encoding="utf-8")
+    assert '"goal":0.3' in text.replace(" ", "")

@@ -226,10 +226,13 @@ def animate(
         tuple[float, float] | None,
         options.number("L W", "Length and width of the table.", numbers.TABLE_SIDE),
     ] = None,
+    twin: options.TwinFile = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.animation_frames import TABLE
 
+    if twin is not None:
+        inputs.refuse_others(animate, "--twin", {"table": table})
     written = airpuck.animate(
         inputs.read_flight(recording, mapping),
         output,
@@ -237,7 +240,7 @@ def animate(
         span=span or (0.0, 1.0),
         speed=speed,
         frames_per_second=fps,
-        table=table or TABLE,
+        table=table or inputs.read_twin(twin) or TABLE,
     )
     show(written)
 

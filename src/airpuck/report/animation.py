@@ -8,6 +8,7 @@ from pathlib import Path
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
+from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
@@ -25,7 +26,7 @@ def animate(
     span: tuple[float, float] = (0.0, 1.0),
     speed: float = 1.0,
     frames_per_second: float = 25.0,
-    table: tuple[float, float] = TABLE,
+    table: tuple[float, float] | AirHockey = TABLE,
     log: FlightLog | None = None,
 ) -> Path:
     """Show a flight from above: the craft on its table, its thrusts, its set point.
@@ -44,9 +45,9 @@ def animate(
         Seconds of the flight for each second of the animation; a page begins with it.
     frames_per_second : float, default 25
         Frames of a GIF for each second [1/s], 50 at most; a page has as many as the screen.
-    table : (float, float), default (2.2, 1.1)
-        Length and width of the table around the origin [m]. It is not drawn if the flight leaves
-        it.
+    table : (float, float) or AirHockey, default `AirHockey()`
+        Length and width of the table around the origin [m], 2.2 and 1.1 by default, or of a game
+        table, goals, puck and mallet. It is not drawn if the flight leaves it.
     log : FlightLog, optional
         Of the same flight, for the plans ahead of a predictive law.
 
@@ -72,9 +73,8 @@ def animate(
         raise InputError("is neither .gif nor .html; an animation is one of them", file=path)
     numbers.SPEED.check(speed, "speed")
     numbers.FRAME_RATE.check(frames_per_second, "frames per second")
-    for side in table:
-        numbers.TABLE_SIDE.check(side, "table")
-    scene = read_scene(recording, vehicle or default_vehicle(), span, table, log)
+    play = table if isinstance(table, AirHockey) else _sized(*table)
+    scene = read_scene(recording, vehicle or default_vehicle(), span, play, log)
     n_frames = (scene.stop - scene.start) / speed * frames_per_second
     if suffix == ".gif" and n_frames > _MOST_FRAMES:
         raise InputError(
@@ -92,3 +92,11 @@ def animate(
 
             write_animation_page(scene, temporary, speed=speed)
     return target
+
+
+def _sized(length: float, width: float) -> AirHockey:
+    """Return a table of a length and a width."""
+    for side in (length, width):
+        numbers.TABLE_SIDE.check(side, "table")
+    table = TABLE.table.model_copy(update={"length_m": length, "width_m": width})
+    return TABLE.model_copy(update={"table": table})

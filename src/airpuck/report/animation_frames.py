@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Bound
-from airpuck.craft.table import Table
+from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle, match_columns
 from airpuck.flight.loop import FlightLog
 from airpuck.physics.angle import wrapped
@@ -28,8 +28,8 @@ from airpuck.preprocessing.quality import (
 from airpuck.recording.stream import Recording, Stream
 from airpuck.report.game_frames import GameScene, read_game
 
-#: Length and width of the authors' air-hockey table; its centre is the origin [m].
-TABLE = (Table().length_m, Table().width_m)
+#: The authors' air-hockey table; its centre is the origin.
+TABLE = AirHockey()
 #: An arrow of the largest thrust is as long as this many radii of the craft.
 _LONGEST_ARROW = 4.5
 #: Half width of an arrow's shaft, half width and length of its head, in radii of the craft.
@@ -115,7 +115,7 @@ def read_scene(
     recording: Recording,
     vehicle: Vehicle,
     span: tuple[float, float] = (0.0, 1.0),
-    table: tuple[float, float] = TABLE,
+    play: AirHockey = TABLE,
     log: FlightLog | None = None,
 ) -> Scene:
     """Take from a recording what an animation shows.
@@ -154,11 +154,11 @@ def read_scene(
         raise InputError(f"{span[0]:g} {span[1]:g} leaves fewer than two poses", field="span")
     in_force = _in_force(command_time, start, stop)
     asked = _in_force(reference_time, start, stop)
-    game = read_game(recording, on_axis, 1 if poses[0, 0] > 0 else -1, (start, stop))
+    game = read_game(recording, play, on_axis, 1 if poses[0, 0] > 0 else -1, (start, stop))
     places = poses[shown, :2]
     if game is None:  # who plays stays on the table, whatever it is asked for
         places = np.concatenate([places, reference[asked, :2]])
-    rails, view = _surroundings(places, vehicle.radius_m, table)
+    rails, view = _surroundings(places, vehicle.radius_m, (play.table.length_m, play.table.width_m))
     return Scene(
         vehicle=vehicle,
         name=Path(recording.source).name,

@@ -20,7 +20,6 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from PIL import GifImagePlugin, Image
 
-from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
 from airpuck.report import animation_frames as moments
 from airpuck.report import style
@@ -176,7 +175,7 @@ def _moving_on_table(
 
 def _beside(game: GameScene, vehicle: Vehicle, now: Float[np.ndarray, " 1"]) -> Iterator[Patch]:
     """Give the disc of the other side, and the puck."""
-    sizes, color = AirHockey(), _tint(-game.side)
+    sizes, color = game.play, _tint(-game.side)
     if game.other is not None:
         ((pose,), _) = moments.poses_at(game.other.time, game.other.pose, np.inf, now)
         if game.other_flies:
@@ -284,7 +283,7 @@ def _draw_table(axes: Axes, scene: Scene) -> None:
     if scene.game is None:
         axes.plot(0, 0, "+", color=style.RAIL, ms=9, mew=1.2, zorder=0.7)
         return
-    half = AirHockey().table.goal_width_m / 2
+    half = scene.game.play.table.goal_width_m / 2
     axes.vlines(0, -width / 2, width / 2, color=style.RAIL, lw=1.5, zorder=0.7)
     axes.add_patch(Circle((0, 0), 0.16, fill=False, ec=style.RAIL, lw=1.5, zorder=0.7))
     for side in (-1, 1):

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.craft.table import AirHockey
 from airpuck.report import animation_frames as moments
 from airpuck.report import style
 from airpuck.report.animation_frames import Plan, Scene
@@ -76,7 +75,7 @@ def flight_data(scene: Scene) -> dict[str, Any]:
         "trail": moments.TRAIL,
         "craft": craft_shape(scene.vehicle),
         "colors": COLORS,
-        "hockey": scene.game and hockey_shape(AirHockey()),
+        "hockey": scene.game and hockey_shape(scene.game.play),
         "game": scene.game and _game(scene.game),
     }
 

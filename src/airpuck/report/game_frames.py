@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.craft.table import AirHockey
 from airpuck.recording.stream import Recording, Stream
 
 #: Poses farther apart in time are not joined: the puck was in a goal [s].
@@ -28,6 +29,8 @@ class Way:
 class GameScene:
     """A part of a game."""
 
+    #: Sizes.
+    play: AirHockey
     puck: Way
     #: The disc on the other side, where it was recorded.
     other: Way | None
@@ -50,6 +53,7 @@ class GameScene:
 
 def read_game(
     recording: Recording,
+    play: AirHockey,
     usable: Callable[[Stream, str], tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N k"]]],
     side: int,
     span: tuple[float, float],
@@ -77,4 +81,4 @@ def read_game(
         time, events = usable(recording["game"], "game")
         score = events[:, :2]
     flies = "opponent_command" in recording.streams
-    return GameScene(puck, way("mallet"), flies, side, time, score)
+    return GameScene(play, puck, way("mallet"), flies, side, time, score)
