@@ -22,6 +22,14 @@ os.environ.setdefault(
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
+# Most programs run once here, so that compiling them costs more than running them. An XLA that does
+# not know one of these says so at once.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
+    " --xla_llvm_disable_expensive_passes=true",
+)
+
 # Threads of linear algebra wait for each other in busy loops. Workers and other processes that the
 # tests start inherit this; in the first process a plugin has imported NumPy already.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -47,6 +47,7 @@ def test_motors_cannot_have_other_speeds():
 @example(576)  # these are so short that the steps of time are coarse
 @example(321)
 @example(355)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_no_random_flight_is_faster_than_its_bound(seed):
     random = np.random.default_rng(seed)

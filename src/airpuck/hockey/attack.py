@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from airpuck.hockey.interception import (
     Meeting,
     Outlook,
-    around,
     effort,
+    run_up,
     slack,
     stays_inside,
     way_is_free,
@@ -257,17 +257,9 @@ class Shoot:
     def _way_to(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
         """Go round the puck to where a run-up begins."""
         meeting = shot.meeting
-        puck = outlook.at(meeting.time)
-        behind = meeting.place(view, puck) - 0.1 * unit(meeting.normal)
-        x, y = outlook.places[0].tolist()
-        return Intention(
-            shot.kind,
-            around(view, outlook, behind),
-            (meeting.time, float(puck[0]), float(puck[1])),
-            shot.path,
-            shot.chance,
-            (x, y, view.pitch.contact_distance + 0.01),
-        )
+        behind, avoid = run_up(view, outlook, meeting)
+        meet = (meeting.time, *outlook.at(meeting.time)[:2].tolist())
+        return Intention(shot.kind, behind, meet, shot.path, shot.chance, avoid)
 
     def _intention(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
         """Return a planned contact as an intention."""

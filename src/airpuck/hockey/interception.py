@@ -27,6 +27,8 @@ _PRECISE = (0.0015, 0.0015, math.inf, 0.04, 0.04, math.inf)
 _SHARES = np.linspace(0.1, 0.9, 9)
 #: A recoil is seen, and propellers act on it, so much later [s].
 _NOTICED = 0.08
+#: Where a contact begins that is not possible from here: so far behind it [m].
+_RUN_UP = 0.1
 #: The puck is passed at least so far away [m].
 _PASSING = 0.012
 
@@ -208,6 +210,15 @@ def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPo
                 out = -out
             goal = puck + out * (radius + 0.04)
     return standing(view.pitch.clipped(goal))
+
+
+def run_up(
+    view: View, outlook: Outlook, meeting: Meeting
+) -> tuple[SetPoint, tuple[float, float, float]]:
+    """Return the next place on the way to where a contact begins, and the puck's disc to avoid."""
+    behind = meeting.place(view, outlook.at(meeting.time)) - _RUN_UP * unit(meeting.normal)
+    x, y = outlook.places[0].tolist()
+    return around(view, outlook, behind), (x, y, view.pitch.contact_distance + 0.01)
 
 
 def standing(place: Float[np.ndarray, " 2"]) -> SetPoint:

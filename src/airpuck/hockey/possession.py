@@ -11,8 +11,8 @@ from jaxtyping import Float
 from airpuck.hockey.interception import (
     Meeting,
     Outlook,
-    around,
     effort,
+    run_up,
     slack,
     stays_inside,
     way_is_free,
@@ -177,10 +177,9 @@ class Free:
         puck = outlook.at(kept.time)
         meet = (kept.time, *puck[:2].tolist())
         if kept.time - view.time > _COMMITTED and not way_is_free(view, outlook, kept):
-            behind = kept.place(view, puck) - 0.08 * unit(kept.normal)
             self._meeting = None
-            avoid = (*puck[:2].tolist(), view.pitch.contact_distance + 0.01)
-            return Intention("free", around(view, outlook, behind), meet, avoid=avoid)
+            behind, avoid = run_up(view, outlook, kept)
+            return Intention("free", behind, meet, avoid=avoid)
         return Intention("free", kept.reference(view, puck), meet)
 
     def _search(self, view: View, outlook: Outlook) -> Meeting | None:
