@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
+from typing import Any
 
 from airpuck.live.events import EVENT_TYPE, EVENTS
 from airpuck.live.graph import Graph
@@ -79,6 +80,7 @@ class Watch:
         self.graph = Graph("watch", domain=domain)
         self._listener = Listener(self.graph)
         self.heard: dict[str, list[Heard]] = defaultdict(list)
+        self._told: list[Any] = []
 
     def run(self, seconds: float) -> None:
         """Listen for a while."""
@@ -86,6 +88,8 @@ class Watch:
         while (left := stop - time.monotonic()) > 0:
             for message in self._listener.listen(min(left, 0.02)):
                 self.heard[message.topic].append(message)
+                if message.topic == EVENTS:
+                    self._told.append(EVENT.decode(message.data))
 
     def until(self, condition, timeout: float = 30.0):
         """Listen until something is so; return it."""
@@ -99,11 +103,11 @@ class Watch:
         """Begin anew."""
         self.run(0.02)
         self.heard.clear()
+        self._told.clear()
 
     def events(self, name: str = "") -> list[str]:
         """What processes said, those of one name or all."""
-        told = [EVENT.decode(message.data) for message in self.heard[EVENTS]]
-        return [event.msg for event in told if name in event.name]
+        return [event.msg for event in self._told if name in event.name]
 
     def said(self, text: str) -> bool:
         """Whether some event has these words."""

@@ -61,10 +61,10 @@ def test_the_craft_plays_who_sits_at_the_page(domain):
             hear(page, lambda one: not isinstance(one, bytes) and one.get("phase") == "play")
             watch.forget()
             # Both move, and the craft stays on its half; its edge may be a little over the line.
-            for k in range(100):
+            for k in range(150):
                 page.send(struct.pack("<Iff", k, *((0.3, 0.3) if k % 20 < 10 else (0.8, -0.3))))
                 watch.run(0.1)
-                if len(watch.heard[MALLET]) > 400:
+                if len(watch.heard[MALLET]) > 800:
                     break
             state = hear(page, lambda one: isinstance(one, bytes))
             assert np.isfinite(struct.unpack("<dIB3x16f", state)).all()
