@@ -201,3 +201,50 @@ def test_without_a_puck_it_defends_blind_and_then_goes_home():
     assert blind(0.2).kind == "defend"
     assert blind(0.2).reference.y == pytest.approx(0.2, abs=0.02)  # where it would have come
     assert blind(2.0).kind == "home"
+
+
+@pytest.mark.parametrize("puck", [(-0.6, 0.45, 0, 0.1, 0, 0), (-0.7, 0.2, 0, 0, 0, 0)])
+def test_one_search_a_decision_and_none_that_waits_for_ever(puck, monkeypatch):
+    searched = []
+
+    def counted(strategy, method):
+        search = getattr(strategy, method)
+
+        def count(self, *arguments):
+            searched[-1].append(self)
+            return search(self, *arguments)
+
+        monkeypatch.setattr(strategy, method, count)
+
+    counted(Shoot, "_search")
+    counted(Shoot, "_closely")
+    counted(Free, "_search")
+    tactic, view = AllRounder(), view_of(puck, opponent=np.array([0.9, 0.0, 0.0, 0.0]))
+    # Nothing is good enough for it, so that all others are asked.
+    shoot, *_, free, clear, _ = tactic.strategies
+    shoot.least = 1.1
+    for k in range(20):
+        searched.append([])
+        view = View(0.01 * k, view.craft, view.puck, PUCK, view.opponent, PITCH, TIMES)
+        tactic.decide(view)
+    assert max(map(len, searched)) == 1
+    who = [one[0] for one in searched if one]
+    assert {shoot, clear} <= set(who) or free in who
+
+
+def test_in_play_a_slow_puck_is_shot_and_a_fast_one_is_stopped():
+    for speed, kinds in ((0.2, {"strike", "bank", "clear"}), (1.5, {"prepare"})):
+        view = view_of((-0.3, 0.1, 0, -speed, 0, 0), opponent=np.array([0.9, 0.0, 0.0, 0.0]))
+        tactic = AllRounder(AllRounder().strategies[2:])
+        intention = decided(Asked(tactic), view, 12)
+        assert intention.kind in kinds
+
+
+class Asked:
+    """A tactic as a strategy."""
+
+    def __init__(self, tactic):
+        self.tactic = tactic
+
+    def propose(self, view, _):
+        return self.tactic.decide(view)
