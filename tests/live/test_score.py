@@ -41,6 +41,7 @@ class Table:
             codec, topic = StreamCodec(kind), f"/optitrack/{kind.replace('pose', 'drone')}/pose"
             publisher = self.graph.publisher(topic, codec.msgtype, codec.types, SENSOR)
             self._send[kind] = codec, publisher
+        self.shots = {-1: 0, 1: 0}
         self._puck = PuckOnTable(PLAY, PuckState(0.0, 0.0), logs=False)
         self._random, self._frame, self._next = np.random.default_rng(0), 0, 1.0
 
@@ -52,6 +53,7 @@ class Table:
             if now > self._next:
                 self._next += 1.0
                 side = 1 if self._next % 2 else -1
+                self.shots[side] += 1
                 self._puck.place(PuckState(0.4 * side, 0.1, vx=2.0 * side))
             if not self._puck.goal:
                 self._see("puck", now, self._puck.state[:3])
@@ -82,9 +84,10 @@ def test_goals_are_seen_said_and_counted(domain, monkeypatch, capsys):
         table.graph.close()
     said = [line for line in capsys.readouterr().err.splitlines() if "goal for" in line]
     left, right = figures["score"]
-    # Four or five shots; a machine that stands still for a moment does not see all of them.
-    assert 2 <= left + right <= 5
-    assert max(left, right) <= 3
+    # A machine that stands still for a moment does not see all of them.
+    assert left + right >= 2
+    assert left <= table.shots[1]
+    assert right <= table.shots[-1]
     assert len(said) == left + right
     assert said[-1].endswith(f", {left} : {right}")
     assert (figures["goals"], figures["fouls"], figures["games"]) == ([left, right], [0, 0], 1)

@@ -36,9 +36,9 @@ def live_hello(model: Model, play: AirHockey) -> dict[str, Any]:
 class LivePage:
     """Shows a player's flight to the pages, and sends where they want the mallet; a `Spectator`.
 
-    Somebody at a page plays if who sends the mallet's poses also takes a place for it, as a twin
-    does that has its human there. Else the human is at the table, and pages only show. A flight
-    does not wait for its pages, nor end with them.
+    A page plays only if the process that publishes the mallet's poses also subscribes to where it
+    is wanted, as a twin does that has its human there. Else the human is at the table, and pages
+    only show. A flight does not wait for its pages, nor end with them.
     """
 
     def __init__(self, pages: Pages, score: Score, level: str) -> None:

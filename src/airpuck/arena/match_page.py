@@ -5,7 +5,15 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from airpuck.arena.page import ArenaSettings, hello_of, invite, news_of, served, state_of
+from airpuck.arena.page import (
+    ArenaSettings,
+    Pages,
+    hello_of,
+    invite,
+    news_of,
+    served,
+    state_of,
+)
 from airpuck.hockey.game import Game
 from airpuck.hockey.player import Player
 from airpuck.live.clock import Clock
@@ -33,29 +41,39 @@ def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any =
     ------
     InputError
         If websockets is not installed, or the address is not free.
+    RuntimeError
+        If the process that serves the page has ended.
     """
     names, kinds = ([getattr(side, what) for side in game.sides] for what in ("name", "kind"))
     hello = hello_of(model, game.settings)
     hello |= {"live": True, "levels": [], "names": names, "sides": kinds}
-    with served(arena, hello) as pages:
-        pages.say_status("watch", game.score, "")
-        invite(pages, arena, tell, "Watch")
-        while not pages.hear()[0]:  # the first page sits down
-            time.sleep(0.02)
-        thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
-        clock, began = Clock(), game.time
-        while game.phase != "over":
-            events = game.step()
-            pages.show(state_of(game))
-            for event in events:
-                news = news_of(event)
-                if event.kind in ("stuck", "over"):
-                    news = {"is": "event", "kind": event.kind, "side": event.side}
-                if news is not None:
-                    pages.say(news)
+    try:
+        with served(arena, hello) as pages:
             pages.say_status("watch", game.score, "")
-            pages.hear()
-            if thinker is not None:
-                pages.think(thinker, game.time)
-            clock.sleep_until(game.time - began)
-        time.sleep(_END)
+            invite(pages, arena, tell, "Watch")
+            _show(game, pages)
+    except (EOFError, OSError) as error:
+        raise RuntimeError("the server of the page has ended") from error
+
+
+def _show(game: Game, pages: Pages) -> None:
+    """Play a game to its end, and show it."""
+    while not pages.hear()[0]:  # the first page sits down
+        time.sleep(0.02)
+    thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
+    clock, began = Clock(), game.time
+    while game.phase != "over":
+        events = game.step()
+        pages.show(state_of(game))
+        for event in events:
+            news = news_of(event)
+            if event.kind in ("stuck", "over"):
+                news = {"is": "event", "kind": event.kind, "side": event.side}
+            if news is not None:
+                pages.say(news)
+        pages.say_status("watch", game.score, "")
+        pages.hear()
+        if thinker is not None:
+            pages.think(thinker, game.time)
+        clock.sleep_until(game.time - began)
+    time.sleep(_END)

@@ -1,4 +1,4 @@
-"""The command for games without a page."""
+"""The command for games of two players."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def match(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Let two players play air hockey against each other, without a page."""
+    """Let two players play air hockey against each other."""
     from airpuck.arena.match_page import watch_in_browser
     from airpuck.arena.page import ArenaSettings
     from airpuck.compute.process import low_latency
@@ -88,7 +88,9 @@ def match(
             watch_in_browser(game, craft, arena, say(quiet))
         else:
             _watch(game)
-        report({**game.figures(), "left": left, "right": right}, json_file, quiet=quiet)
+        score = "{} : {}".format(*game.score)
+        figures = {**game.figures(), "left": left, "right": right}
+        report(figures, json_file, *([f"{left} {score} {right}"] if page else []), quiet=quiet)
         return
     with show_counts("games", "{} of {} games played", quiet) as progress:
         found = airpuck.match(

@@ -33,6 +33,8 @@ _PATIENCE = 0.12
 _BETTER = 0.08
 #: A search is made in every so many decisions; in the next one its best are looked at closely.
 _EVERY = 4
+#: Not asked for so long, it begins anew [s].
+_INTERRUPTED = 0.05
 #: Nearer than this before a contact nothing is changed but its place [s].
 _COMMITTED = 0.15
 #: A contact is planned, and then kept, where the way to it needs at most such a share of the
@@ -92,10 +94,15 @@ class Shoot:
         #: The way to where a shot begins that is not possible from here.
         self._approach: Intention | None = None
         self._found: _Found | None = None
-        self._age = _EVERY
+        self._age, self._asked = _EVERY, -math.inf
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return a shot, or the way to where one is possible; None: there is none."""
+        # What was planned before others had their turn is not in time any more.
+        interrupted, self._asked = view.time > self._asked + _INTERRUPTED, view.time
+        if interrupted:
+            self._plan = self._approach = self._found = None
+            self._age = _EVERY
         if not outlook.known or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
             self._plan = self._approach = self._found = None
             self._age = _EVERY

@@ -65,7 +65,7 @@ class Scorekeeper:
     Attributes
     ----------
     games : int
-        The how manieth game this is: after the end, the next puck in play begins another.
+        Number of the present game, from 1: after the end, the next puck in play begins another.
     calls : Counter
         How often something was called, by kind and side, in all games.
     """

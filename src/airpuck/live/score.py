@@ -44,7 +44,8 @@ class Score:
     def after(self, action: Action) -> None:
         """Say what has been called, and how the puck is seen; see `Spectator`."""
         self.rulings = []
-        for one in self._new:
+        # Poses of several bodies come body by body.
+        for one in sorted(self._new, key=lambda one: one.stamp):
             if one.kind == "puck":
                 self.keeper.puck(one.stamp, one.values)
             else:

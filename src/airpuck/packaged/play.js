@@ -264,7 +264,7 @@ const POINTER = matchMedia("(pointer: coarse)").matches ? "your finger" : "the m
 function card() {
   const [left, right] = status.score;
   const keys = POINTER === "the mouse" ? "Space pauses, R begins again, T shows what the craft thinks." : "";
-  if (role === "lost") return ["Connection lost", "Is airpuck play still running? This page keeps trying.", ""];
+  if (role === "lost") return ["Connection lost", "Is airpuck still running? This page keeps trying.", ""];
   if (status.phase === "watch") return null;
   if (role === "watcher")
     return status.phase === "waiting"

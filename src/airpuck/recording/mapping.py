@@ -56,7 +56,7 @@ class Topics(Section):
         Motion capture of the puck and of the human's mallet, or another craft: poses, as the
         craft's.
     mallet_target : str
-        Where who plays at a page wants the mallet.
+        Where the person at a page wants the mallet.
     opponent_command : str
         Motor commands of another craft that plays, as the craft's.
     game : str
