@@ -20,7 +20,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev live play demo test test-browser lint format studies bench clean
+.PHONY: help install dev live play demo test test-all test-browser lint format studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,7 +48,10 @@ $(VENV)/.installed-play: pyproject.toml
 demo: install  ## the whole way on a simulated recording, no download
 	$(BIN)/airpuck demo --out demo
 
-test: dev  ## all tests but the long studies
+test: dev  ## the quick tests, in minutes: while you work
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+test-all: dev  ## all tests but the studies and the browser: before you push
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
