@@ -44,19 +44,57 @@ MODULES = sorted(ROOT.rglob("*.py"))
 
 @cache
 def imports(path: Path) -> set[str]:
-    """Every module that a file imports, wherever in it."""
+    """Every module that a file imports, wherever in it; a public name counts as its module."""
+    return imported(path.read_text(encoding="utf-8"), path.relative_to(ROOT).parts[:-1])
+
+
+def imported(source: str, package: tuple[str, ...] = ()) -> set[str]:
+    """Every module that a source in a package of airpuck imports."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found.add(node.module)
+        elif isinstance(node, ast.ImportFrom):
+            above = ("airpuck", *package)[: len(package) + 2 - node.level] if node.level else ()
+            module = ".".join((*above, *([node.module] if node.module else [])))
+            if module == "airpuck":
+                found |= {home(alias.name) for alias in node.names}
+            else:
+                found.add(module)
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "airpuck":
+            found.add(home(node.attr))
     return found
 
 
+def home(name: str) -> str:
+    """Return the module that `airpuck.name` is or comes from."""
+    if (ROOT / name).is_dir():
+        return f"airpuck.{name}"
+    return getattr(getattr(airpuck, name), "__module__", "airpuck")
+
+
 def room(module: str) -> str:
-    """`airpuck.physics.thrust` -> `model`."""
+    """`airpuck.physics.thrust` -> `physics`."""
     return module.split(".")[1] if module.count(".") else ""
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from airpuck.twin.twin import Twin",
+        "import airpuck.twin.twin",
+        "from airpuck import twin",
+        "from airpuck import Twin",
+        "import airpuck\nairpuck.Twin()",
+        "import airpuck\nairpuck.twin.twin.Twin()",
+        "def later():\n    from airpuck import Twin",
+        "from ..twin import twin",
+        "from .. import twin",
+        "from ..twin.twin import Twin",
+    ],
+)
+def test_every_way_to_import_is_seen(source):
+    assert "twin" in {room(module) for module in imported(source, ("physics",))}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
