@@ -18,8 +18,8 @@ from concurrent.futures import ProcessPoolExecutor
 
 from airpuck.craft.table import AirHockey, Contact, Mallet, Puck, Table
 from airpuck.physics.puck import Disc, PuckState, Walls, strike
+from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.play import HandMallet
-from airpuck.twin.puck import Moving, PuckOnTable
 
 LENGTH, STEP = 2.0, 1 / 240
 #: Discs may overlap by as much as rounding makes them [m].

@@ -7,9 +7,9 @@ import pytest
 
 from airpuck.craft.table import AirHockey, Contact, Puck, read_table
 from airpuck.physics.puck import PuckState
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.twin.puck import PuckOnTable
 from tests.command_line import airpuck
 
 TRUTH = AirHockey(puck=Puck(drag_1_s=0.1, rail=Contact(restitution=0.7, friction=0.15)))

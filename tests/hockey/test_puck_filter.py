@@ -15,7 +15,7 @@ from airpuck.hockey.prediction import (
 )
 from airpuck.hockey.puck_filter import GATE, PuckFilter, PuckNoise
 from airpuck.physics.puck import PuckState
-from airpuck.twin.puck import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable
 
 PLAY = AirHockey()
 NOISE = PuckNoise()

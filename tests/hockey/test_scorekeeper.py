@@ -11,7 +11,7 @@ from airpuck.hockey.game import Game
 from airpuck.hockey.rules import Rules
 from airpuck.hockey.scorekeeper import Scorekeeper
 from airpuck.physics.puck import PuckState
-from airpuck.twin.puck import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
 
 PLAY = AirHockey()

@@ -12,8 +12,8 @@ from airpuck.hockey.prediction import PuckModel
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.play import HandMallet, World
-from airpuck.twin.puck import PuckOnTable
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 PITCH = pitch_of(MODEL, PLAY)

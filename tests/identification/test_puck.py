@@ -11,8 +11,8 @@ from airpuck.identification.puck import identify_puck, value_of
 from airpuck.identification.puck_flights import find_flights, noise_of
 from airpuck.model.model_file import published_model
 from airpuck.physics.puck import PuckState
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.stream import COLUMNS, Recording, Stream
-from airpuck.twin.puck import PuckOnTable
 from airpuck.twin.twin import Twin
 
 TRUTH = Puck(

@@ -14,8 +14,8 @@ from airpuck.live.process import LiveSettings
 from airpuck.live.safety import half_of
 from airpuck.live.score import Score
 from airpuck.physics.puck import PuckState
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.message import StreamCodec
-from airpuck.twin.puck import PuckOnTable
 
 VEHICLE = default_vehicle()
 PLAY = AirHockey()

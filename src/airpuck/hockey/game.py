@@ -19,10 +19,10 @@ from airpuck.hockey.hand import Hand
 from airpuck.hockey.rules import Referee, Rules
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.puck import PuckState
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.craft import Craft
 from airpuck.twin.play import HandMallet, World
-from airpuck.twin.puck import PuckOnTable
 from airpuck.twin.sensors import SensorSet, log_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin, check_seed
@@ -214,7 +214,6 @@ class Game:
         self._touched: tuple[int, bool] = (0, False)
         #: When [s].
         self._last_touch = -math.inf
-        self._before = self._puck.state
         self._serve(self.referee.server)
 
     @property
@@ -244,7 +243,6 @@ class Game:
         puck, places = self.puck, (left.state[:2], right.state[:2])
         left.act(self.time, puck, places[1])
         right.act(self.time, puck, places[0])
-        self._before = self._puck.state
         self._steps += 1
         self.time = self._steps * PERIOD
         self.world.run(self.time)
@@ -339,18 +337,16 @@ class Game:
 
     def _contacts(self) -> Iterator[GameEvent]:
         """Yield what the puck and the craft touched in the last period."""
-        x, y = self._puck.state[:2]
-        near = min(self.sides, key=lambda s: math.dist(s.state[:2], (x, y)) - s.radius).sign
-        for time, met, impulse in self._puck.touches:
-            if met in ("craft", "mallet"):
-                side, anyway = self._touched
-                # One that stopped a shot, and touches the puck anew, does that by itself.
-                if side != near or (anyway and time > self._last_touch + _SAME):
-                    self._touched = near, self._would_score(-near)
+        for time, met, impulse, before, disc in self._puck.touches:
+            if disc is not None:
+                side, (last, anyway) = self.sides[disc].sign, self._touched
+                # A second touch of a side that stopped a shot is judged by itself.
+                if last != side or (anyway and time > self._last_touch + _SAME):
+                    self._touched = side, self._would_score(before, -side)
                 self._last_touch = time
-                yield GameEvent(time, "hit", near, impulse)
-            elif met != "goal":
-                yield GameEvent(time, met, 1 if x > 0 else -1, impulse)
+                yield GameEvent(time, "hit", side, impulse)
+            elif met in ("rail", "post"):
+                yield GameEvent(time, met, 1 if before.x > 0 else -1, impulse)
         self._puck.touches.clear()
         for side in self.sides:
             if isinstance(side.body, Craft):
@@ -364,9 +360,9 @@ class Game:
                 yield GameEvent(self.time, "crossed", side.sign)
             side.beyond = beyond
 
-    def _would_score(self, side: int) -> bool:
-        """Return whether the puck would have been a goal for a side without the last touch."""
-        alone = PuckOnTable(self.settings, self._before, logs=False)
+    def _would_score(self, puck: PuckState, side: int) -> bool:
+        """Return whether a puck that nobody touches would be a goal for a side."""
+        alone = PuckOnTable(self.settings, puck, logs=False)
         alone.run(_FOLLOWED)
         return alone.goal == -side
 

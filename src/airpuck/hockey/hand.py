@@ -11,7 +11,7 @@ import numpy as np
 
 from airpuck.craft.table import AirHockey
 from airpuck.physics.puck import PuckState
-from airpuck.twin.puck import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable
 
 #: How far ahead a person looks at a puck [s], in steps of so much.
 _AHEAD, _STEP = 0.8, 0.04

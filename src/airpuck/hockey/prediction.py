@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from airpuck.craft.table import AirHockey, Puck
 from airpuck.physics.puck import PuckState, coast, time_of
-from airpuck.twin.puck import PuckOnTable, Touch
+from airpuck.physics.puck_on_table import PuckOnTable, Touch
 
 #: What is not known of numbers that were not identified on this table; and from bounce to bounce.
 _ASSUMED = {

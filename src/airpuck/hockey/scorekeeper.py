@@ -13,7 +13,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.hockey.rules import Referee, Rules, Ruling
 from airpuck.physics.puck import PuckState
-from airpuck.twin.puck import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable
 
 #: Poses in a row, each as the last ones foretold, before the puck's motion is believed.
 _SURE = 3

@@ -24,8 +24,8 @@ from airpuck.hockey.possession import Catch, Free
 from airpuck.hockey.tactic import Pitch, Tactic
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.plant import Plant, build_plant
-from airpuck.twin.puck import PuckOnTable
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
 

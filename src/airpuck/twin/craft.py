@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.model.model_file import Model
+from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.motors import MotorUnit
 from airpuck.twin.plant import LONGEST_STEP, Plant
-from airpuck.twin.puck import Moving, PuckOnTable
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import TwinSettings
 

@@ -12,9 +12,9 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey, Contact, Mallet, Table
 from airpuck.physics.puck import PuckState, strike
+from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.craft import Craft
 from airpuck.twin.plant import LONGEST_STEP
-from airpuck.twin.puck import Moving, PuckOnTable
 
 #: A step that lasts no longer is a rounding error of times: it tells nothing of speed [s].
 _NO_TIME = 1e-9

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
 from airpuck.physics.puck import PuckState
-from airpuck.twin.puck import MOST, RESTING, Moving, PuckOnTable
+from airpuck.physics.puck_on_table import MOST, RESTING, Moving, PuckOnTable
 
-from .test_studies import study
+from ..twin.test_studies import study
 
 CLOSED = Table(length_m=2.0, width_m=1.0, goal_width_m=1e-9)
 ELASTIC = Contact(restitution=1.0, grip=0.0)
@@ -131,6 +131,18 @@ def test_a_moving_mallet_is_met_on_the_way():
     puck.run(0.1, [mallet(0.1, 0.0, vx=-4.0, duration=0.1)])
     assert puck.touches[0].time == pytest.approx((0.6 - R - 0.05) / 7)
     assert puck.state.vx == pytest.approx(-11.0)
+
+
+def test_contacts_name_the_disc_and_the_motion_before_them():
+    # Between two mallets, nearer to the first in the end: right, left, right.
+    puck = PuckOnTable(BILLIARD, PuckState(0.0, 0.0, 0.0, 4.0, 0.0))
+    puck.run(0.16, [mallet(-0.2, 0.0), mallet(0.2, 0.0)])
+    assert [touch.disc for touch in puck.touches] == [1, 0, 1]
+    assert [touch.before.vx for touch in puck.touches] == pytest.approx([4.0, -4.0, 4.0])
+    gap = 0.2 - R - 0.05
+    assert [touch.before.x for touch in puck.touches] == pytest.approx([gap, -gap, gap])
+    puck.run(1.0, [])
+    assert puck.touches[-1].disc is None
 
 
 def test_a_craft_that_pushes_takes_the_puck_along():

@@ -45,6 +45,10 @@ class Touch(NamedTuple):
     met: Met
     #: Impulse along the normal [N s]; none in a goal.
     impulse: float
+    #: The puck just before the contact.
+    before: PuckState
+    #: Index of the disc that it hit among those given to `PuckOnTable.run`; None for the table.
+    disc: int | None = None
 
 
 @dataclass(slots=True)
@@ -147,13 +151,13 @@ class PuckOnTable:
                 wall = wall if wall.sigma <= reach else None
             sigma = wall.sigma if wall else reach
             hit, sigma = self._first_disc(discs, passed, reach, share, sigma)
-            self._advance(discs, stop, share, sigma, reach, at_end=not (wall or hit))
+            self._advance(discs, stop, share, sigma, reach, at_end=not wall and hit is None)
             if hit is not None:
-                if self._bounce_off(hit, held):
-                    if hit.mass < math.inf:
-                        return hit
+                if self._bounce_off(discs[hit], hit, held):
+                    if discs[hit].mass < math.inf:
+                        return discs[hit]
                 else:
-                    passed.add(id(hit))
+                    passed.add(hit)
             elif wall is not None:
                 self._meet(wall)
         if self.time < end:
@@ -165,12 +169,12 @@ class PuckOnTable:
 
     def _first_disc(
         self, discs: Sequence[Moving], passed: set[int], reach: float, share: float, sigma: float
-    ) -> tuple[Moving | None, float]:
-        """Return which disc is met before σ, and when."""
+    ) -> tuple[int | None, float]:
+        """Return the index of the disc that is met before σ, and when."""
         x, y, _, vx, vy, _ = self.state
         found = None
-        for disc in discs:
-            if id(disc) in passed:
+        for index, disc in enumerate(discs):
+            if index in passed:
                 continue
             dx, dy, apart = x - disc.x, y - disc.y, self._body.radius + disc.radius
             ux = vx - (disc.to_x - disc.x) * share / reach
@@ -179,7 +183,7 @@ class PuckOnTable:
                 continue
             met = sigma_to_circle(dx, dy, ux, uy, apart)
             if met <= sigma:
-                found, sigma = disc, met
+                found, sigma = index, met
         return found, sigma
 
     def _advance(
@@ -214,8 +218,8 @@ class PuckOnTable:
             return
         self._strike(Disc(0.0, 0.0), wall.nx, wall.ny, self._puck.rail, wall.boundary)
 
-    def _bounce_off(self, disc: Moving, held: bool) -> bool:
-        """Bounce off a disc, unless it moves away by now; return whether it did."""
+    def _bounce_off(self, disc: Moving, index: int, held: bool) -> bool:
+        """Bounce off a disc unless it is moving away; return whether the puck bounced."""
         dx, dy = self.state.x - disc.x, self.state.y - disc.y
         distance = math.hypot(dx, dy)
         # Middles that coincide have no normal; any is as good.
@@ -231,15 +235,17 @@ class PuckOnTable:
         law = self._laws[disc.kind]
         if closing < RESTING:
             law = law.model_copy(update={"restitution": 0.0})
-        self._strike(disc, nx, ny, law, disc.kind)
+        self._strike(disc, nx, ny, law, disc.kind, index)
         return True
 
-    def _strike(self, other: Disc, nx: float, ny: float, law: Contact, met: Met) -> None:
+    def _strike(
+        self, other: Disc, nx: float, ny: float, law: Contact, met: Met, index: int | None = None
+    ) -> None:
         """Change the motion of the puck, and of what it meets."""
         body, state = self._body, self.state
         body.vx, body.vy, body.spin = state.vx, state.vy, state.spin
         impulse = strike(body, other, nx, ny, law)
-        self._log(met, impulse)
+        self._log(met, impulse, index)
         if self.time - self._counted_from > WITHIN:
             self._contacts, self._counted_from = 0, self.time
         self._contacts += 1
@@ -281,9 +287,10 @@ class PuckOnTable:
         """Return by how much a puck and a disc overlap [m]."""
         return self._body.radius + disc.radius - math.hypot(x - disc.x, y - disc.y)
 
-    def _log(self, met: Met, impulse: float) -> None:
+    def _log(self, met: Met, impulse: float, disc: int | None = None) -> None:
+        """Keep a contact; `state` is still that before it."""
         if self._logs:
-            self.touches.append(Touch(self.time, met, impulse))
+            self.touches.append(Touch(self.time, met, impulse, self.state, disc))
 
 
 def _direction(disc: Disc, x: float, y: float) -> tuple[float, float]:
