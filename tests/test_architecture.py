@@ -67,9 +67,8 @@ def imported(source: ast.Module, package: tuple[str, ...] = ()) -> set[str]:
                 found |= {home(alias.name) for alias in node.names}
             else:
                 found.add(module)
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            if node.value.id == "airpuck":
-                found.add(home(node.attr))
+        elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "airpuck":
+            found.add(home(node.attr))
     return found
 
 
