@@ -55,7 +55,7 @@ test-all: dev  ## all tests but the studies and the browser: before you push
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
-	$(BIN)/python -m pytest -m browser -n 0 tests/arena/test_page.py tests/live/test_view.py
+	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py
 
 studies: dev  ## the long studies; then ten minutes of the live loop, with nothing beside it
 	$(BIN)/python -m pytest -m study -n $(WORKERS)

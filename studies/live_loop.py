@@ -25,7 +25,7 @@ from one_line import run
 
 from airpuck import read_recording
 from airpuck.control.tuning import REGULATORS
-from airpuck.live.clock import JITTER_P99, LATENCY_P99
+from airpuck.flight.clock import JITTER_P99, LATENCY_P99
 
 _MAIN = "from airpuck.cli import main; main()"
 _START_S = 15.0

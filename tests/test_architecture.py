@@ -35,7 +35,7 @@ ORDER = (
     "live",
     "campaigns",
     "report",
-    "arena",
+    "web",
     "cli",
 )
 LEVEL = {room: level for level, room in enumerate(ORDER)}
@@ -136,8 +136,8 @@ def test_imports_go_downwards():
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),
-        ("viser", {"live"}),
-        ("websockets", {"live", "arena"}),
+        ("viser", {"web"}),
+        ("websockets", {"web"}),
         ("mcap", {"recording"}),
         ("dask", {"campaigns"}),
         ("distributed", {"campaigns"}),

@@ -1,6 +1,12 @@
 """`airpuck skills`, and what `airpuck play` refuses."""
 
 import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -25,6 +31,7 @@ def test_skills_on_the_command_line():
     ("arguments", "problem"),
     [
         (("--no-page",), "--no-page: is for --live, which is not given"),
+        (("--domain", "0"), "--domain: is for --live, which is not given"),
         (("--domain", "3"), "--domain: is for --live, which is not given"),
         (("--live", "--no-page", "--port", "9000"), "--port: does not go with --no-page"),
         (("--live", "--no-page", "--no-browser"), "--no-browser: does not go with --no-page"),
@@ -34,3 +41,38 @@ def test_skills_on_the_command_line():
 def test_play_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
         app([*("play", *arguments)], standalone_mode=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="finds the server in /proc")
+def test_a_page_server_that_is_killed_costs_neither_the_figures_nor_a_traceback(tmp_path):
+    pytest.importorskip("websockets")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    file = tmp_path / "figures.json"
+    command = ["play", "--no-browser", "--port", str(port), "--duration", "60", "--json", str(file)]
+    playing = subprocess.Popen(
+        [sys.executable, "-c", "from airpuck.cli import main; main()", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert playing.stderr is not None
+        assert "Play at" in playing.stderr.readline()
+        servers = [
+            int(child)
+            for child in Path(f"/proc/{playing.pid}/task/{playing.pid}/children")
+            .read_text()
+            .split()
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+        ]
+        assert len(servers) == 1
+        os.kill(servers[0], signal.SIGKILL)
+        _, said = playing.communicate(timeout=60)
+    finally:
+        playing.kill()
+    assert playing.returncode == 1
+    assert "Traceback" not in said
+    assert "airpuck: the page server has ended" in said
+    assert json.loads(file.read_text())["page_server_ended"] is True

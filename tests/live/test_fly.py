@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from airpuck.craft.vehicle import default_vehicle
+from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
-from airpuck.live.clock import Clock
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import LiveSettings
 from airpuck.live.safety import Limits

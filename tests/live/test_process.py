@@ -10,8 +10,8 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import prioritize
+from airpuck.flight.clock import Clock
 from airpuck.live import process
-from airpuck.live.clock import Clock
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, Graph, Sample
 from airpuck.live.process import Inbox, LiveSettings, Process

@@ -302,7 +302,7 @@ def view(
     quiet: options.Quiet = False,
 ) -> None:
     """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
-    from airpuck.live.view import view_live
+    from airpuck.web.view import view_live
 
     live = live_settings(domain, interface, mapping, duration, quiet)
     write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))

@@ -64,12 +64,12 @@ def match(
     quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other."""
-    from airpuck.arena.match_page import watch_in_browser
-    from airpuck.arena.page import ArenaSettings
     from airpuck.compute.process import low_latency
     from airpuck.hockey.contestant import contestant
     from airpuck.hockey.game import Game
     from airpuck.hockey.rules import Rules
+    from airpuck.web.match_page import watch_in_browser
+    from airpuck.web.page import ArenaSettings
 
     if page and not watch:
         raise InputError("is for --watch, which is not given", field="--page")

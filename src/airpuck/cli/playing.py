@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from typer import Option
+from typer import Exit, Option
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
@@ -16,8 +17,8 @@ from airpuck.cli.live import Domain, live_settings, report_flight
 from airpuck.cli.output import report, say
 
 if TYPE_CHECKING:
-    from airpuck.arena.page import ArenaSettings
     from airpuck.live.process import LiveSettings
+    from airpuck.web.page import ArenaSettings
 
 
 @app.command(rich_help_panel="Air hockey")
@@ -57,7 +58,7 @@ def play(
     quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends."""
-    from airpuck.arena.page import ArenaSettings
+    from airpuck.web.page import ArenaSettings
 
     if live:
         if no_page:
@@ -67,11 +68,12 @@ def play(
         page = None if no_page else ArenaSettings(port, interface, not no_browser)
         _play_live(model, settings, level, seed, on_graph, page, json_file)
         return
-    for name, given in {"--domain": domain, "--mapping": mapping, "--no-page": no_page}.items():
-        if given:
+    alone = {"--domain": domain, "--mapping": mapping, "--no-page": no_page or None}
+    for name, given in alone.items():
+        if given is not None:
             raise InputError("is for --live, which is not given", field=name)
-    from airpuck.arena.session import play_in_browser
     from airpuck.compute.process import low_latency
+    from airpuck.web.session import play_in_browser
 
     arena = ArenaSettings(port, interface, not no_browser, duration)
     craft, table = inputs.read_belief(model), inputs.read_twin(settings)
@@ -85,6 +87,9 @@ def play(
         f"{figures['behind_real_time_ms']['max']:.1f} ms",
         quiet=quiet,
     )
+    if figures["page_server_ended"]:
+        print("airpuck: the page server has ended, and the game with it", file=sys.stderr)
+        raise Exit(1)
 
 
 def _play_live(
@@ -97,8 +102,6 @@ def _play_live(
     json_file: Path | None,
 ) -> None:
     """Fly the player behind the guard, on the left half of the table; perhaps with a page."""
-    from airpuck.arena.live_page import LivePage, live_hello
-    from airpuck.arena.page import invite, served
     from airpuck.compute.process import low_latency
     from airpuck.craft.table import AirHockey
     from airpuck.hockey.level import LEVELS
@@ -106,6 +109,8 @@ def _play_live(
     from airpuck.live.fly import Spectator, fly_live
     from airpuck.live.safety import half_of
     from airpuck.live.score import NAMES, Score
+    from airpuck.web.live_page import LivePage, live_hello
+    from airpuck.web.page import invite, served
 
     craft, table = inputs.read_belief(model), inputs.read_twin(settings) or AirHockey()
     low_latency()

@@ -18,12 +18,12 @@ from jaxtyping import Float
 from airpuck.compute.process import prioritize
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+from airpuck.flight.clock import LoopTiming
 from airpuck.flight.link import Kind, Measurement
 from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
 from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
-from airpuck.live.clock import LoopTiming
 from airpuck.live.plan import PlanOutbox
 from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
 from airpuck.live.safety import Guard, GuardedPilot, Limits, played

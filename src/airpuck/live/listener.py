@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from airpuck.live.clock import Every
+from airpuck.flight.clock import Every
 from airpuck.live.graph import Endpoint, Graph, Quality, Sample, Subscription
 from airpuck.recording.cdr import Types, flatten
 from airpuck.recording.message import command_type, definitions

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.live.clock import Clock, Every, StampClock
+from airpuck.flight.clock import Clock, Every, StampClock
 from airpuck.live.dds import LEASE, domain_config, domain_id
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, STATE, Endpoint, Graph, Quality

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from airpuck.boundary.outputs import check_output, unwritable
-from airpuck.live.clock import Every
+from airpuck.flight.clock import Every
 from airpuck.live.listener import Listener
 from airpuck.live.process import LiveSettings, Process
 from airpuck.recording.bag_writer import BagFile

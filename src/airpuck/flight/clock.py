@@ -73,6 +73,23 @@ class Every:
         return True
 
 
+class TokenBucket:
+    """A rate limit: `rate` tokens per second are earned, and at most `burst` are kept."""
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate, self._burst = rate, burst
+        self._left, self._counted = burst, -math.inf
+
+    def take(self, now: float) -> bool:
+        """Spend a token at a time [s]; return whether there was one."""
+        earned = self._rate * (now - self._counted)
+        self._left, self._counted = min(self._burst, self._left + earned), now
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
+
+
 class StampClock:
     """Brings the stamps of one sender to the receiver's clock.
 

@@ -8,8 +8,8 @@ import socket
 import struct
 from typing import Any
 
-from airpuck.arena.address import listen
-from airpuck.arena.server import ORDER, serve
+from airpuck.web.address import listen
+from airpuck.web.server import ORDER, PATIENCE, serve
 
 
 def free_port() -> int:
@@ -22,12 +22,13 @@ def free_port() -> int:
 class Arena:
     """A server, and the game's end of its pipe."""
 
-    def __init__(self, hello: dict[str, Any]) -> None:
+    def __init__(self, hello: dict[str, Any], patience: float = PATIENCE) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, far = context.Pipe()
         with listen(None, 0) as listening:
             self.port = listening.getsockname()[1]
-            self.process = context.Process(target=serve, args=(far, listening, "127.0.0.1", hello))
+            arguments = far, listening, "127.0.0.1", hello, patience
+            self.process = context.Process(target=serve, args=arguments)
             self.process.start()
         far.close()
 

@@ -10,12 +10,12 @@ import threading
 import pytest
 
 import airpuck
-from airpuck.arena import match_page
-from airpuck.arena.match_page import watch_in_browser
-from airpuck.arena.page import ArenaSettings
 from airpuck.hockey.contestant import contestant
 from airpuck.hockey.game import Game
 from airpuck.hockey.rules import Rules
+from airpuck.web import match_page
+from airpuck.web.match_page import watch_in_browser
+from airpuck.web.page import ArenaSettings
 
 from .arena import free_port
 

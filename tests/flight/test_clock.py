@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.live.clock import Clock, Histogram, LoopTiming, StampClock
+from airpuck.flight.clock import Clock, Histogram, LoopTiming, StampClock
 
 RNG = np.random.default_rng(1)
 

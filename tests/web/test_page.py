@@ -17,13 +17,13 @@ import pytest
 from PIL import Image
 
 import airpuck
-from airpuck.arena.live_page import live_hello
-from airpuck.arena.messages import packed_state
-from airpuck.arena.page import hello_of
-from airpuck.arena.server import NEWS, STATE, THOUGHT
 from airpuck.craft.table import Mallet, Table
 from airpuck.twin.play import HandMallet
 from airpuck.twin.settings import default_twin_settings
+from airpuck.web.live_page import live_hello
+from airpuck.web.messages import packed_state
+from airpuck.web.page import hello_of
+from airpuck.web.server import NEWS, STATE, THOUGHT
 
 from .arena import Arena
 

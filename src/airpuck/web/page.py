@@ -14,9 +14,6 @@ from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import Any
 
-from airpuck.arena.address import listen
-from airpuck.arena.messages import Wish, packed_state, read_message
-from airpuck.arena.server import NEWS, STATE, THOUGHT, WISH, serve
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
@@ -26,6 +23,9 @@ from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
 from airpuck.report.table_canvas import COLORS, craft_shape, hockey_shape
+from airpuck.web.address import listen
+from airpuck.web.messages import Wish, packed_state, read_message
+from airpuck.web.server import NEWS, STATE, THOUGHT, WISH, serve
 
 #: Steps from one thought that is shown to the next.
 _THOUGHTS_EVERY = 3
@@ -66,21 +66,23 @@ class ArenaSettings:
 class Pages:
     """The pages of a game: all that is said to them, and what they ask for.
 
-    Where `waits` is false, what they have no time for is dropped: whoever speaks must go on.
+    Where `waits` is false, messages that do not fit into the pipe are dropped: the caller is a
+    control loop. When the page server ends, `lost` is set, and all else has no effect.
     """
 
     def __init__(self, pipe: Connection, *, waits: bool = True, url: str = "") -> None:
         self._pipe, self._waits, self.url = pipe, waits, url
         self._status: dict[str, Any] = {}
         self._thoughts = 0
-        #: Whether anybody wants to see thoughts.
+        #: Whether any page shows thoughts.
         self.thinks = False
+        #: Whether the page server has ended.
+        self.lost = False
 
     def hear(self) -> tuple[list[dict[str, Any]], Wish | None]:
-        """Return what the pages ask for: orders, and the newest place of the mallet, if any."""
+        """Return what the pages ask for: orders, and the newest wish, if any."""
         orders, wish = [], None
-        while self._pipe.poll():
-            message = self._pipe.recv_bytes()
+        while (message := self._receive()) is not None:
             if message[:1] == WISH:
                 wish = read_message(message[1:])
                 continue
@@ -96,27 +98,38 @@ class Pages:
         self._send(STATE + state)
 
     def say(self, news: dict[str, Any]) -> bool:
-        """Say something; return whether they are told."""
+        """Send an event or a status; return whether it was sent."""
         return self._send(NEWS + json.dumps(news).encode())
 
     def say_status(self, phase: str, score: tuple[int, int], level: str) -> None:
-        """Say how the game stands, if that has changed."""
+        """Send the status of the game if it has changed."""
         status = {"is": "status", "phase": phase, "score": list(score), "level": level}
         if status != self._status and self.say(status):
             self._status = status
 
     def think(self, player: Player, time: float) -> None:
-        """Say what the craft thinks, now and then, to those who want to see it."""
+        """Send every third thought of the craft if any page shows thoughts."""
         self._thoughts = (self._thoughts + 1) % _THOUGHTS_EVERY
         if self.thinks and not self._thoughts:
             self._send(THOUGHT + json.dumps(thought_of(player, time)).encode())
 
+    def _receive(self) -> bytes | None:
+        """Return the next message of the page server, or None."""
+        try:
+            return self._pipe.recv_bytes() if not self.lost and self._pipe.poll() else None
+        except (EOFError, OSError):
+            self.lost = True
+            return None
+
     def _send(self, message: bytes) -> bool:
-        """Send a message; return whether it is sent."""
-        if not self._waits and not select.select([], [self._pipe], [], 0)[1]:
-            return False
-        self._pipe.send_bytes(message)
-        return True
+        """Send a message; return whether it was sent."""
+        try:
+            if self.lost or not (self._waits or select.select([], [self._pipe], [], 0)[1]):
+                return False
+            self._pipe.send_bytes(message)
+        except OSError:
+            self.lost = True
+        return not self.lost
 
 
 @contextmanager

@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from airpuck.live.same_origin import refusal, same_origin_only
+from airpuck.web.same_origin import refusal, same_origin_only
 
 PORT = "8080"
 
@@ -39,6 +39,20 @@ PORT = "8080"
         ("localhost.evil.example", None, "127.0.0.1", False),
         ("", None, "0.0.0.0", False),
         ("[::1", None, "127.0.0.1", False),
+        # What only begins like an address, or hides one.
+        ("[::1].evil", None, "127.0.0.1", False),
+        ("[::1].evil.example:8080", "http://[::1].evil.example:8080", "127.0.0.1", False),
+        ("[::1]evil.example", None, "127.0.0.1", False),
+        ("evil.example[::1]", None, "127.0.0.1", False),
+        ("[127.0.0.1]@evil.example", None, "127.0.0.1", False),
+        ("127.0.0.1@evil.example", None, "127.0.0.1", False),
+        ("127.0.0.1:80:evil.example", None, "127.0.0.1", False),
+        ("127.0.0.1:x", None, "127.0.0.1", False),
+        ("127.0.0.1/evil.example", None, "127.0.0.1", False),
+        ("127.0.0.1 evil.example", None, "127.0.0.1", False),
+        ("[localhost]", None, "127.0.0.1", False),
+        ("[::1]", None, "127.0.0.1", True),
+        ("[2001:db8::7]:8080", None, "::", True),
     ],
 )
 def test_who_is_refused(host, origin, served, allowed):
@@ -57,7 +71,7 @@ def test_headers_given_twice_or_not_at_all():
 def port():
     """A page of viser's, guarded; nothing of airpuck's is on it."""
     pytest.importorskip("viser")
-    from airpuck.live.view import _served
+    from airpuck.web.view import _served
 
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.arena.messages import LONGEST, Order, Wish, packed_state, packed_wish, read_message
+from airpuck.web.messages import LONGEST, Order, Wish, packed_state, packed_wish, read_message
 
 
 def test_a_wish_as_the_page_writes_it():

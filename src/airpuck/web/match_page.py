@@ -5,7 +5,11 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from airpuck.arena.page import (
+from airpuck.flight.clock import Clock
+from airpuck.hockey.game import Game
+from airpuck.hockey.player import Player
+from airpuck.model.model_file import Model
+from airpuck.web.page import (
     ArenaSettings,
     Pages,
     hello_of,
@@ -14,10 +18,6 @@ from airpuck.arena.page import (
     served,
     state_of,
 )
-from airpuck.hockey.game import Game
-from airpuck.hockey.player import Player
-from airpuck.live.clock import Clock
-from airpuck.model.model_file import Model
 
 #: After the end the page shows who has won [s].
 _END = 3.0
@@ -41,24 +41,21 @@ def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any =
     ------
     InputError
         If websockets is not installed, or the address is not free.
-    RuntimeError
-        If the process that serves the page has ended.
     """
     names, kinds = ([getattr(side, what) for side in game.sides] for what in ("name", "kind"))
     hello = hello_of(model, game.settings)
     hello |= {"live": True, "levels": [], "names": names, "sides": kinds}
-    try:
-        with served(arena, hello) as pages:
-            pages.say_status("watch", game.score, "")
-            invite(pages, arena, tell, "Watch")
-            _show(game, pages)
-    except (EOFError, OSError) as error:
-        raise RuntimeError("the server of the page has ended") from error
+    with served(arena, hello) as pages:
+        pages.say_status("watch", game.score, "")
+        invite(pages, arena, tell, "Watch")
+        _show(game, pages)
+        if pages.lost:
+            tell("The page server has ended; the game was played to its end without a page.")
 
 
 def _show(game: Game, pages: Pages) -> None:
     """Play a game to its end, and show it."""
-    while not pages.hear()[0]:  # the first page sits down
+    while not pages.hear()[0] and not pages.lost:  # the first page sits down
         time.sleep(0.02)
     thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
     clock, began = Clock(), game.time
@@ -75,5 +72,7 @@ def _show(game: Game, pages: Pages) -> None:
         pages.hear()
         if thinker is not None:
             pages.think(thinker, game.time)
-        clock.sleep_until(game.time - began)
-    time.sleep(_END)
+        if not pages.lost:
+            clock.sleep_until(game.time - began)
+    if not pages.lost:
+        time.sleep(_END)

@@ -1,6 +1,7 @@
-"""The page's server, a process of its own, so that no browser can hold up the physics.
+"""The page server: a process of its own, so that no browser can hold up the physics.
 
-The first page that comes has the seat: its mallet plays. All others watch, until the seat is free.
+The first page that connects takes the seat, and its mallet plays. All others are spectators until
+the seat is free.
 """
 
 from __future__ import annotations
@@ -18,102 +19,104 @@ from importlib import resources
 from multiprocessing.connection import Connection
 from typing import Any
 
-from airpuck.arena.messages import LONGEST, Order, Wish, packed_wish, read_message
-from airpuck.live.same_origin import refusal
+from airpuck.flight.clock import TokenBucket
+from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
+from airpuck.web.same_origin import refusal
 
-#: What is served: the file and its type.
+#: Files by path, with their types.
 _FILES = {
     "/": ("play.html", "text/html"),
     "/play.css": ("play.css", "text/css"),
     "/play.js": ("play.js", "text/javascript"),
     "/table_canvas.js": ("table_canvas.js", "text/javascript"),
 }
-#: Nothing comes from elsewhere, and no other site may show the page as part of its own.
+#: The page loads nothing from other sites, and no other site may embed it.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
     "frame-ancestors 'none'"
 )
-#: Pages at a time; a class may watch.
+#: Pages at a time; a whole class may watch.
 _PAGES = 32
-#: A page sends a message for each move of the pointer: at most so many [1/s], so many at once.
+#: Rate limit of each page's messages [1/s], and its burst; a mouse reports at most 125 Hz to 1 kHz.
 _RATE, _BURST = 500.0, 500.0
-#: News that wait for a page; older ones are dropped.
-_NEWS = 64
-#: What the system may keep of what was sent [bytes]: more would only be late.
+#: Events that wait for a slow page; older ones are dropped.
+_EVENTS = 64
+#: Send buffer of the system [bytes]: states in a larger one would only be late.
 _SENT = 16_384
-#: Orders of the player that may wait for the game, while it makes a new one.
+#: Orders that may wait for the game while it starts a new one.
 _ORDERS = 32
-#: A page that does not answer for so long is gone [s].
-_PATIENCE = 4.0
-#: Kinds of messages from the game, and to it, by their first byte.
+#: Timeout of a page that reads nothing or answers no ping, such as a phone that fell asleep [s].
+PATIENCE = 4.0
+#: Kinds of messages from the game and to the game: the first byte of each.
 STATE, NEWS, THOUGHT, WISH, ORDER = b"S", b"N", b"T", b"W", b"O"
 
+_log = logging.getLogger("airpuck.web")
 
-def serve(pipe: Connection, listening: socket.socket, host: str, hello: dict[str, Any]) -> None:
+
+def serve(
+    pipe: Connection,
+    listening: socket.socket,
+    host: str,
+    hello: dict[str, Any],
+    patience: float = PATIENCE,
+) -> None:
     """Serve pages until the other end of the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the game ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the game closes the pipe after Ctrl-C
     with contextlib.suppress(BrokenPipeError, EOFError):
-        asyncio.run(_Server(pipe, host, hello).run(listening))
+        asyncio.run(_Server(pipe, host, hello, patience).run(listening))
 
 
 class _Page:
-    """A page that is connected: what waits for it, and how much it may still send."""
+    """A connected page: messages that wait for it, and its rate limit."""
 
-    def __init__(self, websocket: Any) -> None:
-        self.websocket = websocket
+    def __init__(self, websocket: Any, patience: float) -> None:
+        self.websocket, self._patience = websocket, patience
         self.thinks = False
-        self._state: bytes | None = None
-        self._thought: str | None = None
-        self._news: deque[str] = deque(maxlen=_NEWS)
+        #: The newest message of each kind of which older ones are worthless.
+        self._newest: dict[bytes, str | bytes] = {}
+        self._events: deque[str] = deque(maxlen=_EVENTS)
         self._waits = asyncio.Event()
-        self._left, self._counted = _BURST, time.monotonic()
+        self._limit = TokenBucket(_RATE, _BURST)
 
-    def show(self, state: bytes) -> None:
-        """Send a state, in place of one that has not left yet."""
-        self._state = state
-        self._waits.set()
-
-    def think(self, thought: str) -> None:
-        """Send a thought, in place of one that has not left yet."""
-        self._thought = thought
+    def show(self, kind: bytes, message: str | bytes) -> None:
+        """Send a state or a thought; it replaces an older one that has not left yet."""
+        self._newest[kind] = message
         self._waits.set()
 
     def tell(self, news: str) -> None:
-        """Send news."""
-        self._news.append(news)
+        """Send an event or a status."""
+        self._events.append(news)
         self._waits.set()
 
     async def send(self) -> None:
-        """Send what waits, as fast as the page takes it."""
+        """Send what waits, as fast as the page reads; raise TimeoutError if it does not read."""
         while True:
             await self._waits.wait()
             self._waits.clear()
-            while self._news:
-                await self.websocket.send(self._news.popleft())
-            for name in ("_state", "_thought"):
-                message = getattr(self, name)
-                setattr(self, name, None)
-                if message is not None:
+            while self._events or self._newest:
+                if self._events:
+                    message = self._events.popleft()
+                else:
+                    message = self._newest.pop(next(iter(self._newest)))
+                # The WebSocket's own keep-alive waits for the same full buffer, without a limit.
+                async with asyncio.timeout(self._patience):
                     await self.websocket.send(message)
 
     def may_send(self) -> bool:
-        """Count a message; return whether it is one too many."""
-        now = time.monotonic()
-        self._left = min(_BURST, self._left + _RATE * (now - self._counted)) - 1
-        self._counted = now
-        return self._left >= 0
+        """Return whether a message of the page is within its rate limit."""
+        return self._limit.take(time.monotonic())
 
 
 class _Server:
-    """All pages, and who of them plays."""
+    """All pages, and which of them plays."""
 
-    def __init__(self, pipe: Connection, host: str, hello: dict[str, Any]) -> None:
-        self._pipe, self._host = pipe, host
+    def __init__(self, pipe: Connection, host: str, hello: dict[str, Any], patience: float) -> None:
+        self._pipe, self._host, self._patience = pipe, host, patience
         self._hello, self._status = json.dumps({"is": "hello", **hello}), ""
         self._pages: list[_Page] = []
         self._player: _Page | None = None
         self._thinks = False
-        #: What waits for the game: it stands still while it makes a new one.
+        #: Orders that wait for the game, which takes none while it starts a new one.
         self._orders: deque[bytes] = deque()
         self._wish: bytes | None = None
         self._tells = False
@@ -137,7 +140,7 @@ class _Server:
                 loop.remove_reader(self._pipe.fileno())
                 ended.set()
 
-        quiet = logging.Logger("airpuck.arena", logging.CRITICAL + 1)
+        quiet = logging.Logger("airpuck.web", logging.CRITICAL + 1)
         async with serve(
             self._attend,
             sock=listening,
@@ -145,9 +148,9 @@ class _Server:
             compression=None,
             max_size=4 * LONGEST,
             write_limit=2048,
-            open_timeout=_PATIENCE,
-            ping_interval=_PATIENCE / 2,
-            ping_timeout=_PATIENCE,
+            open_timeout=self._patience,
+            ping_interval=self._patience / 2,
+            ping_timeout=self._patience,
             close_timeout=1,
             server_header=None,
             logger=quiet,
@@ -156,7 +159,7 @@ class _Server:
             await ended.wait()
 
     def _answer(self, connection: Any, request: Any) -> Any:
-        """Refuse other sites, serve files; None opens a WebSocket."""
+        """Reject other sites and serve files; None opens a WebSocket."""
         headers = request.headers
         why = refusal(headers.get_all("Host"), headers.get_all("Origin"), self._host)
         if why is not None:
@@ -167,7 +170,7 @@ class _Server:
                 return None
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "Too many pages.\n")
         if path not in self._files:
-            return connection.respond(HTTPStatus.NOT_FOUND, "There is no such file.\n")
+            return connection.respond(HTTPStatus.NOT_FOUND, "No such file.\n")
         body, kind = self._files[path]
         response = connection.respond(HTTPStatus.OK, body)
         del response.headers["Content-Type"]
@@ -178,38 +181,48 @@ class _Server:
         return response
 
     async def _attend(self, websocket: Any) -> None:
-        """Attend to a page until it leaves, or sends what no page of ours would."""
+        """Attend to a page until it leaves, stops reading, or sends what no page of ours would."""
+        from websockets.exceptions import ConnectionClosed
+
         own = websocket.transport.get_extra_info("socket")
         own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENT)
-        page = _Page(websocket)
+        page = _Page(websocket, self._patience)
         self._pages.append(page)
         page.tell(self._hello)
         if self._status:
             page.tell(self._status)
         self._seat(page)
-        sending = asyncio.create_task(page.send())
         try:
-            async for message in websocket:
-                asked = read_message(message) if page.may_send() else None
-                if asked is None:
-                    await websocket.close(1008, "not understood, or too much")
-                    break
-                self._obey(page, asked)
-        except Exception as error:
-            if not type(error).__module__.startswith("websockets"):
-                raise
+            async with asyncio.TaskGroup() as tasks:
+                sending = tasks.create_task(page.send())
+                await self._read(page)
+                sending.cancel()
+        except* ConnectionClosed:
+            pass
+        except* TimeoutError:
+            websocket.transport.abort()  # an orderly close would wait for the page
+        except* Exception:
+            _log.exception("the connection of a page failed")
         finally:
-            sending.cancel()
             self._pages.remove(page)
             self._leave(page)
 
+    async def _read(self, page: _Page) -> None:
+        """Obey a page until it leaves, exceeds its rate limit, or sends an invalid message."""
+        async for message in page.websocket:
+            asked = read_message(message) if page.may_send() else None
+            if asked is None:
+                await page.websocket.close(1008, "invalid message, or rate limit exceeded")
+                return
+            self._obey(page, asked)
+
     def _seat(self, page: _Page) -> None:
-        """Give a page the seat, if that is free."""
+        """Give a page the seat if the seat is free."""
         free = self._player is None
         if free:
             self._player = page
             self._order(b'{"do": "sit"}')
-        page.tell(json.dumps({"is": "role", "role": "player" if free else "watcher"}))
+        page.tell(json.dumps({"is": "role", "role": "player" if free else "spectator"}))
 
     def _leave(self, page: _Page) -> None:
         """Free the seat, if the page had it."""
@@ -234,32 +247,32 @@ class _Server:
             self._order(json.dumps(asked._asdict()).encode())
 
     def _count_thinkers(self) -> None:
-        """Let the game say what the craft thinks while any page shows it."""
+        """Tell the game to publish thoughts while any page shows them."""
         thinks = any(page.thinks for page in self._pages)
         if thinks != self._thinks:
             self._thinks = thinks
             self._order(json.dumps({"do": "think", "on": thinks}).encode())
 
     def _order(self, content: bytes) -> None:
-        """Give the game an order, as soon as it has room for it."""
+        """Send the game an order as soon as the pipe has room."""
         self._orders.append(ORDER + content)
         self._tell_game()
 
     def _tell_game(self) -> None:
-        """Tell the game what waits for it, when it has room: all orders, the newest wish."""
+        """Send all waiting orders and the newest wish as soon as the pipe has room."""
         if not self._tells:
             self._tells = True
             asyncio.get_running_loop().add_writer(self._pipe.fileno(), self._tell_next)
 
     def _tell_next(self) -> None:
-        """Tell the game one thing; it has room."""
+        """Send one waiting message; the pipe has room."""
         try:
             if self._orders:
                 self._pipe.send_bytes(self._orders.popleft())
             elif self._wish is not None:
                 self._pipe.send_bytes(self._wish)
                 self._wish = None
-        except OSError:  # it has ended, and whoever hears it will notice
+        except OSError:  # the game has ended; the reader of the pipe notices
             self._orders.clear()
             self._wish = None
         if not self._orders and self._wish is None:
@@ -267,17 +280,17 @@ class _Server:
             asyncio.get_running_loop().remove_writer(self._pipe.fileno())
 
     def _hear_game(self, message: bytes) -> None:
-        """Pass on what the game says."""
+        """Pass a message of the game on to the pages."""
         kind, content = message[:1], message[1:]
         if kind == STATE:
             for page in self._pages:
-                page.show(content)
+                page.show(STATE, content)
             return
         text = content.decode()
         if kind == THOUGHT:
             for page in self._pages:
                 if page.thinks:
-                    page.think(text)
+                    page.show(THOUGHT, text)
             return
         if json.loads(text).get("is") == "status":
             self._status = text

@@ -13,10 +13,6 @@ import numpy as np
 import pytest
 
 import airpuck
-from airpuck.arena.live_page import LivePage
-from airpuck.arena.messages import Wish, packed_wish
-from airpuck.arena.page import Pages
-from airpuck.arena.server import NEWS, ORDER, STATE, THOUGHT, WISH
 from airpuck.control.law import Step
 from airpuck.craft.table import AirHockey
 from airpuck.flight.link import Measurement
@@ -27,6 +23,10 @@ from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import LiveSettings, Process
 from airpuck.live.score import Score
 from airpuck.recording.message import StreamCodec
+from airpuck.web.live_page import LivePage
+from airpuck.web.messages import Wish, packed_wish
+from airpuck.web.page import Pages
+from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
 
 PLAY = AirHockey()
 IDLE = np.full(6, 0.03)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.flight.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.flight.health import HORIZON, Health
-from airpuck.live.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
 from airpuck.live.plan import NAME as PLAN
-from airpuck.live.scene import Wish
 from airpuck.live.watch import Observer
+from airpuck.web.scene import Wish
 
 if TYPE_CHECKING:
     import viser

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airpuck.live.scene import EYE, FIELD_OF_VIEW, LOOKS_AT, on_table
-from airpuck.live.view import Wishes
+from airpuck.web.scene import EYE, FIELD_OF_VIEW, LOOKS_AT, on_table
+from airpuck.web.view import Wishes
 
-from .processes import POSES, REFERENCES, Process, Watch
+from ..live.processes import POSES, REFERENCES, Process, Watch
 
 REACH = (1.0, 0.5)
 

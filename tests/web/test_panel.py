@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.flight.health import Deviations, Health
-from airpuck.live.panel import Gauge, gauges_html, health_html, plan_gauges, timing_gauges
+from airpuck.web.panel import Gauge, gauges_html, health_html, plan_gauges, timing_gauges
 
 
 class Balanced(HTMLParser):

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.arena.messages import packed_state
-from airpuck.arena.page import Pages, hello_of
 from airpuck.craft.table import AirHockey
+from airpuck.flight.clock import Every
 from airpuck.flight.link import Kind, Measurement
 from airpuck.flight.loop import Action
 from airpuck.flight.pilot import Pilot
 from airpuck.hockey.player import Player
-from airpuck.live.clock import Every
 from airpuck.live.process import Outbox, Process
 from airpuck.live.score import NAMES, Score
 from airpuck.model.model_file import Model
+from airpuck.web.messages import packed_state
+from airpuck.web.page import Pages, hello_of
 
 #: A pose is shown for so long; then its body is not seen [s].
 _SEEN = 0.15
@@ -42,7 +42,7 @@ class LivePage:
     """
 
     def __init__(self, pages: Pages, score: Score, level: str) -> None:
-        self._pages: Pages | None = pages
+        self._pages = pages
         self._score, self._level = score, level
         self._look = Every(_LOOK)
         self._seated = self._plays = False
@@ -67,14 +67,13 @@ class LivePage:
 
     def after(self, action: Action) -> None:
         """Hear the pages, and show them what is new; see `Spectator`."""
-        if self._pages is None:
+        if self._pages.lost:
             return
-        try:
-            self._hear(self._pages)
-            self._tell(self._pages, action)
-        except (EOFError, OSError):
-            self._pages = self._wanted = None
-            self._process.events.log("warning", "the server of the page has ended; it flies on")
+        self._hear(self._pages)
+        self._tell(self._pages, action)
+        if self._pages.lost:
+            self._wanted = None
+            self._process.events.log("warning", "the page server has ended; the flight goes on")
         if self._wanted is not None and self._plays:
             self._targets.send((*self._wanted, 0.0))
 

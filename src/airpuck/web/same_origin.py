@@ -8,15 +8,17 @@ its Host.
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import urlsplit
 
 #: What serves on all interfaces.
 _ANY = ("", "0.0.0.0", "::")
+#: A Host header: an IPv6 address in brackets, or a name or IPv4 address; then a port.
+_HOST = re.compile(r"(?:\[(?P<six>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(?::[0-9]{1,5})?")
 
 
 @contextmanager
@@ -67,18 +69,20 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], served: str) -> str | 
 
 
 def _is_ours(host: str, served: str) -> bool:
-    """Tell whether a Host is a number, loopback's name or ours: none that a name server invents.
+    """Return whether a Host header names an IP address, loopback or this server.
 
-    Its port may be another, that of a tunnel.
+    A name server cannot point an IP address at this machine. The port may differ, as in a tunnel.
     """
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-    except ValueError:
+    found = _HOST.fullmatch(host.lower())
+    if found is None:
         return False
+    six, name = found["six"], found["name"]
     own = {"localhost", served.lower()}
     if served in _ANY:
         own |= {socket.gethostname().lower(), socket.getfqdn().lower()}
     try:
-        return name in own or bool(ipaddress.ip_address(name))
+        return name in own or bool(
+            ipaddress.IPv6Address(six) if six else ipaddress.IPv4Address(name)
+        )
     except ValueError:
         return False

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from airpuck.arena.server import NEWS, ORDER, STATE, THOUGHT, WISH
-from tests.live.test_same_origin import websocket as opened
+from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
+from tests.web.test_same_origin import websocket as opened
 
 from .arena import Arena
 
@@ -85,11 +85,11 @@ def test_the_second_page_watches_until_the_seat_is_free(arena):
         assert news(first, "role")["role"] == "player"
         arena.hears("sit")
         with arena.page() as second:
-            assert news(second, "role")["role"] == "watcher"
+            assert news(second, "role")["role"] == "spectator"
             second.send(struct.pack("<Iff", 1, 0.5, 0.0))
             for deed in ("pause", "restart", "go", "sit"):
                 second.send(json.dumps({"do": deed}))
-            assert news(second, "role")["role"] == "watcher"  # the answer to "sit"
+            assert news(second, "role")["role"] == "spectator"  # the answer to "sit"
             first.send(struct.pack("<Iff", 3, 0.25, 0.5))
             assert arena.heard() == (WISH, (3, 0.25, 0.5))  # and nothing of the second's
             first.send('{"do": "pause"}')
@@ -219,6 +219,38 @@ def test_a_slow_page_gets_the_newest_state_not_a_queue(arena):
         assert late == sorted(late)
         # What the system and the client hold are some megabytes; all else was left out.
         assert len(late) < count / 4
+
+
+def asleep(port: int) -> socket.socket:
+    """A page that connects and then reads nothing, such as one on a phone that has fallen asleep."""
+    page = socket.create_connection(("127.0.0.1", port), timeout=5)
+    page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    page.sendall(
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+    )
+    return page
+
+
+@pytest.mark.parametrize("busy", [False, True], ids=["paused", "playing"])
+def test_a_page_that_falls_asleep_loses_its_seat(busy):
+    """Whether its buffer is full, so that no ping gets through, or it only answers none."""
+    arena = Arena(HELLO, patience=0.3)
+    try:
+        with asleep(arena.port), arena.page() as awake:
+            arena.hears("sit")
+            assert news(awake, "role")["role"] == "spectator"
+            deadline = time.monotonic() + 10
+            while not arena.pipe.poll(0.005):
+                assert time.monotonic() < deadline
+                if busy:
+                    arena.pipe.send_bytes(STATE + b"\0" * 30_000)
+                    awake.recv(timeout=5)
+            arena.hears("leave")
+            awake.send('{"do": "sit"}')
+            assert news(awake, "role")["role"] == "player"
+    finally:
+        arena.close()
 
 
 def test_it_ends_with_the_game(arena):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import gc
 import math
+import time
 from collections.abc import Sequence
 from typing import Any
 
-from airpuck.arena.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import prioritize
 from airpuck.control.reference import SetPoint
+from airpuck.flight.clock import Clock, Histogram, TokenBucket
 from airpuck.hockey.contestant import Contestant
 from airpuck.hockey.game import PERIOD, Game, GameEvent
 from airpuck.hockey.hand import GuidedHand
@@ -18,11 +19,14 @@ from airpuck.hockey.level import LEVELS
 from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Rules
 from airpuck.hockey.tactic import Intention, Tactic, View
-from airpuck.live.clock import Clock, Histogram
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.web.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 
+#: Rate limit of new games [1/s], and its burst: starting one stops the physics for 0.2 s. Orders
+#: that come meanwhile count as one.
+_GAMES_RATE, _GAMES_BURST = 1.0, 3.0
 #: Nobody is hurried at the page [s].
 _NO_LIMIT = 1e6
 #: Steps before a game, for what is slow the first time.
@@ -102,6 +106,9 @@ class Session:
         self._seated = self._runs = False
         self._heard = 0
         self._until_home = 0
+        #: Whether a new game is to run at once when it has started; None: no new game is wanted.
+        self._renewal: bool | None = None
+        self._renewals = TokenBucket(_GAMES_RATE, _GAMES_BURST)
         self._clock = Clock()
         #: How far the physics is behind real time, and how long a step takes [s].
         self._behind, self._took = Histogram(), Histogram()
@@ -112,9 +119,7 @@ class Session:
         try:
             self._run(math.inf if duration is None else duration)
         except KeyboardInterrupt:
-            pass  # that is how a person ends it
-        except (EOFError, OSError) as error:
-            raise RuntimeError("the server of the page has ended") from error
+            pass  # the usual end of a session
         return {
             "duration_s": self._clock.now,
             "games": self._games,
@@ -122,6 +127,7 @@ class Session:
             "periods": self._took.count,
             "step_ms": self._took.to_json(),
             "behind_real_time_ms": self._behind.to_json(),
+            "page_server_ended": self._pages.lost,
         }
 
     def _run(self, duration: float) -> None:
@@ -132,11 +138,11 @@ class Session:
         gc.freeze()
         clock.restart()
         due = 0.0
-        while clock.now < duration:
-            begun = self._games
+        while clock.now < duration and not self._pages.lost:
             self._hear()
-            if self._games != begun:
-                due = clock.now  # beginning a game takes a while
+            if self._renewal is not None and self._renewals.take(time.monotonic()):
+                self._renew(runs=self._renewal)
+                due = clock.now  # starting a game takes some 0.2 s
             events: Sequence[GameEvent] = ()
             if self._moves:
                 began = clock.now
@@ -154,7 +160,9 @@ class Session:
 
     @property
     def phase(self) -> str:
-        """``waiting`` (nobody is there), ``ready``, ``play``, ``paused`` or ``over``."""
+        """``starting``, ``waiting`` (for a player), ``ready``, ``play``, ``paused`` or ``over``."""
+        if self._renewal is not None:
+            return "starting"
         if not self._seated:
             return "waiting"
         if self._game.phase == "over":
@@ -171,6 +179,7 @@ class Session:
     def _begin(self) -> None:
         """Begin a new game; it waits for the player's word."""
         self._runs = self._begun = False
+        self._renewal = None
         self._hand = GuidedHand()
         self._games += 1
         self._game = Game(
@@ -210,28 +219,30 @@ class Session:
                 self._player.tactic = self._tactic
             case "leave":
                 self._leave()
-            case "pause":
-                self._runs = False
-            case "go":
-                self._runs = self._begun = True
+            case "pause" | "go" as deed:
+                self._runs = deed == "go"
+                self._begun = self._begun or self._runs
+                if self._renewal is not None:
+                    self._renewal = self._runs
             case "restart":
-                self._renew()
-                self._runs = self._begun = True
+                self._renewal = True
             case "level" if order["level"] in LEVELS:
-                self._level = order["level"]
-                self._renew()
+                self._level, self._renewal = order["level"], False
 
-    def _renew(self) -> None:
-        """Begin a new game, and tell the page that it takes a moment."""
+    def _renew(self, *, runs: bool) -> None:
+        """Start a new game; the page shows meanwhile that this takes a moment."""
         self._tell_status("starting")
         # The page and its server need not wait for the compiler.
         prioritize(first=False)
         self._begin()
+        self._runs = self._begun = runs
         prioritize(first=True)
 
     def _leave(self) -> None:
         """Let the craft go home: the player has left, but may come back."""
         self._seated = self._runs = False
+        if self._renewal is not None:
+            self._renewal = False
         if not self._begun or self._game.phase == "over":
             return
         self._player.tactic, self._until_home = GoHome(), _HOMEWARD

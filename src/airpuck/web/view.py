@@ -16,14 +16,14 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.live.clock import Every
-from airpuck.live.panel import Panel
+from airpuck.flight.clock import Every
 from airpuck.live.plan import NAME as PLAN
 from airpuck.live.process import LiveSettings, Outbox, Process
-from airpuck.live.same_origin import same_origin_only
-from airpuck.live.scene import Scene
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
+from airpuck.web.panel import Panel
+from airpuck.web.same_origin import same_origin_only
+from airpuck.web.scene import Scene
 
 NAME = "airpuck view"
 #: Time between pictures, and between gauges [s].
