@@ -222,7 +222,7 @@ def test_a_slow_page_gets_the_newest_state_not_a_queue(arena):
 
 
 def asleep(port: int) -> socket.socket:
-    """A page that connects and then reads nothing, such as one on a phone that has fallen asleep."""
+    """A page that connects and reads nothing, such as one on a phone that fell asleep."""
     page = socket.create_connection(("127.0.0.1", port), timeout=5)
     page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     page.sendall(

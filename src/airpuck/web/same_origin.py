@@ -81,8 +81,7 @@ def _is_ours(host: str, served: str) -> bool:
     if served in _ANY:
         own |= {socket.gethostname().lower(), socket.getfqdn().lower()}
     try:
-        return name in own or bool(
-            ipaddress.IPv6Address(six) if six else ipaddress.IPv4Address(name)
-        )
+        address = ipaddress.IPv6Address(six) if six else name in own or ipaddress.IPv4Address(name)
     except ValueError:
         return False
+    return bool(address)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
 import time
@@ -116,10 +117,8 @@ class Session:
 
     def run(self, duration: float | None = None) -> dict[str, Any]:
         """Play until the time is over; return the figures for ``--json``."""
-        try:
+        with contextlib.suppress(KeyboardInterrupt):  # the usual end of a session
             self._run(math.inf if duration is None else duration)
-        except KeyboardInterrupt:
-            pass  # the usual end of a session
         return {
             "duration_s": self._clock.now,
             "games": self._games,
