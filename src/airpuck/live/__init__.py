@@ -1,5 +1,4 @@
-"""Flying on a ROS 2 graph: twin, controller, recorder, watcher and viewer as processes.
+"""Flying on a ROS 2 graph: twin, controller, recorder and watcher as processes.
 
-Entry points: `graph.Graph`, `process.LiveSettings`, `fly.fly_live`, `twin.serve_twin`,
-`view.view_live`, `scene.Scene`.
+Entry points: `graph.Graph`, `process.LiveSettings`, `fly.fly_live`, `twin.serve_twin`.
 """

@@ -1,4 +1,4 @@
-"""A game of air hockey in the browser: page, server, and the game in real time.
+"""Pages in the browser, their server, and the game in real time.
 
-Entry points: `session.play_in_browser`, `match_page.watch_in_browser`.
+Entry points: `session.play_in_browser`, `match_page.watch_in_browser`, `view.view_live`.
 """
