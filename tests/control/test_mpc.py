@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import diffrax
 import jax
@@ -84,8 +85,10 @@ def closed_loop(
     return np.array(states), steps
 
 
-FREE = law()
-PLAN = FREE.law._plan
+@cache
+def free() -> TrackingController:
+    """One without limits, made at first use."""
+    return law()
 
 
 def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
@@ -94,7 +97,7 @@ def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
 
 def test_it_reaches_set_points_that_an_lqr_needs_longer_for():
     target, settled = np.array([0.6, -0.2, 2.8]), []
-    for ours in (FREE, TrackingController(MODEL, HOME)):
+    for ours in (free(), TrackingController(MODEL, HOME)):
         states, steps = closed_loop(ours, SetPoint(*target), 2.0, at_rest(-0.6, 0.2, 0.0))
         apart = np.abs(states[:, :3] - target)
         far = (np.hypot(*apart[:, :2].T) > 0.01) | (apart[:, 2] > 0.05)
@@ -127,7 +130,7 @@ def test_the_closed_loop_is_that_of_the_physics_by_another_integrator():
 
 
 def test_what_it_expects_is_what_comes():
-    states, steps = closed_loop(FREE, SetPoint(0.5, 0.1, 1.0), 0.6, at_rest(0.0, 0.0, 0.0))
+    states, steps = closed_loop(free(), SetPoint(0.5, 0.1, 1.0), 0.6, at_rest(0.0, 0.0, 0.0))
     ahead = steps[20].prediction
     assert ahead is not None
     k = round(ahead.times[4] / H)
@@ -156,7 +159,7 @@ def test_a_path_is_followed_without_lag():
     poses = np.stack([0.4 * np.sin(2 * times), 0.2 * np.sin(4 * times), times], axis=1)
     path = TimedPath(times, poses)
     start = np.concatenate([poses[0], np.zeros(3)])
-    states, _ = closed_loop(FREE, path, 2.0, start)
+    states, _ = closed_loop(free(), path, 2.0, start)
     wanted = np.array([path.at(k * H, 0.0).state for k in range(len(states))])
     # It begins at rest, and has caught up by then.
     assert np.abs(states[90:190, :2] - wanted[90:190, :2]).max() < 0.006
@@ -167,7 +170,7 @@ def test_a_rendezvous_is_kept(yaw):
     met = np.array([0.5, 0.15, 1.0, 0.4, -0.9, 0.0])
     precision = (0.002, 0.002, 0.05 if np.isfinite(yaw) else np.inf, 0.05, 0.05, np.inf)
     meeting = Rendezvous(0.9, met, precision=precision, then=SetPoint(0.0, 0.0, 0.0))
-    states, _ = closed_loop(FREE, meeting, 2.2, at_rest(-0.3, -0.2, 0.0))
+    states, _ = closed_loop(free(), meeting, 2.2, at_rest(-0.3, -0.2, 0.0))
     arrived = states[90]
     np.testing.assert_allclose(arrived[:2], met[:2], atol=0.004)
     np.testing.assert_allclose(arrived[3:5], met[3:5], atol=0.09)
@@ -201,7 +204,7 @@ def test_the_way_to_a_rendezvous_is_the_cheapest(sharp):
 
 
 def test_it_stops_before_rails_that_a_target_is_beyond():
-    states, steps = closed_loop(FREE, SetPoint(3.0, 0.0, 0.0), 1.5, at_rest(0.0, 0.0, 0.0))
+    states, steps = closed_loop(free(), SetPoint(3.0, 0.0, 0.0), 1.5, at_rest(0.0, 0.0, 0.0))
     border = Table().reach(MODEL.vehicle.radius_m)[0]
     assert states[:, 0].max() < border
     assert states[-1, 0] > border - 0.02
@@ -277,7 +280,11 @@ def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit():
     ours.law._solver.solve = lambda formed: None
     most = MODEL.vehicle.command_max
     for k in range(200):
-        ours.law._plan, ours.law._since, ours.law._answered = np.full_like(PLAN, most), 0.0, 0.0
+        ours.law._plan, ours.law._since, ours.law._answered = (
+            np.full_like(ours.law._plan, most),
+            0.0,
+            0.0,
+        )
         step = ours.steer(
             Estimate(0.0, at_rest(0.0, 0.0, 0.0), np.full(6, 0.3), np.zeros(3)), k * 5e-4
         )
@@ -302,8 +309,8 @@ anything = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-5, 5)
 def test_whatever_is_believed_commands_are_finite_and_within_limits(state, push):
     with np.errstate(all="ignore"):
         craft = Estimate(0.0, np.array(state), np.full(6, 0.3), np.array(push))
-        FREE.reference = SetPoint(0.4, 0.0, 1.0)
-        found = FREE.steer(craft, 0.0)
+        free().reference = SetPoint(0.4, 0.0, 1.0)
+        found = free().steer(craft, 0.0)
     assert np.isfinite(found.command).all()
     assert (found.command >= MODEL.vehicle.command_min).all()
     assert (found.command <= MODEL.vehicle.command_max).all()

@@ -71,15 +71,17 @@ class _Cells(HTMLParser):
         assert self.open.pop() == tag
 
 
-def shown() -> list[object]:
-    hostile = replace(uncertain(), source="<b>bag</b>")
-    trajectory = fly(M4, 1.0)
-    evaluation = airpuck.evaluate(M4, trajectory)
-    return [hostile, evaluation, trajectory, airpuck.present(hostile)]
+SHOWN = {
+    "model": lambda: replace(uncertain(), source="<b>bag</b>"),
+    "trajectory": lambda: fly(M4, 1.0),
+    "evaluation": lambda: airpuck.evaluate(M4, fly(M4, 1.0)),
+    "presentation": lambda: airpuck.present(replace(uncertain(), source="<b>bag</b>")),
+}
 
 
-@pytest.mark.parametrize("result", shown(), ids=lambda result: type(result).__name__)
-def test_results_show_in_a_notebook_in_a_line_and_as_a_table(result):
+@pytest.mark.parametrize("made", SHOWN.values(), ids=SHOWN)
+def test_results_show_in_a_notebook_in_a_line_and_as_a_table(made):
+    result = made()
     assert len(repr(result)) < 200 and "\n" not in repr(result)
     text = result._repr_html_()
     assert len(set(_Cells(text).rows)) == 1 and "<b>" not in text
