@@ -7,7 +7,6 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns import match_item
-from airpuck.campaigns.items import fingerprint
 from airpuck.campaigns.match import match
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import read_spec
@@ -69,12 +68,12 @@ def test_a_tactics_file_belongs_to_the_key_and_where_the_bag_goes_does_not(tmp_p
     file = tmp_path / "mine.py"
     file.write_text("class Mine: ...\n")
     name = f"{file}:Mine"
-    keys = [Match(left=name).key(fingerprint), Match(left=name, bag="games/1").key(fingerprint)]
+    keys = [Match(left=name).key(), Match(left=name, bag="games/1").key()]
     assert keys[0] == keys[1]
     file.write_text("class Mine: ... # better\n")
-    assert Match(left=name).key(fingerprint) != keys[0]
-    assert Match(left=f"{file}:Other").key(fingerprint) != Match(left=name).key(fingerprint)
-    assert Match().key(fingerprint) != Match(right="human:hard").key(fingerprint)
+    assert Match(left=name).key() != keys[0]
+    assert Match(left=f"{file}:Other").key() != Match(left=name).key()
+    assert Match().key() != Match(right="human:hard").key()
 
 
 def test_a_campaign_can_play(tmp_path):

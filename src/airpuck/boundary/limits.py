@@ -34,6 +34,9 @@ DEPTH = 32
 #: Whole numbers, as NumPy and other readers of TOML and JSON hold them [bits].
 INTEGER_BITS = 64
 
+#: Files and folders in a folder that is hashed: a recording has some, a user's package hundreds.
+FOLDER_FILES = 5_000
+
 #: Propellers of a craft: matrices of models grow with their square.
 PROPELLERS = 256
 
@@ -123,9 +126,9 @@ def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
 
 
 def read_text(
-    path: str | os.PathLike[str], most: int = TEXT_BYTES, *, encoding: str = "utf-8"
+    path: str | os.PathLike[str], most: int = TEXT_BYTES, *, encoding: str = "utf-8-sig"
 ) -> str:
-    """Read a whole file of text, if it is not too long."""
+    """Read a whole file of text, if it is not too long; editors put a mark before it."""
     try:
         return read_bytes(path, most).decode(encoding)
     except UnicodeDecodeError as error:

@@ -19,7 +19,8 @@ from airpuck import __version__
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import read_text
-from airpuck.boundary.outputs import replacing
+from airpuck.boundary.outputs import check_output, replacing
+from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry, read_spec
 from airpuck.campaigns.workers import Result, dispatch
 
@@ -89,7 +90,7 @@ def campaign(
     scheduler: str | None = None,
     workers: int | None = None,
     retry: bool = False,
-    progress: Callable[[int, int, int], None] = lambda done, of, failed: None,
+    progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> Campaign:
     """Run many independent flights or fits on Dask; what has a result already is not run again.
 
@@ -121,6 +122,7 @@ def campaign(
     if workers is not None:
         numbers.WORKERS.check(workers, "workers")
     entries, folder = read_spec(spec), Path(output)
+    check_output(folder, "folder", field="output")
     compute = partial(dispatch, scheduler=scheduler, workers=workers)
     done = completed(entries, folder, compute, retry=retry, progress=progress)
     done.write_table(folder / "results.csv")
@@ -130,26 +132,41 @@ def campaign(
 def completed(
     entries: Sequence[Entry],
     folder: Path,
-    compute: Callable[[list[Entry]], Iterable[tuple[Entry, Result]]],
+    compute: Callable[..., Iterable[tuple[Entry, Result]]],
     *,
     retry: bool = False,
-    progress: Callable[[int, int, int], None] = lambda done, of, failed: None,
+    progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> Campaign:
-    """Compute the items that have no result in a folder yet."""
+    """Compute the items that have no result in a folder yet.
+
+    `compute` takes entries, and ``tell`` for the share of one that is done, by its key.
+    """
     results = {}
     for entry in entries:
         result = read_result(folder, entry.key)
-        if result and (entry.item.is_kept() if result.failure is None else not retry):
+        if result and (_is_whole(entry.item, result) if result.failure is None else not retry):
             results[entry.key] = result
     missing = [entry for entry in entries if entry.key not in results]
     failed = sum(result.failure is not None for result in results.values())
     progress(len(results), len(entries), failed)
-    for entry, result in compute(missing) if missing else ():
+    shares: dict[str, float] = {}
+
+    def tell(key: str, share: float) -> None:
+        shares[key] = share
+        under_way = sum(part for k, part in shares.copy().items() if k not in results)
+        progress(len(results) + under_way, len(entries), failed)
+
+    for entry, result in compute(missing, tell=tell) if missing else ():
         write_result(folder, entry, result)
         results[entry.key] = result
         failed += result.failure is not None
         progress(len(results), len(entries), failed)
     return Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
+
+
+def _is_whole(item: Item, result: Result) -> bool:
+    """Return whether what an item wrote is there, as it wrote it."""
+    return item.written() in (None, result.written)
 
 
 def read_result(folder: Path, key: str) -> Result | None:

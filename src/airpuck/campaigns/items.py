@@ -10,22 +10,22 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
 from jaxtyping import Float
 
-from airpuck import __version__
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.boundary.numbers import Range
+from airpuck.campaigns.fingerprint import of_file, of_recording, program
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import evaluate
+from airpuck.hockey.contestant import PLAYERS
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
@@ -36,7 +36,6 @@ from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
 from airpuck.planning.minimal_time import Arrival, shortest_time
 from airpuck.preprocessing.pipeline import load_trajectory, preprocess
-from airpuck.recording.files import sha256
 from airpuck.twin.experiments import excite
 from airpuck.twin.fleet import fly_fleet
 from airpuck.twin.radio import as_received
@@ -93,6 +92,8 @@ Duration = Annotated[float, _within(numbers.FLIGHT_DURATION)]
 Hold = Annotated[float, _within(numbers.HOLD)]
 #: The class in FILE.py:NAME.
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
+#: Hashes what a name stands for.
+Fingerprint = Callable[[str], str]
 #: How much a craft differs from its model, at random; see `moved`.
 Spread = Fraction
 
@@ -100,8 +101,9 @@ Spread = Fraction
 class Item(Section):
     """Base of all kinds of items."""
 
-    #: Fields that name models or recordings: the content of these files belongs to the key.
-    SOURCES: ClassVar[tuple[str, ...]] = ()
+    #: Fields that name models, recordings or tactics, and how what they name is hashed: it belongs
+    #: to the key.
+    SOURCES: ClassVar[Mapping[str, Fingerprint]] = {}
 
     #: Of everything random in it.
     seed: Natural = 0
@@ -110,47 +112,48 @@ class Item(Section):
     def run(self) -> list[Row]:
         """Compute the item's figures."""
 
-    def is_kept(self) -> bool:
-        """Return whether what it wrote, besides its figures, is still there."""
-        return True
+    def told(self, tell: Callable[[float], None]) -> Item:
+        """Return an item that may tell, while it runs, which share of it is done."""
+        return self
 
-    def key(self, fingerprint: Callable[[str], str]) -> str:
-        """Hash the fields, the content of the files that they name, and our version."""
-        content = self.model_dump(mode="json")
-        for field in self.SOURCES:
+    def written(self) -> str | None:
+        """Hash what it wrote besides its figures; None where it writes nothing."""
+        return None
+
+    def key(self, known: dict[tuple[Fingerprint, str], str] | None = None) -> str:
+        """Hash the fields, the content of what they name, and our code.
+
+        Items that share `known` hash each file once.
+        """
+        content, known = self.model_dump(mode="json"), {} if known is None else known
+        for field, fingerprint in self.SOURCES.items():
             names = content[field] if isinstance(content[field], list) else [content[field]]
-            content[field] = [_identity(name, fingerprint) for name in names]
-        text = json.dumps([type(self).__name__, __version__, content], sort_keys=True)
+            content[field] = [_identity(name, fingerprint, known) for name in names]
+        text = json.dumps([type(self).__name__, program(), content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def is_file(name: str | None) -> bool:
     """Tell names of files from those of what comes with the package."""
-    return name is not None and name.partition(":")[0] not in ("paper", "airpuck", "human")
+    return name is not None and name.partition(":")[0] not in ("paper", *PLAYERS)
 
 
-def _identity(name: str | None, fingerprint: Callable[[str], str]) -> str | None:
+def _identity(
+    name: str | None, fingerprint: Fingerprint, known: dict[tuple[Fingerprint, str], str]
+) -> str | None:
     """Return what stands for a name in a key: of a file its content, and which class of it."""
     if name is None or not is_file(name):
         return name
-    attribute = _CLASS.search(name)
-    return fingerprint(name) + (attribute.group() if attribute else "")
-
-
-def fingerprint(name: str) -> str:
-    """Hash a file, all files in a folder, or the file of FILE.py:NAME."""
-    path = Path(_CLASS.sub("", name))
-    if not path.is_dir():
-        return sha256(path)
-    files = sorted(file for file in path.rglob("*") if file.is_file())
-    lines = [f"{file.relative_to(path)} {sha256(file)}" for file in files]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    attribute, file = _CLASS.search(name), _CLASS.sub("", name)
+    if (fingerprint, file) not in known:
+        known[fingerprint, file] = fingerprint(file)
+    return known[fingerprint, file] + (attribute.group() if attribute else "")
 
 
 class Flight(Item):
     """Base of items that fly a twin."""
 
-    SOURCES: ClassVar = ("truth",)
+    SOURCES: ClassVar = {"truth": of_file}
 
     #: What the twin is.
     truth: str = "paper:M3"
@@ -181,7 +184,7 @@ class Identification(Item):
 class Tracking(Flight):
     """One flight of the twin to the paper's set points, in closed loop."""
 
-    SOURCES: ClassVar = ("model", "truth")
+    SOURCES: ClassVar = {"model": of_file, "truth": of_file}
 
     truth: str = "paper:M4"
     #: What the controller believes.
@@ -240,7 +243,7 @@ class Recovery(Flight, Identification):
 class Fleet(Item):
     """A batch of craft that fly the same commands in open loop, beside one as the model says."""
 
-    SOURCES: ClassVar = ("model",)
+    SOURCES: ClassVar = {"model": of_file}
 
     model: str = "paper:M3"
     spread: Spread = 0.0
@@ -283,7 +286,11 @@ class Fleet(Item):
 class Fitting(Identification):
     """One fit to recordings; or `resamplings` of them, to data drawn with replacement."""
 
-    SOURCES: ClassVar = ("recordings", "validation", "vehicle")
+    SOURCES: ClassVar = {
+        "recordings": of_recording,
+        "validation": of_recording,
+        "vehicle": of_file,
+    }
 
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
     #: A recording to judge the fit on, by the paper's protocol.
@@ -322,7 +329,7 @@ class Fitting(Identification):
 
     def _load(self, name: str) -> Trajectory:
         vehicle = self.vehicle
-        return _trajectory(name, vehicle, fingerprint(name), vehicle and fingerprint(vehicle))
+        return _trajectory(name, vehicle, of_recording(name), vehicle and of_file(vehicle))
 
     def fit(self) -> Fit:
         """Identify, from where the seed says."""
@@ -345,7 +352,7 @@ class Fitting(Identification):
         """Fit to resampled data, each time from the fit to all."""
         # A frozen pydantic model has a hash, which the type checker does not see.
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
-        fit = _fit_to_all(whole, whole.key(fingerprint))
+        fit = _fit_to_all(whole, whole.key())
         model = fit.model
         estimates = resampled_estimates(fit, self.resamplings, seed=self.seed)
         return [_labelled(model, model.parameters.with_vector(e)) for e in estimates]
@@ -354,7 +361,7 @@ class Fitting(Identification):
 class ShortestTime(Item):
     """The shortest time from a moving craft to a place; the seed draws the yaw at the start."""
 
-    SOURCES: ClassVar = ("model",)
+    SOURCES: ClassVar = {"model": of_file}
 
     model: str = "paper:M3"
     distance_m: Annotated[float, pydantic.Field(ge=0, le=10)]
@@ -371,7 +378,7 @@ class ShortestTime(Item):
             [np.cos(self.direction_rad), np.sin(self.direction_rad)]
         )
         # Its program is built once for all items of a worker.
-        model = _planned(self.model, *(() if ":" in self.model else (fingerprint(self.model),)))
+        model = _planned(self.model, *(() if ":" in self.model else (of_file(self.model),)))
         time = shortest_time(model, self.distance_m, velocity.tolist(), float(yaw), self.arrival)
         return [{"time_s": time}]
 

@@ -7,14 +7,15 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.outputs import check_output
 from airpuck.campaigns.campaign import completed
-from airpuck.campaigns.items import Row, fingerprint
+from airpuck.campaigns.items import Row
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import Result, compute, dispatch
@@ -116,7 +117,7 @@ def match(
     rules: Rules | None = None,
     output: str | os.PathLike[str] | None = None,
     workers: int | None = None,
-    progress: Callable[[int, int, int], None] = lambda done, of, failed: None,
+    progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> MatchResult:
     """Let two players play each other.
 
@@ -140,7 +141,8 @@ def match(
     workers : int, optional
         Number of processes; by default as many as there are processors. One needs no Dask.
     progress : callable, optional
-        Called with the number of games that are played, of all, and of those that failed.
+        Called with the number of games that are played, those under way in part, the number of
+        all, and of those that failed.
 
     Returns
     -------
@@ -160,6 +162,8 @@ def match(
     for name in (left, right):
         contestant(name)
     read_model(model)
+    if output is not None:
+        check_output(output, "folder", field="output")
     item = Match(left=left, right=right, model=model, rules=rules or Rules())
     if settings is not None:
         item = item.model_copy(update={"twin": settings})
@@ -178,10 +182,10 @@ def match(
 
 def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
     """Yield a game for each seed."""
-    once = cache(fingerprint)
+    hashes: dict[Any, str] = {}
     for seed in seeds:
         game = item.model_copy(update={"seed": seed})
-        key = game.key(once)
+        key = game.key(hashes)
         if folder is not None:
             # Games of others may be kept in the same folder.
             bag = (folder / "games" / f"{seed}-{key[:8]}").absolute()
@@ -189,7 +193,9 @@ def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
         yield Entry(key, {}, game)
 
 
-def _here(entries: list[Entry]) -> Iterator[tuple[Entry, Result]]:
+def _here(
+    entries: list[Entry], tell: Callable[[str, float], None]
+) -> Iterator[tuple[Entry, Result]]:
     """Play one after the other."""
     for entry in entries:
-        yield entry, compute(entry.item)
+        yield entry, compute(entry.item, partial(tell, entry.key))

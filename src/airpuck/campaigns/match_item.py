@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import pydantic
 
+from airpuck.campaigns.fingerprint import of_code, of_file, of_recording
 from airpuck.campaigns.items import Item, Row, TwinTable
 from airpuck.compute.process import low_latency
 from airpuck.hockey.contestant import contestant
@@ -20,7 +23,7 @@ from airpuck.twin.settings import default_twin_settings
 class Match(Item):
     """One game of air hockey between two players."""
 
-    SOURCES: ClassVar = ("left", "right", "model")
+    SOURCES: ClassVar = {"left": of_code, "right": of_code, "model": of_file}
 
     #: Who plays; see `airpuck.hockey.contestant.contestant`.
     left: str = "airpuck"
@@ -32,9 +35,20 @@ class Match(Item):
     #: Folder to write the game to; no part of what is computed.
     bag: Annotated[str | None, pydantic.Field(exclude=True)] = None
 
-    def is_kept(self) -> bool:
-        """Tell whether the bag is there; see `Item.is_kept`."""
-        return self.bag is None or Path(self.bag).exists()
+    #: See `Item.told`.
+    _tell: Callable[[float], None] | None = None
+
+    def told(self, tell: Callable[[float], None]) -> Match:
+        """Return a game that tells how far it is; see `Item.told`."""
+        game = self.model_copy()
+        game._tell = tell
+        return game
+
+    def written(self) -> str | None:
+        """Hash the bag; see `Item.written`."""
+        if self.bag is None:
+            return None
+        return of_recording(self.bag) if Path(self.bag).exists() else ""
 
     def run(self) -> list[Row]:
         """Play; see `Item.run`."""
@@ -47,8 +61,9 @@ class Match(Item):
             model=read_model(self.model),
             seed=self.seed,
         )
-        game.play()
-        # The same game gives the same bag.
-        if self.bag is not None and not self.is_kept():
+        game.play(*([self._tell] if self._tell else []))
+        if self.bag is not None:
+            # Of an earlier run, which was interrupted or whose bag was damaged since.
+            shutil.rmtree(self.bag, ignore_errors=True)
             write_bag(game.recording(), self.bag)
         return [game.figures()]

@@ -8,7 +8,6 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,7 +24,6 @@ from airpuck.campaigns.items import (
     Recovery,
     ShortestTime,
     Tracking,
-    fingerprint,
     is_file,
 )
 from airpuck.campaigns.match_item import Match
@@ -78,8 +76,8 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
     if size > _MOST:
         problem = f"asks for {size} items, more than {_MOST}; draw fewer seeds, or split the grid"
         raise InputError(problem, file=path)
-    fingerprint_once = cache(fingerprint)
     entries: dict[str, Entry] = {}
+    hashes: dict[Any, str] = {}
     for values in itertools.product(*axes.values()):
         setting = dict(zip(axes, values, strict=True))
         content = spec.base
@@ -92,7 +90,7 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
         item = checked({**content, **sources}, kind, file=path)
         for seed in seeds:
             seeded = item.model_copy(update={"seed": seed})
-            key = seeded.key(fingerprint_once)
+            key = seeded.key(hashes)
             entries.setdefault(key, Entry(key, setting, seeded))
     return list(entries.values())
 

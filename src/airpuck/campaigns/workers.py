@@ -8,13 +8,14 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 import pydantic
 
-from airpuck import __version__
 from airpuck.boundary.errors import InputError
+from airpuck.campaigns.fingerprint import program
 from airpuck.campaigns.items import Item, Row
 from airpuck.campaigns.spec import Entry
 from airpuck.compute.process import Stopped, stop
@@ -23,6 +24,8 @@ from airpuck.compute.process import Stopped, stop
 DEADLY = 3
 #: How long a scheduler may take to answer, and then to have a worker [s].
 PATIENCE = 10.0
+#: Under which workers tell how far they are.
+_TOPIC = "airpuck-progress"
 _SETTINGS = {
     # A worker's death is no failure of its item yet.
     "distributed.scheduler.allowed-failures": DEADLY - 1,
@@ -38,6 +41,8 @@ class Result(pydantic.BaseModel):
     """What became of an item; a figure that is not finite is null in its file, and then nan."""
 
     rows: tuple[Row, ...]
+    #: Hash of what it wrote beside them.
+    written: str | None = None
     #: Why it failed.
     failure: str | None = None
     #: Time it took, unless its workers died [s].
@@ -45,20 +50,27 @@ class Result(pydantic.BaseModel):
 
 
 def dispatch(
-    entries: Iterable[Entry], *, scheduler: str | None = None, workers: int | None = None
+    entries: Iterable[Entry],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    tell: Callable[[str, float], None] = lambda key, share: None,
 ) -> Iterator[tuple[Entry, Result]]:
     """Compute items on workers, and yield each with its result, in any order.
 
-    No more items are under way than workers have threads, so that one that kills its worker puts
-    no other under suspicion.
+    What they tell of items under way goes to `tell`: key and share done. No more items are under
+    way than workers have threads, so that one that kills its worker puts no other under suspicion.
     """
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
     waiting, under_way = iter(entries), {}
     with _noting_interrupts(finished), _client(scheduler, workers) as client:
+        client.subscribe_topic(_TOPIC, lambda event: tell(*event[1]))
         while True:
             threads = max(1, sum(client.nthreads().values()))
             while len(under_way) < threads and (entry := next(waiting, None)) is not None:
-                future = client.submit(compute, entry.item, key=f"item-{entry.key}", pure=False)
+                told = partial(_tell, entry.key)
+                key = f"item-{entry.key}"
+                future = client.submit(compute, entry.item, told, key=key, pure=False)
                 under_way[future.key] = entry
                 future.add_done_callback(finished.put)
             if not under_way:
@@ -98,14 +110,23 @@ def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
             signal.signal(number, before[number])
 
 
-def compute(item: Item) -> Result:
+def compute(item: Item, tell: Callable[[float], None] = lambda share: None) -> Result:
     """Compute one item; runs on a worker."""
-    started, rows, failure = time.perf_counter(), (), None
+    started, rows, written, failure = time.perf_counter(), (), None, None
     try:
-        rows = tuple(item.run())
+        rows = tuple(item.told(tell).run())
+        written = item.written()
     except Exception as error:
         failure = _described(error)
-    return Result(rows=rows, failure=failure, wall_s=time.perf_counter() - started)
+    wall = time.perf_counter() - started
+    return Result(rows=rows, written=written, failure=failure, wall_s=wall)
+
+
+def _tell(key: str, share: float) -> None:
+    """Tell, on a worker, which share of an item is done."""
+    from distributed import get_worker
+
+    get_worker().log_event(_TOPIC, (key, share))
 
 
 def _described(error: BaseException) -> str:
@@ -163,23 +184,18 @@ def _ignore_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _version() -> str:
-    return __version__
-
-
 def _check_workers(client: Any, scheduler: str) -> None:
     """Refuse a cluster without workers, or with ones that would compute something else."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
-        versions = set(client.run(_version).values())
+        programs = set(client.run(program).values())
     except TimeoutError as error:
         why = "has no workers; start some, dask worker ADDRESS"
         raise _unusable(scheduler, why) from error
     except ImportError as error:
         raise _unusable(scheduler, f"its workers lack a package ({error})") from error
-    if versions - {__version__}:
-        others = ", ".join(sorted(versions))
-        raise _unusable(scheduler, f"its workers have airpuck {others}, here it is {__version__}")
+    if programs != {program()}:
+        raise _unusable(scheduler, "its workers run another airpuck; install the same there")
 
 
 def _unusable(scheduler: str, why: str) -> InputError:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,13 +16,16 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import console, report, say, show_counts, table
+from airpuck.cli.output import console, is_stdout, report, say, show_time_left, table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from airpuck.campaigns.match import MatchResult
     from airpuck.hockey.game import Game
+    from airpuck.hockey.rules import Rules
+    from airpuck.model.model_file import Model
+    from airpuck.twin.settings import TwinSettings
 
 #: Events that are told to who watches.
 _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
@@ -64,12 +66,8 @@ def match(
     quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other."""
-    from airpuck.compute.process import low_latency
-    from airpuck.hockey.contestant import contestant
-    from airpuck.hockey.game import Game
+    from airpuck.campaigns.match import MatchResult
     from airpuck.hockey.rules import Rules
-    from airpuck.web.match_page import watch_in_browser
-    from airpuck.web.page import ArenaSettings
 
     if page and not watch:
         raise InputError("is for --watch, which is not given", field="--page")
@@ -77,35 +75,54 @@ def match(
         raise InputError("is for --page, which is not given", field="--port")
     rules, settings = Rules(goals=goals, limit_s=limit), inputs.read_twin(twin)
     if watch:
-        if games > 1 or output is not None:
-            raise InputError("shows one game; leave --games and -o out", field="--watch")
-        players = contestant(left), contestant(right)
-        craft = inputs.read_belief(model)
-        low_latency()
-        game = Game(*players, settings=settings, rules=rules, model=craft, seed=seed)
-        if page:
-            arena = ArenaSettings() if port is None else ArenaSettings(port)
-            watch_in_browser(game, craft, arena, say(quiet))
-        else:
-            _watch(game)
-        score = "{} : {}".format(*game.score)
-        figures = {**game.figures(), "left": left, "right": right}
-        report(figures, json_file, *([f"{left} {score} {right}"] if page else []), quiet=quiet)
-        return
-    with show_counts("games", "{} of {} games played", quiet) as progress:
-        found = airpuck.match(
-            left,
-            right,
-            games,
-            seed=seed,
-            model=model,
-            settings=settings,
-            rules=rules,
-            output=output,
-            workers=workers,
-            progress=progress,
+        inputs.refuse_others(
+            match, "--watch", {"games": games, "output": output, "workers": workers}
         )
+        game, craft = _game(left, right, model, settings, rules, seed)
+        began = time.monotonic()
+        if page:
+            _show_page(game, craft, port, quiet)
+        else:
+            _watch(game, is_stdout(json_file), quiet)
+        found = MatchResult(left, right, (seed,), (game.figures(),), time.monotonic() - began)
+    else:
+        with show_time_left("games", quiet) as progress:
+            found = airpuck.match(
+                left,
+                right,
+                games,
+                seed=seed,
+                model=model,
+                settings=settings,
+                rules=rules,
+                output=output,
+                workers=workers,
+                progress=lambda done, of, failed: progress(done, of),
+            )
     report(found.to_json(), json_file, *_lines(found, output))
+
+
+def _game(
+    left: str, right: str, model: str, settings: TwinSettings | None, rules: Rules, seed: int
+) -> tuple[Game, Model]:
+    """Return the game of two players by their names, and what a craft is."""
+    from airpuck.compute.process import low_latency
+    from airpuck.hockey.contestant import contestant
+    from airpuck.hockey.game import Game
+
+    players = contestant(left), contestant(right)
+    craft = inputs.read_belief(model)
+    low_latency()
+    return Game(*players, settings=settings, rules=rules, model=craft, seed=seed), craft
+
+
+def _show_page(game: Game, craft: Model, port: int | None, quiet: bool) -> None:
+    """Show a game in the browser."""
+    from airpuck.web.match_page import watch_in_browser
+    from airpuck.web.page import ArenaSettings
+
+    arena = ArenaSettings() if port is None else ArenaSettings(port)
+    watch_in_browser(game, craft, arena, say(quiet))
 
 
 def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Path]:
@@ -141,22 +158,22 @@ def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Pa
         yield output / "games"
 
 
-def _watch(game: Game) -> None:
+def _watch(game: Game, error: bool, quiet: bool) -> None:
     """Show a game in the terminal, in real time, or as fast as it can be computed."""
     from rich.live import Live
 
     began, drawn = time.monotonic(), 0.0
-    with Live(console=console(), auto_refresh=False, transient=True) as live:
+    with Live(console=console(error), auto_refresh=False, transient=True) as live:
         while game.phase != "over":
             for event in game.step():
-                if event.kind in _TOLD:
+                if event.kind in _TOLD and not quiet:
                     side = {-1: "left", 0: "nobody", 1: "right"}[event.side]
                     left, right = game.score
                     live.console.print(
                         f"{event.time:6.1f} s  {event.kind.replace('_', ' '):8s} {side:6s}  "
                         f"{left} : {right}"
                     )
-            if game.time >= drawn and sys.stdout.isatty():
+            if game.time >= drawn and live.console.is_terminal:
                 drawn = game.time + _REDRAWN
                 live.update(_picture(game), refresh=True)
             time.sleep(max(0.0, began + game.time - time.monotonic()))

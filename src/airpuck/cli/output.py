@@ -66,14 +66,16 @@ def warn(warnings: Any, quiet: bool = False) -> None:
             show(f"warning: {warning}", error=True)
 
 
-def console() -> Console:
+def console(error: bool = False) -> Console:
     """Return where tables are printed; where that is no terminal, rows may be longer.
 
     Names such as [red] and :smile: stay as they are.
     """
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 160, markup=False, emoji=False)
+    file = sys.stderr if error else sys.stdout
+    width = None if file.isatty() else 160
+    return Console(file=file, width=width, markup=False, emoji=False)
 
 
 def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = False) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
+from airpuck.boundary.user_code import UserCode
 
 #: What callers may give for an array of one dimension.
 Numbers = Sequence[float] | np.ndarray
@@ -250,6 +251,63 @@ def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> 
     targets = [reference.at(now, each) for each in ahead.tolist()]
     states = np.stack([target.state for target in targets])
     return Course(states, np.stack([target.acceleration for target in targets]))
+
+
+class UserReference:
+    """A reference of a user's class, behind the boundary; a `Reference`."""
+
+    def __init__(self, own: Reference, code: UserCode) -> None:
+        self._own, self._code = own, code
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target; see `Reference.at`."""
+        return self._code.run(f"reference.at() at {now:.2f} s", self._at, now, ahead)
+
+    def asked(self, now: float) -> Float[np.ndarray, " 6"]:
+        """Return the state that is asked for now; see `asked`."""
+        what = f"reference.asked() at {now:.2f} s"
+        return self._code.run(what, lambda: _finite(asked(self._own, now), 6, "state"))
+
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        """Return the same at several times; see `course`."""
+        return self._code.run(f"reference.over() at {now:.2f} s", self._over, now, ahead)
+
+    def _at(self, now: float, ahead: float) -> Target:
+        target = self._own.at(now, ahead)
+        return Target(
+            _finite(target.state, 6, "state"), _finite(target.acceleration, 3, "acceleration")
+        )
+
+    def _over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
+        found, count = course(self._own, now, ahead), len(ahead)
+        states = _finite(found.states, (count, 6), "states")
+        accelerations = _finite(found.accelerations, (count, 3), "accelerations")
+        if not (found.arrival is None or isinstance(found.arrival, Arrival)):
+            raise InputError("must be an Arrival or None", field="arrival")
+        return Course(states, accelerations, found.arrival)
+
+
+def sheltered(reference: Reference, code: UserCode) -> Reference:
+    """Return a reference that a user's code gave: one of its own behind the boundary."""
+    if not isinstance(reference, Reference):
+        code.refuse("must give a reference, such as airpuck.SetPoint(-0.9, 0, 0)")
+    if type(reference) is Rendezvous:
+        then = sheltered(reference.then, code)
+        if then is reference.then:
+            return reference
+        time, state = reference.time, reference.state
+        return Rendezvous(time, state, precision=reference.precision, then=then)
+    ours = type(reference).__module__.startswith("airpuck.")
+    return reference if ours else UserReference(reference, code)
+
+
+def _finite(given: object, shape: int | tuple[int, ...], field: str) -> np.ndarray:
+    """Return finite numbers as an array of a shape, or refuse them."""
+    found = np.array(given, dtype=float)
+    shape = (shape,) if isinstance(shape, int) else shape
+    if found.shape != shape or not np.isfinite(found).all():
+        raise InputError(f"must be finite numbers of shape {shape}", field=field)
+    return found
 
 
 def _held(target: Target, count: int) -> Course:

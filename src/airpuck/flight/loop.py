@@ -14,7 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
 from airpuck.control.reference import asked
 from airpuck.flight.link import Link, Measurement
-from airpuck.flight.pilot import Pilot, check_pilot, checked_step
+from airpuck.flight.pilot import Pilot, called, check_pilot, checked_step
 
 #: Steps from one prediction that is kept, or sent to others, to the next.
 PREDICTIONS_EVERY = 10
@@ -138,7 +138,7 @@ def control(
             link.send(step.command)
         except InputError as error:
             problem = f"step() at {now:.2f} s: its command {error.problem}"
-            raise InputError(problem, field=f"pilot {type(pilot).__name__}") from error
+            raise InputError(problem, field=called(pilot)) from error
         pilot.sent(now, step.command)
         yield Action(due, now, step, wanted, took)
         k = max(k + 1, math.floor((link.now - start) / period))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.user_class import load_class
-from airpuck.control.law import Step
-from airpuck.control.reference import Reference, SetPoint
+from airpuck.boundary.user_code import UserCode
+from airpuck.control.law import Prediction, Step
+from airpuck.control.reference import Reference, SetPoint, sheltered
+from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
 #: Methods of a pilot, and how many arguments each is called with.
@@ -93,47 +95,102 @@ class Pilot(Protocol):
         """
 
 
+def called(pilot: Any) -> str:
+    """Return how messages call a pilot."""
+    return getattr(pilot, "called", f"pilot {type(pilot).__name__}")
+
+
 def check_pilot(pilot: Any) -> None:
     """Refuse what is no pilot, and name what it lacks."""
-    name = type(pilot).__name__
     reference = getattr(pilot, "reference", None)
     if not isinstance(reference, Reference):
         raise InputError(
             "must have a `reference`, such as airpuck.SetPoint(0, 0, 0); inherit from "
             "airpuck.Pilot for a default",
-            field=f"pilot {name}",
+            field=called(pilot),
         )
     for method, count in _METHODS.items():
         found = getattr(pilot, method, None)
         if not callable(found):
             raise InputError(
                 f"lacks {method}(); inherit from airpuck.Pilot, or see docs/control.md",
-                field=f"pilot {name}",
+                field=called(pilot),
             )
         try:
             inspect.signature(found).bind(*range(count))
         except TypeError:
             raise InputError(
                 f"{method}() must take {count} arguments beside self; see docs/control.md",
-                field=f"pilot {name}",
+                field=called(pilot),
             ) from None
 
 
 def checked_step(pilot: Any, step: Any) -> Step:
     """Return a pilot's step, or refuse one that is none."""
+    problem = _what_is_wrong(step)
+    if problem:
+        raise InputError(f"step() {problem}", field=called(pilot))
+    return step
+
+
+def _what_is_wrong(step: Any) -> str:
+    """Say why something is no step; an empty text where it is one."""
     if not isinstance(step, Step):
-        raise InputError(
-            f"step() must return airpuck.Step(command), not {type(step).__name__}",
-            field=f"pilot {type(pilot).__name__}",
-        )
+        return f"must return airpuck.Step(command), not {type(step).__name__}"
     try:
         np.asarray(step.command, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"step() gave a command that is no array of numbers: {error}",
-            field=f"pilot {type(pilot).__name__}",
-        ) from error
-    return step
+        return f"gave a command that is no array of numbers: {error}"
+    kinds = {"status": str, "estimate": Estimate | None, "prediction": Prediction | None}
+    for name, kind in kinds.items():
+        if not isinstance(getattr(step, name), kind):
+            return f"gave as {name} a {type(getattr(step, name)).__name__}"
+    return ""
+
+
+class UserPilot(Pilot):
+    """A pilot of a user's class, behind the boundary; a `Pilot`."""
+
+    def __init__(self, own: Any, code: UserCode) -> None:
+        self._own, self._code, self.called = own, code, code.name
+        for kind in ("puck", "mallet"):
+            if hasattr(own, kind):
+                setattr(self, kind, partial(self._run, kind))
+
+    @property
+    def reference(self) -> Reference:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What the craft is to track."""
+        own = self._code.run("reference", lambda: self._own.reference)
+        return sheltered(own, self._code)
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Take note of a pose; see `Pilot.pose`."""
+        self._run("pose", time, pose)
+
+    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
+        """Take note of an inertial measurement; see `Pilot.imu`."""
+        self._run("imu", time, acceleration, gyro)
+
+    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
+        """Take note of a velocity from the optical sensor; see `Pilot.mouse`."""
+        self._run("mouse", time, velocity)
+
+    def step(self, time: float) -> Step:
+        """Compute the command to send now; see `Pilot.step`."""
+        step = self._run("step", time)
+        problem = self._code.run(f"step() at {time:.2f} s", _what_is_wrong, step)
+        if problem:
+            self._code.refuse(f"step() at {time:.2f} s {problem}")
+        return step
+
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take note of the command that was really sent; see `Pilot.sent`."""
+        self._run("sent", time, command)
+
+    def _run(self, method: str, time: float, *given: Any) -> Any:
+        """Call a method of the user's object."""
+        called = f"{method}() at {time:.2f} s"
+        return self._code.run(called, lambda: getattr(self._own, method)(time, *given))
 
 
 #: Makes a pilot.
@@ -142,20 +199,12 @@ PilotMaker = Callable[[Model, Reference], Pilot]
 
 def pilot_maker(name: str) -> PilotMaker:
     """Return what makes a user's pilot, named FILE.py:NAME, from a model and a reference."""
-    kind = load_class(name, "--pilot")
+    code = UserCode(name, "--pilot")
 
     def make(model: Model, reference: Reference) -> Pilot:
-        try:
-            pilot = kind(model, reference)
-        # Whatever goes wrong in a user's class is for the user to mend.
-        except Exception as error:
-            raise InputError(
-                f"cannot be made from (model, reference): {type(error).__name__}: {error}",
-                file=name,
-                field="--pilot",
-            ) from error
-        check_pilot(pilot)
-        return pilot
+        pilot = code.run("cannot be made from (model, reference)", code.kind, model, reference)
+        code.run("is no pilot", check_pilot, pilot)
+        return UserPilot(pilot, code)
 
     # What flies is named by the class.
     make.__name__ = name.rpartition(":")[2]

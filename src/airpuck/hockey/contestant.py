@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.user_class import load_class
-from airpuck.control.reference import Reference
+from airpuck.boundary.user_code import UserCode
+from airpuck.control.reference import sheltered
 from airpuck.craft.table import AirHockey
 from airpuck.flight.pilot import Pilot
 from airpuck.hockey.hand import SKILLS, Hand, ScriptedHand
 from airpuck.hockey.level import LEVELS, Level
 from airpuck.hockey.player import Player
-from airpuck.hockey.tactic import Intention, Tactic, View
+from airpuck.hockey.tactic import Intention, Kind, Tactic, View
 from airpuck.model.model_file import Model
+
+#: First words of names that are no file.
+PLAYERS = ("airpuck", "human")
 
 
 @dataclass(frozen=True)
@@ -76,47 +79,42 @@ def contestant(name: str) -> Contestant:
 
 def tactic_maker(name: str) -> Callable[[], Tactic]:
     """Return what makes a user's tactic, named FILE.py:NAME."""
-    kind = load_class(name, "tactic")
+    code = UserCode(name, "tactic")
 
     def make() -> Tactic:
-        try:
-            tactic = kind()
-        # Whatever goes wrong in a user's class is for the user to mend.
-        except Exception as error:
-            problem = f"cannot be made without arguments: {type(error).__name__}: {error}"
-            raise InputError(problem, file=name) from error
-        if not isinstance(tactic, Tactic):
-            raise InputError("lacks decide(view); see docs/hockey.md", file=name)
-        return _Named(tactic, name)
+        tactic = code.run("cannot be made without arguments", code.kind)
+        if not code.run("is no tactic", isinstance, tactic, Tactic):
+            code.refuse("lacks decide(view); see docs/hockey.md")
+        return _UserTactic(tactic, code)
 
     return make
 
 
-class _Named:
-    """A user's tactic, whose failures name it: a `Tactic`."""
+class _UserTactic:
+    """A tactic of a user's class, behind the boundary; a `Tactic`."""
 
-    def __init__(self, tactic: Tactic, name: str) -> None:
-        self._tactic, self._name = tactic, name
+    def __init__(self, own: Tactic, code: UserCode) -> None:
+        self._own, self._code = own, code
 
     def decide(self, view: View) -> Intention:
         """Return what to do now; see `Tactic.decide`."""
-        try:
-            intention = self._tactic.decide(view)
-        except Exception as error:
-            problem = f"decide() at {view.time:.2f} s: {type(error).__name__}: {error}"
-            raise InputError(problem, file=self._name) from error
-        problem = _what_is_wrong(intention, view.time)
+        called = f"decide() at {view.time:.2f} s"
+        intention = self._code.run(called, self._own.decide, view)
+        if not isinstance(intention, Intention):
+            returned = type(intention).__name__
+            self._code.refuse(f"{called} must return an Intention, not {returned}")
+        reference = self._code.run(called, sheltered, intention.reference, self._code)
+        intention = self._code.run(called, lambda: replace(intention, reference=reference))
+        problem = self._code.run(called, _what_is_wrong, intention, view.time)
         if problem:
-            raise InputError(f"decide() at {view.time:.2f} s {problem}", file=self._name)
+            self._code.refuse(f"{called} {problem}")
         return intention
 
 
-def _what_is_wrong(intention: Any, time: float) -> str:
+def _what_is_wrong(intention: Intention, time: float) -> str:
     """Say why something is no intention; an empty text where it is one."""
-    if not isinstance(intention, Intention):
-        return f"must return an Intention, not {type(intention).__name__}"
-    if not isinstance(intention.reference, Reference):
-        return "must give a reference, such as airpuck.SetPoint(-0.9, 0, 0)"
+    if intention.kind not in get_args(Kind):
+        return f"gave as kind something else than {', '.join(get_args(Kind))}"
     numbers = {
         "reference": (intention.reference.at(time, 0.0).state, (6,)),
         "meet": (intention.meet, (3,)),
@@ -128,7 +126,7 @@ def _what_is_wrong(intention: Any, time: float) -> str:
             return f"gave as {name} something else than {shape[0]} finite numbers"
     path, chance = intention.path, intention.chance
     found = None if path is None else _finite(path)
-    if path is not None and (found is None or found.shape[1:] != (2,)):
+    if path is not None and (found is None or found.ndim != 2 or found.shape[1] != 2):
         return "gave as path something else than finite numbers of shape (N, 2)"
     if not (chance is None or isinstance(chance, Real)):
         return "gave as chance something else than a number"

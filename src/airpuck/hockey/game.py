@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -37,6 +37,8 @@ _ASIDE = 0.15
 _FOLLOWED = 3.0
 #: A craft that stays at a rail meets it anew after so long, or faster than this [s, m/s].
 _AGAIN, _SLIDES = 0.1, 0.05
+#: Time between reports of progress [s].
+_TOLD = 1.0
 #: A disc that touches the puck again within this is still in the same contact [s].
 _SAME = 0.2
 
@@ -251,10 +253,20 @@ class Game:
             self.events += events
         return events
 
-    def play(self) -> None:
-        """Play until the game is over."""
+    def play(self, progress: Callable[[float], None] = lambda share: None) -> None:
+        """Play until the game is over.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called every second of the game with the share of it that is over, at least.
+        """
+        rules, told = self.referee.rules, 0.0
         while self.phase != "over":
             self.step()
+            if self.time >= told + _TOLD:
+                told = self.time
+                progress(max(self.time / rules.limit_s, max(self.score) / rules.goals))
 
     def recording(self) -> Recording:
         """Return what a recorder on the network would have logged.

@@ -1,0 +1,99 @@
+"""Code of the user's own, named FILE.py:NAME, and the boundary around everything it does."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+from airpuck.boundary.errors import InputError
+
+Returned = TypeVar("Returned")
+
+
+class UserCode:
+    """A class, or another callable, in a Python file of the user's; making this runs the file.
+
+    Its code is called by `run`, so that no exception of its own ends this process, and nothing
+    that it prints gets between our results.
+    """
+
+    def __init__(self, name: str, option: str) -> None:
+        path, _, self._attribute = name.rpartition(":")
+        self._path, self._option = Path(path), option
+        #: FILE.py:NAME.
+        self.name = name
+        if self._path.suffix != ".py" or not self._attribute:
+            raise InputError("give FILE.py:NAME, such as my_pilot.py:Spring", field=option)
+        if not self._path.is_file():
+            raise InputError("there is no such file", file=path, field=option)
+        #: The class.
+        self.kind = self.run("cannot be imported", self._imported)
+        if not callable(self.kind):
+            raise InputError(f"has no class {self._attribute!r}", file=path, field=option)
+
+    def run(self, what: str, function: Callable[..., Returned], *given: Any) -> Returned:
+        """Call a function of the user's; what it prints goes to standard error.
+
+        Any exception becomes an `InputError` that begins with `what` and names file and line.
+        """
+        try:
+            with redirect_stdout(sys.stderr):
+                return function(*given)
+        # Of Ctrl-C and SIGTERM.
+        except KeyboardInterrupt:
+            raise
+        # `sys.exit` is no reason to end, either.
+        except BaseException as error:
+            if isinstance(error, InputError) and error.file == self.name:
+                raise
+            line = self._line(error)
+            where = f"line {line}: {what}" if line else what
+            raise self._error(f"{where}: {_described(error)}") from error
+
+    def refuse(self, problem: str) -> NoReturn:
+        """Raise an `InputError` that names the class."""
+        raise self._error(problem)
+
+    def _error(self, problem: str) -> InputError:
+        return InputError(problem, file=self.name, field=self._option)
+
+    def _imported(self) -> Any:
+        """Run the file; return what it calls by the name."""
+        specification = importlib.util.spec_from_file_location(
+            f"user_{self._path.stem}", self._path
+        )
+        assert specification is not None and specification.loader is not None
+        module = importlib.util.module_from_spec(specification)
+        # Dataclasses and pickles of the file look themselves up.
+        sys.modules[specification.name] = module
+        # Modules beside the file can be imported; at the end, so that none hides an installed one.
+        folder = str(self._path.absolute().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)
+        specification.loader.exec_module(module)
+        return getattr(module, self._attribute, None)
+
+    def _line(self, error: BaseException) -> int | None:
+        """Return the line of the file at which an exception left it, if it did."""
+        path = self._path.absolute()
+        if isinstance(error, SyntaxError) and error.filename and Path(error.filename) == path:
+            return error.lineno
+        frames = traceback.walk_tb(error.__traceback__)
+        lines = [line for frame, line in frames if Path(frame.f_code.co_filename) == path]
+        return lines[-1] if lines else None
+
+
+def _described(error: BaseException) -> str:
+    """Describe an exception, whose own description may fail."""
+    try:
+        text = str(error)
+    except BaseException:
+        text = "its message cannot be read"
+    if isinstance(error, InputError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

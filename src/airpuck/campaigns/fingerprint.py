@@ -1,0 +1,113 @@
+"""What a result depends on beside its item's fields: our code, the user's, and files."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+import sys
+import sysconfig
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import FOLDER_FILES, refused
+from airpuck.recording.files import sha256
+
+#: Not read, and written while code runs.
+_CACHE = "__pycache__"
+#: Where modules are installed, which belong to an environment and not to a user's code.
+_INSTALLED = tuple(Path(sysconfig.get_path(n)) for n in ("stdlib", "purelib", "platlib"))
+
+
+@cache
+def program() -> str:
+    """Hash this package: all of its files, whatever the version says."""
+    folder = Path(airpuck.__file__).parent
+    return _of(folder, (f for f in folder.rglob("*") if f.is_file() and _CACHE not in f.parts))
+
+
+def of_file(path: str | os.PathLike[str]) -> str:
+    """Hash a file."""
+    if Path(path).is_dir():
+        raise InputError("is a folder, and a file is wanted", file=path)
+    return sha256(path)
+
+
+def of_recording(path: str | os.PathLike[str]) -> str:
+    """Hash a file, or all files of a folder that may be a recording."""
+    folder = Path(path)
+    return _of(folder, _files(folder)) if folder.is_dir() else sha256(folder)
+
+
+def of_code(path: str | os.PathLike[str]) -> str:
+    """Hash a Python file with all modules that it imports and that are not installed."""
+    first = Path(path).absolute()
+    search = [str(first.parent), *sys.path]
+    sources: set[Path] = set()
+    waiting = {first}
+    while waiting:
+        source = waiting.pop()
+        sources.add(source)
+        for name in _imports(source):
+            waiting.update(set(_sources(name, search)) - sources)
+    return _of(first.parent, sources)
+
+
+def _imports(source: Path) -> set[str]:
+    """Return the packages and modules that a file names, by their first name."""
+    try:
+        tree = ast.parse(source.read_bytes())
+    # Who runs the code says what is wrong with it.
+    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
+        return set()
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module)
+    return {name.partition(".")[0] for name in names}
+
+
+@cache
+def _found(name: str, search: tuple[str, ...]) -> tuple[Path, ...]:
+    """Return the file of a module, or the folders of a package, in a search path."""
+    if name in sys.stdlib_module_names:
+        return ()
+    specification = PathFinder.find_spec(name, list(search))
+    if specification is None:
+        return ()
+    # Installed for development, we are outside of site-packages.
+    places = tuple(map(Path, specification.submodule_search_locations or ()))
+    return places or ((Path(specification.origin),) if specification.origin else ())
+
+
+def _sources(name: str, search: list[str]) -> Iterator[Path]:
+    """Yield the files of a module that is not installed; of a package all of them."""
+    for place in _found(name, tuple(search)):
+        installed = any(place.is_relative_to(folder) for folder in _INSTALLED)
+        if installed or place == Path(airpuck.__file__).parent:
+            continue
+        yield from (f for f in _files(place) if f.suffix == ".py") if place.is_dir() else (place,)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and those below it; refuse one that holds too many."""
+    seen = 0
+    for place, folders, names in os.walk(folder):
+        seen += len(names) + len(folders)
+        if seen > FOLDER_FILES:
+            remedy = "is it the right folder?"
+            raise refused("holds too many files", FOLDER_FILES, remedy, file=folder)
+        folders[:] = [name for name in folders if name != _CACHE]
+        yield from (Path(place, name) for name in names)
+
+
+def _of(folder: Path, files: Iterable[Path]) -> str:
+    """Hash files with their names as seen from a folder."""
+    lines = [f"{os.path.relpath(file, folder)} {sha256(file)}" for file in sorted(files)]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -1,0 +1,168 @@
+"""Whatever a user's tactic or pilot does becomes one line that names its file."""
+
+import json
+import sys
+
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.user_code import UserCode
+from airpuck.campaigns.match import match
+from airpuck.flight.pilot import pilot_maker
+from airpuck.hockey.rules import Rules
+from tests import command_line
+
+#: What code can do instead of its work.
+MISDEEDS = {
+    "exits": "sys.exit(0)",
+    "exits in words": "sys.exit('bye')",
+    "raises": "raise ValueError('no')",
+    "raises what nobody catches": "raise BaseException('no')",
+    "raises what cannot be shown": "raise Unspeakable",
+    "raises an error of ours": "airpuck.SetPoint('here', 0, 0)",
+    "never returns from itself": "forever()",
+    "stops a generator": "raise GeneratorExit",
+    "says nothing": "assert False",
+}
+COMMON = """
+import sys
+import numpy as np
+import airpuck
+
+class Unspeakable(Exception):
+    def __str__(self): raise SystemExit
+
+def forever(): return forever()
+
+def wrong():
+    print("here I am")
+    {misdeed}
+
+class Where:
+    {at}def at(self, now, ahead): wrong()
+    {asked}def asked(self, now): wrong()
+    {over}def over(self, now, ahead): wrong()
+    {fine}def at(self, now, ahead): return airpuck.SetPoint(-0.8, 0, 0).at(now, ahead)
+"""
+TACTIC = """
+class Mine:
+    def __init__(self):
+        {init}wrong()
+        self.where = {where}
+
+    def decide(self, view):
+        {decide}wrong()
+        return airpuck.Intention("home", self.where)
+"""
+PILOT = """
+class Mine(airpuck.Pilot):
+    def __init__(self, model, reference):
+        {init}wrong()
+        self.where = {where}
+
+    @property
+    def reference(self):
+        {reference}wrong()
+        return self.where
+
+    def step(self, time):
+        {step}wrong()
+        return airpuck.Step(np.full(6, 0.03))
+
+    def pose(self, time, pose):
+        {pose}wrong()
+
+    def sent(self, time, command):
+        {sent}wrong()
+"""
+RENDEZVOUS = "airpuck.Rendezvous(0.01, [-0.8, 0, 0, 0, 0, 0], then=Where())"
+
+
+class _Only(dict):
+    """Turns every line into a comment except for those of one place."""
+
+    def __missing__(self, key):
+        return "" if key in self["place"] else "pass  # "
+
+
+def written(folder, text, place, misdeed="raise ValueError('no')", where="Where()"):
+    """Write a file that misbehaves at one place, and return FILE.py:NAME."""
+    words = _Only(place=place.split(), misdeed=misdeed, where=where)
+    if "at" not in words["place"]:
+        words["place"].append("fine")
+    (folder / "mine.py").write_text((COMMON + text).format_map(words))
+    return f"{folder / 'mine.py'}:Mine"
+
+
+def one_line(error, name, capsys):
+    assert "\n" not in str(error.value)
+    assert name in str(error.value)
+    assert "line " in str(error.value)
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "here I am" in printed.err
+
+
+def flown(name):
+    airpuck.track(
+        airpuck.read_model("paper:M3"),
+        airpuck.SetPoint(0.1, 0.0, 0.0),
+        0.1,
+        make_pilot=pilot_maker(name),
+    )
+
+
+@pytest.mark.parametrize("misdeed", MISDEEDS.values(), ids=MISDEEDS)
+@pytest.mark.parametrize("place", ["init", "reference", "step", "pose", "sent"])
+def test_a_pilot_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
+    name = written(tmp_path, PILOT, place, misdeed)
+    with pytest.raises(InputError) as error:
+        flown(name)
+    one_line(error, name, capsys)
+
+
+@pytest.mark.parametrize("misdeed", MISDEEDS.values(), ids=MISDEEDS)
+@pytest.mark.parametrize("place", ["init", "decide"])
+def test_a_tactic_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
+    name = written(tmp_path, TACTIC, place, misdeed)
+    with pytest.raises(InputError) as error:
+        match(name, "human", rules=Rules(limit_s=0.1), workers=1)
+    one_line(error, name, capsys)
+
+
+@pytest.mark.parametrize("where", ["Where()", RENDEZVOUS])
+@pytest.mark.parametrize("place", ["at", "asked", "over"])
+def test_a_reference_that_misbehaves_is_one_line(tmp_path, capsys, place, where):
+    name = written(tmp_path, TACTIC, place, where=where)
+    with pytest.raises(InputError) as error:
+        match(name, "human", rules=Rules(limit_s=0.1), workers=1)
+    one_line(error, name, capsys)
+    if place == "at" and where == "Where()":
+        with pytest.raises(InputError) as error:
+            flown(written(tmp_path, PILOT, place))
+        one_line(error, name, capsys)
+
+
+@pytest.mark.parametrize("watch", [(), ("--watch",)])
+def test_an_exit_is_no_end_and_what_is_printed_is_no_json(tmp_path, watch):
+    name = written(tmp_path, TACTIC, "at", "sys.exit(0)")
+    ended = command_line.airpuck("match", "--left", name, "--limit", "0.1", "--json", "-", *watch)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert "SystemExit: 0" in ended.stderr.splitlines()[-1]
+    name = written(tmp_path, TACTIC, "decide", "pass")
+    ended = command_line.airpuck("match", "--left", name, "--limit", "0.1", "--json", "-", *watch)
+    assert json.loads(ended.stdout)["games"] == 1
+    assert "here I am" in ended.stderr
+
+
+def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
+    (tmp_path / "beside_it.py").write_text("number = 5\n")
+    (tmp_path / "json.py").write_text("1 / 0\n")
+    (tmp_path / "mine.py").write_text("import json\nimport beside_it\ndef mine(): return json\n")
+    try:
+        assert UserCode(f"{tmp_path / 'mine.py'}:mine", "--pilot").kind() is json
+    finally:
+        sys.path.remove(str(tmp_path))
+        del sys.modules["beside_it"]
