@@ -575,7 +575,8 @@ def order_for(
 
 def state_of_tests(package: str) -> str:
     """Return a hash of the tests."""
-    paths = [*sorted((ROOT / "tests" / package).rglob("*.py")), *sorted(ROOT.glob("tests/*.py"))]
+    shared = [*ROOT.glob("tests/*.py"), *ROOT.glob("tests/apparatus/*.py")]
+    paths = [*sorted((ROOT / "tests" / package).rglob("*.py")), *sorted(shared)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]
 
 

@@ -13,7 +13,9 @@ import hypothesis
 import jaxtyping
 import pytest
 
-from . import typechecker
+pytest.register_assert_rewrite("tests.apparatus")
+
+from .apparatus import typechecker  # noqa: E402
 
 # Compiled programs are kept from test to test and from process to process; they are found again by
 # their content, so an old one is never used for new code.
@@ -45,11 +47,7 @@ hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=No
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 jaxtyping.jaxtyped = typechecker.jaxtyped
-_hook = jaxtyping.install_import_hook("airpuck", "tests.typechecker.check")
-
-TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
-VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"
-BLUE = "2024_03_05-16_12_50_sysid_h1_blue"
+_hook = jaxtyping.install_import_hook("airpuck", "tests.apparatus.typechecker.check")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

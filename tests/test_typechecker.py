@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float, TypeCheckError
 
-from . import typechecker
+from .apparatus import typechecker
 
 
 @typechecker.jaxtyped(typechecker=typechecker.check)

@@ -12,8 +12,8 @@ import pytest
 from airpuck.boundary.limits import MIB
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.recording.torch_archive import read_authors_experiment
-from tests.boundary.refusals import GIB, refusal, written
-from tests.recording.test_torch_archive import archive
+from tests.apparatus.refusals import GIB, refusal, written
+from tests.apparatus.torch_archives import archive
 
 
 def zeros_deflated(size: int) -> bytes:

@@ -18,8 +18,8 @@ from airpuck.boundary.limits import (
 )
 from airpuck.boundary.parsing import load_json, load_toml, load_yaml
 from airpuck.recording.read import read_recording
-from tests.boundary.refusals import refusal, written
-from tests.recording.test_bag import rosbags_folder
+from tests.apparatus.bags import rosbags_folder
+from tests.apparatus.refusals import refusal, written
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ from pathlib import Path
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import MIB
 from airpuck.recording.read import read_recording
-from tests.boundary.refusals import little_memory
+from tests.apparatus.refusals import little_memory
 
 with little_memory(20 * MIB):
     try:

@@ -19,7 +19,7 @@ from airpuck.campaigns.items import Fleet
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import Result, compute
 
-from ..command_line import airpuck, refused
+from ..apparatus.commands import airpuck, refused
 
 ENTRIES = tuple(
     Entry(f"key{number}", {"spread": spread, "model": ["a", "b"]}, Fleet(seed=number))

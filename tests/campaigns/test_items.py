@@ -18,7 +18,7 @@ from airpuck.campaigns.items import (
 from airpuck.model.model_file import published_model
 from airpuck.recording.csv_folder import write_csv
 
-from ..synthetic import record
+from ..apparatus.synthetic_flights import record
 
 
 @pytest.mark.study

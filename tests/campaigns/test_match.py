@@ -13,7 +13,7 @@ from airpuck.campaigns.spec import read_spec
 from airpuck.hockey.rules import Rules
 from airpuck.recording.read import read_recording
 
-from ..command_line import airpuck, refused
+from ..apparatus.commands import airpuck, refused
 
 SHORT = Rules(goals=2, limit_s=20.0)
 

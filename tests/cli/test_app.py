@@ -16,8 +16,8 @@ from airpuck.cli.app import app
 from airpuck.model.model_file import read_model
 from airpuck.report import demo
 
-from ..command_line import airpuck, airpuck_process, refused
-from ..synthetic import record
+from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.synthetic_flights import record
 
 
 @pytest.fixture(scope="module")

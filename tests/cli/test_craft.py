@@ -6,8 +6,8 @@ import pytest
 
 from airpuck.craft.vehicle import default_vehicle
 
-from ..command_line import airpuck, refused
-from ..report.conftest import four_propellers
+from ..apparatus.commands import airpuck, refused
+from ..apparatus.models import four_propellers
 
 
 @pytest.fixture

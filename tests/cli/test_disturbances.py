@@ -14,8 +14,8 @@ from airpuck.boundary.files import load_toml
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording
 
-from ..disturbed import Server
-from ..synthetic import record
+from ..apparatus.disturbed_commands import Server
+from ..apparatus.synthetic_flights import record
 
 #: By name: the words of a command.
 COMMANDS = {

@@ -8,8 +8,8 @@ import pytest
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import Recording, Stream
 
-from ..command_line import airpuck, refused
-from ..synthetic import record
+from ..apparatus.commands import airpuck, refused
+from ..apparatus.synthetic_flights import record
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
 from airpuck.report.fit_sections import selection_section
 
-from ..command_line import airpuck, refused
-from ..synthetic import record
+from ..apparatus.commands import airpuck, refused
+from ..apparatus.synthetic_flights import record
 
 MODEL = published_model("M3")
 

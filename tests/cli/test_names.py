@@ -12,8 +12,8 @@ from airpuck.cli.output import origin, report, table
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
 
-from ..command_line import airpuck, airpuck_process, refused
-from ..synthetic import record
+from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.synthetic_flights import record
 
 KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 

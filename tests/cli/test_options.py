@@ -13,7 +13,7 @@ from airpuck.boundary.numbers import Range
 from airpuck.cli.app import app
 from airpuck.cli.output import show_time_left
 
-from ..command_line import airpuck, refused
+from ..apparatus.commands import airpuck, refused
 
 COMMANDS = get_command(app).commands  # pyright: ignore
 

@@ -7,7 +7,7 @@ import pytest
 import airpuck as package
 from airpuck.planning.plan import read_plan
 
-from ..command_line import airpuck, refused
+from ..apparatus.commands import airpuck, refused
 
 
 @pytest.fixture(scope="module")

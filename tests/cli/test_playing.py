@@ -13,7 +13,7 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 
-from ..command_line import airpuck, refused
+from ..apparatus.commands import airpuck, refused
 
 
 def test_skills_on_the_command_line():

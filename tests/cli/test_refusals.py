@@ -8,8 +8,8 @@ import pytest
 
 from airpuck.recording.bag_writer import write_bag
 
-from ..command_line import airpuck, airpuck_process, refused
-from ..synthetic import record
+from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.synthetic_flights import record
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import pytest
 from airpuck.model.model_file import read_model
 from airpuck.recording.bag_writer import write_bag
 
-from ..command_line import airpuck, refused
-from ..synthetic import record
+from ..apparatus.commands import airpuck, refused
+from ..apparatus.synthetic_flights import record
 
 
 @pytest.fixture(scope="module")

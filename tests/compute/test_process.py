@@ -11,7 +11,7 @@ import pytest
 from airpuck.cli import main
 from airpuck.compute.process import Stopped, stoppable
 
-from ..command_line import airpuck_process
+from ..apparatus.commands import airpuck_process
 
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
 

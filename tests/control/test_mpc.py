@@ -25,7 +25,7 @@ from airpuck.physics.rigid_body import derivative
 from airpuck.physics.rollout import rollout
 from airpuck.physics.rollout import step as physics
 
-from .flights import HOME, fly
+from ..apparatus.closed_loops import HOME, fly
 
 MODEL = published_model("M3")
 H = 0.01

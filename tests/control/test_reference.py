@@ -20,7 +20,7 @@ from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import read_model
 
-from .flights import steer_to
+from ..apparatus.closed_loops import steer_to
 
 time = st.floats(-100, 100)
 

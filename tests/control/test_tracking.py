@@ -19,7 +19,7 @@ from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration
 
-from .flights import (
+from ..apparatus.closed_loops import (
     HOME,
     LEAST,
     LONG,

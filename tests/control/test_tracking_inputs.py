@@ -11,15 +11,7 @@ from airpuck.control.qp_solvers import Daqp
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 
-from .flights import (
-    FRAME,
-    IDLE,
-    MODEL,
-    NOTHING,
-    controller,
-    hold_still,
-    idles,
-)
+from ..apparatus.closed_loops import FRAME, IDLE, MODEL, NOTHING, controller, hold_still, idles
 
 
 def test_without_a_pose_the_motors_idle():

@@ -16,7 +16,7 @@ from airpuck.data.trajectory_file import read_trajectory
 from airpuck.data.windows import make_windows
 from airpuck.model.model_file import published_model
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,8 @@ from airpuck.physics.effects import Drag, Inflow, Layout, PairInteraction
 from airpuck.physics.rigid_body import acceleration
 from airpuck.recording.torch_archive import read_authors_experiment
 
-from ..conftest import TRAINING, VALIDATION
-from ..synthetic import fly
+from ..apparatus.public_recordings import TRAINING, VALIDATION
+from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), indexing="start")
 #: Of exact states: hardly any noise.

@@ -18,8 +18,8 @@ from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import acceleration
 
-from ..random_flight import random_flight
-from .flights import IDLE, MODEL, NOISE, some_commands
+from ..apparatus.measured_flights import IDLE, MODEL, NOISE, some_commands
+from ..apparatus.random_flights import random_flight
 
 M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
 #: Noise of the twin's cameras, and a disturbance that hardly moves.

@@ -11,7 +11,7 @@ from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.physics.rigid_body import acceleration
 
-from .flights import (
+from ..apparatus.measured_flights import (
     IDLE,
     MODEL,
     NOISE,

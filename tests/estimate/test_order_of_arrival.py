@@ -11,7 +11,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 
-from .flights import DELAY, IDLE, MODEL, NOISE, TAU, simulate, some_commands
+from ..apparatus.measured_flights import DELAY, IDLE, MODEL, NOISE, TAU, simulate, some_commands
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.identification.fit import identify
 
-from ..noisy import TRUTH, noisy
+from ..apparatus.noisy_flights import TRUTH, noisy
 
 
 @pytest.fixture(scope="session")

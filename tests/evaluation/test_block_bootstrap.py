@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from airpuck.evaluation.block_bootstrap import (
     FEWEST_BLOCKS,
@@ -12,17 +11,7 @@ from airpuck.evaluation.block_bootstrap import (
     rmse_ratio,
 )
 
-#: Time between starts [s], and correlation time of the errors: as long as they overlap [s].
-SPACING, CORRELATED = 1 / 60, 0.1
-
-
-def residuals(seed: int, duration: float, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Make autoregressive errors of variance 1, and when they start."""
-    rng, size = np.random.default_rng(seed), round(duration / SPACING)
-    keep = np.exp(-SPACING / CORRELATED)
-    noise = rng.normal(size=(channels, size + 200))
-    errors = lfilter([np.sqrt(1 - keep**2)], [1, -keep], noise)[:, 200:]
-    return errors, SPACING * np.arange(size)
+from ..apparatus.residuals import CORRELATED, SPACING, residuals
 
 
 # 400 intervals; a third of the trials would fail 95 % ± 1 point, one in 10 000 fails these bounds.

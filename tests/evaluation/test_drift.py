@@ -11,7 +11,7 @@ from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
 from airpuck.model.uncertainty import Uncertainty
 
-from ..noisy import TRUTH
+from ..apparatus.noisy_flights import TRUTH
 
 
 def estimated(rng, error=0.02, clusters=40):

@@ -10,10 +10,9 @@ from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import Protocol, compare, evaluate
 from airpuck.model.model_file import published_model, read_model
 
-from ..conftest import VALIDATION
-from ..identification.test_fit import TABLE_2
-from ..report.conftest import four_propellers, model_of
-from ..synthetic import fly
+from ..apparatus.models import four_propellers, model_of
+from ..apparatus.public_recordings import TABLE_2, VALIDATION
+from ..apparatus.synthetic_flights import fly
 
 
 @pytest.fixture(scope="module")

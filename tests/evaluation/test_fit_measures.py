@@ -10,7 +10,7 @@ from airpuck.estimate.axis_filter import Noise
 from airpuck.evaluation.fit_measures import fit_percent, fitted_parameters, measure_fit
 from airpuck.evaluation.innovations import innovations
 
-from ..noisy import POSE_NOISE, TRUTH, noisy
+from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
 
 
 def test_fit_percent_by_hand():

@@ -7,7 +7,7 @@ import numpy as np
 from airpuck.evaluation.gauge import largest_accelerations, physical_thrust, thrust_scale
 from airpuck.model.model_file import published_model
 
-from ..report.conftest import random_scales
+from ..apparatus.models import random_scales
 
 
 def test_scale_of_first_principles_models_is_one():

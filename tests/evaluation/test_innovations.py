@@ -13,7 +13,7 @@ from airpuck.evaluation.innovations import cut_at_commands, free_run, innovation
 from airpuck.evaluation.noise_likelihood import most_likely_noise
 from airpuck.model.model_file import published_model
 
-from ..noisy import POSE_NOISE, TRUTH, noisy
+from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from airpuck.evaluation.innovations import innovations, motor_speeds_at
 from airpuck.evaluation.late_packets import late_packets
 from airpuck.evaluation.residuals import resid
 
-from ..noisy import TRUTH, noisy
+from ..apparatus.noisy_flights import TRUTH, noisy
 
 JITTER = 0.007
 #: The truth, which knows its delay better than whole samples tell.

@@ -5,7 +5,7 @@ import numpy as np
 from airpuck.evaluation.evaluate import PROTOCOLS, Evaluation, EveryStart
 from airpuck.evaluation.model_difference import model_differences
 
-from .test_block_bootstrap import residuals
+from ..apparatus.residuals import residuals
 
 
 def evaluation(errors, start):

@@ -15,8 +15,8 @@ from airpuck.physics.rollout import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 
-from ..noisy import POSE_NOISE, TRUTH, noisy
-from ..predicted import predicted
+from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
+from ..apparatus.predictions import predicted
 
 
 def in_deviations(bands):

@@ -13,7 +13,7 @@ from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, resid
 from airpuck.evaluation.statistical_tests import LEAST_SHARE, beyond_least, holm, ljung_box
 from airpuck.model.model_file import Model
 
-from ..noisy import TRUTH, noisy
+from ..apparatus.noisy_flights import TRUTH, noisy
 
 
 def test_ljung_box_by_hand():

@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.evaluation.residuals import resid
 
-from ..noisy import TRUTH, noisy
+from ..apparatus.noisy_flights import TRUTH, noisy
 
 #: Spin drag of the craft that its model lacks [1/s].
 DRAG = 1.0

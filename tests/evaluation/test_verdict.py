@@ -10,7 +10,7 @@ from airpuck.evaluation.verdict import MISSED_LIMIT, missed_motion, verdict
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.uncertainty import Uncertainty
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), frame="body", indexing="start")
 LABELS = MODEL.parameters.labels(MODEL.vehicle.propeller_names)

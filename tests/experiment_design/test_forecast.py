@@ -22,7 +22,7 @@ from airpuck.model.rungs import named_rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rollout import rollout
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 MODEL = published_model("M3")
 ENTRIES = np.flatnonzero(MODEL.free)

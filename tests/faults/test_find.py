@@ -14,9 +14,9 @@ from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
-from ..conftest import VALIDATION
-from ..report.conftest import four_propellers, model_of
-from ..synthetic import fly
+from ..apparatus.models import four_propellers, model_of
+from ..apparatus.public_recordings import VALIDATION
+from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), indexing="start", frame="body")
 

@@ -12,7 +12,7 @@ from airpuck.model.model_file import published_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), indexing="start", frame="body")
 #: Where the fault begins, in steps.

@@ -12,9 +12,9 @@ from airpuck.model.model_file import nominal_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 
-from ..conftest import BLUE
-from ..synthetic import edited as with_edit
-from ..synthetic import record
+from ..apparatus.public_recordings import BLUE
+from ..apparatus.synthetic_flights import edited as with_edit
+from ..apparatus.synthetic_flights import record
 
 
 @pytest.fixture(scope="module")

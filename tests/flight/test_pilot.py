@@ -11,7 +11,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.flight.pilot import check_pilot, pilot_maker
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
-from tests import command_line
+from tests.apparatus import commands as command_line
 
 M3 = published_model("M3")
 

@@ -21,7 +21,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.sensors import EPOCH_NS
 from airpuck.twin.settings import MotionCapture, Radio, default_twin_settings
 
-from ..synthetic import bad_value, edited, shuffled
+from ..apparatus.synthetic_flights import bad_value, edited, shuffled
 
 M4 = published_model("M4")
 LEAST = M4.vehicle.command_min

@@ -17,7 +17,7 @@ from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.thrust import lowest_slope
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 VEHICLE = default_vehicle()
 

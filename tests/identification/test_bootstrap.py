@@ -14,12 +14,7 @@ from airpuck.identification.problem import Preparation
 from airpuck.model.model_file import read_model
 from airpuck.model.uncertainty import DelayJitter
 
-from .test_uncertainty import noisy
-
-
-@pytest.fixture(scope="module")
-def fit():
-    return identify(noisy())
+from ..apparatus.disturbed_flights import noisy
 
 
 def test_few_blocks_are_warned_of():

@@ -13,10 +13,8 @@ from airpuck.identification.problem import Loss, Preparation
 from airpuck.model.model_file import read_model
 from airpuck.physics.rollout import rollout
 
-from ..synthetic import fly
-from .test_robust import MODEL, clean, off
-
-__all__ = ["clean"]
+from ..apparatus.robust_fits import MODEL, off
+from ..apparatus.synthetic_flights import fly
 
 #: When nobody hears what is sent [s].
 OUTAGES = ((2.0, 2.5), (6.0, 6.5), (9.5, 10.0))

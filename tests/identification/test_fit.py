@@ -14,19 +14,9 @@ from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import is_monotone
 
-from ..conftest import TRAINING, VALIDATION
-from ..report.conftest import four_propellers, model_of
-from ..synthetic import fly
-
-#: RMSE at 0.2 s with published parameters: x, y [mm], γ [rad] (table:prediction_error).
-TABLE_2 = {
-    "M0": (16.19, 15.72, 0.5008),
-    "M1": (15.08, 14.98, 0.4951),
-    "M2": (12.87, 11.39, 0.3910),
-    "M3": (10.84, 9.76, 0.3871),
-    "M4": (10.76, 9.56, 0.3874),
-}
-
+from ..apparatus.models import four_propellers, model_of
+from ..apparatus.public_recordings import TABLE_2, TRAINING, VALIDATION
+from ..apparatus.synthetic_flights import fly
 
 #: The encoder starts its motors at the first command of a window. After this many samples they
 #: have forgotten it; after the paper's 20 they have not, which biases thrust by a few percent.

@@ -18,7 +18,7 @@ from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import is_monotone, thrust_slope
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 VEHICLE = default_vehicle()
 

@@ -15,7 +15,7 @@ from airpuck.model.quantities import EFFECTS
 from airpuck.model.rungs import TERMS, named_rung
 from airpuck.physics.rollout import rollout
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 VEHICLE = default_vehicle()
 WEIGHTS = (1.0, 2.0, 0.1)

@@ -14,8 +14,8 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.read import read_recording
 from airpuck.twin.radio import queued_delay
 
-from ..conftest import BLUE
-from .flown import TRUTH, flown, settings
+from ..apparatus.excited_flights import TRUTH, flown, settings
+from ..apparatus.public_recordings import BLUE
 
 
 @pytest.fixture(scope="module")

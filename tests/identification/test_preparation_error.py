@@ -17,7 +17,7 @@ from airpuck.identification.retiming import (
 )
 from airpuck.identification.uncertainty import grown, sandwich, shared_at_borders, varying, widened
 
-from .flown import TRUTH, flown
+from ..apparatus.excited_flights import TRUTH, flown
 
 NOTHING = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
 LAG, DELAY, ANGLE = (

@@ -21,7 +21,7 @@ from airpuck.identification.retiming import (
 )
 from airpuck.preprocessing.derivative import velocity
 
-from .flown import TRUTH, flown
+from ..apparatus.excited_flights import TRUTH, flown
 
 
 def packets(numbers, deviation, error=0.0) -> PacketDelays:

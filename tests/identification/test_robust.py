@@ -21,23 +21,13 @@ from airpuck.identification.method import (
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.problem import Loss, Preparation
 from airpuck.identification.uncertainty import grown, information_growth, sandwich, subspace
-from airpuck.model.model_file import published_model
 from airpuck.model.rungs import named_rung
 from airpuck.recording.torch_archive import read_authors_experiment
 
-from ..conftest import TRAINING, VALIDATION
-from ..synthetic import fly
+from ..apparatus.public_recordings import TRAINING, VALIDATION
+from ..apparatus.robust_fits import MODEL, off
 
 ROBUST, KEEP_FAULTS = Loss(robust=True), Preparation(faults="keep")
-MODEL = replace(published_model("M3"), indexing="start")
-
-
-@pytest.fixture(scope="module")
-def clean():
-    flight = fly(MODEL, duration=12.0)
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=flight.state.shape) * [1e-5, 1e-5, 1e-4, 1e-3, 1e-3, 1e-2]
-    return replace(flight, state=flight.state + noise)
 
 
 @pytest.fixture(scope="module")
@@ -49,19 +39,6 @@ def faulty(clean):
         lost = (clean.command_time >= begin) & (clean.command_time < begin + 0.5)
         command[lost] = rng.uniform(0, 1, (1, 6))
     return replace(clean, command=command)
-
-
-def off(fit):
-    """Relative error of inertia, lag and thrust at half speed."""
-    found, true = fit.model.parameters, MODEL.parameters
-    half = [0.5, 0.25, 0.125]
-    return np.abs(
-        [
-            found.inertia / true.inertia - 1,
-            found.motor_time_constant / true.motor_time_constant - 1,
-            *(found.thrust @ half / (true.thrust @ half) - 1),
-        ]
-    ).max()
 
 
 def test_unmarked_faults_hardly_move_the_estimate(faulty):

@@ -20,8 +20,8 @@ from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.rollout import rollout
 
-from ..random_flight import fast_rollout, random_flight
-from ..synthetic import fly
+from ..apparatus.random_flights import fast_rollout, random_flight
+from ..apparatus.synthetic_flights import fly
 
 VEHICLE = default_vehicle()
 FIXED, LEARNED = Preparation(delay="fixed"), Preparation(delay="fit")

@@ -22,30 +22,18 @@ from airpuck.identification.uncertainty import (
     widened,
 )
 from airpuck.model.gauge import fix_gauge, gauge_directions
-from airpuck.model.model_file import published_model, read_model
+from airpuck.model.model_file import read_model
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.rollout import rollout
 
-from ..synthetic import fly
+from ..apparatus.disturbed_flights import TRUTH, noisy
 
 VEHICLE = default_vehicle()
 NAMES = VEHICLE.propeller_names
-TRUTH = replace(published_model("M3"), frame="body")
-
-
-def noisy(seed=0, duration=14.0, noise=0.002):
-    flight = fly(TRUTH, duration, seed)
-    rng = np.random.default_rng(seed + 100)
-    return replace(flight, state=flight.state + noise * rng.normal(size=flight.state.shape))
 
 
 def clustered_loss():
     return Loss(spacing=29 / 240).on([noisy()], VEHICLE)
-
-
-@pytest.fixture(scope="module")
-def fit():
-    return identify(noisy())
 
 
 def along(quadratic, parameters, free, shared=0.0):

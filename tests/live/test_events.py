@@ -8,7 +8,7 @@ from airpuck.live import events as module
 from airpuck.live.events import EVENTS, EventLog
 from airpuck.live.graph import Graph
 
-from .processes import EVENT
+from ..apparatus.processes import EVENT
 
 
 class Paper(Graph):

@@ -12,7 +12,7 @@ from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import LiveSettings
 from airpuck.live.safety import Limits
 
-from .processes import CODECS, COMMANDS, POSES
+from ..apparatus.processes import CODECS, COMMANDS, POSES
 
 VEHICLE = default_vehicle()
 

@@ -8,15 +8,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.live.graph import SENSOR, STATE
 from airpuck.recording.message import StreamCodec
 
+from ..apparatus.processes import until
+
 POSE = StreamCodec("pose")
-
-
-def until(condition, timeout=10.0):
-    """Wait for something to become true."""
-    stop = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < stop, "it did not happen"
-        time.sleep(0.01)
 
 
 def test_bytes_arrive_as_they_were_sent_and_wake_who_waits(pair):

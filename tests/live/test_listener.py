@@ -8,7 +8,7 @@ from airpuck.live.graph import LOG, SENSOR, STATE
 from airpuck.live.listener import Listener
 from airpuck.recording.message import StreamCodec
 
-from .test_graph import until
+from ..apparatus.processes import until
 
 POSE = StreamCodec("pose")
 FIRST, SECOND = "/a/pose", "/b/pose"

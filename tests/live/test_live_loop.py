@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import pytest
 
-from ..twin.test_studies import STUDIES, study
+from ..apparatus.studies import STUDIES, study
 
 
 @pytest.mark.parametrize("duration", [15.0, pytest.param(30.0, marks=pytest.mark.study)])

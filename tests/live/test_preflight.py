@@ -1,6 +1,6 @@
 """The check before flight, of a twin in another process."""
 
-from .processes import Process, Watch
+from ..apparatus.processes import Process, Watch
 
 
 def test_a_twin_is_ready(domain):

@@ -18,7 +18,7 @@ from airpuck.live.process import Inbox, LiveSettings, Process
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 
-from .processes import CODECS, COMMANDS
+from ..apparatus.processes import CODECS, COMMANDS
 
 COMMAND = CODECS[COMMANDS]
 

@@ -25,8 +25,8 @@ from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings
 
-from ..recovered import assert_recovered
-from .processes import CODECS, COMMANDS, EVENT, IDLE, POSES, REFERENCES, Process, Watch
+from ..apparatus.processes import CODECS, COMMANDS, EVENT, IDLE, POSES, REFERENCES, Process, Watch
+from ..apparatus.recovery import assert_recovered
 
 TRUTH = published_model("M3")
 #: Room for a busy machine [s].

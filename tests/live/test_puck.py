@@ -11,8 +11,8 @@ from airpuck.craft.table import AirHockey
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.recording.message import StreamCodec
 
-from ..arena.arena import free_port
-from .processes import POSES, Process, Watch
+from ..apparatus.arena import free_port
+from ..apparatus.processes import POSES, Process, Watch
 
 TOPIC, MALLET = "/optitrack/puck/pose", "/optitrack/mallet/pose"
 

@@ -13,7 +13,7 @@ from airpuck.craft.table import AirHockey, Contact, Puck, Table
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import MOST, RESTING, Moving, PuckOnTable
 
-from ..twin.test_studies import study
+from ..apparatus.studies import study
 
 CLOSED = Table(length_m=2.0, width_m=1.0, goal_width_m=1e-9)
 ELASTIC = Contact(restitution=1.0, grip=0.0)

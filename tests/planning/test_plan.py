@@ -15,7 +15,7 @@ from airpuck.craft.table import Table
 from airpuck.planning.plan import read_plan
 from airpuck.planning.request import Goal, Limits
 
-from .crafts import ACCELERATION, at_rest, one_axis
+from ..apparatus.one_axis_craft import ACCELERATION, at_rest, one_axis
 
 M3 = airpuck.read_model("paper:M3")
 EFFECTS = replace(

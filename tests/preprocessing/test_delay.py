@@ -13,7 +13,7 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.delay import estimate_delay
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 VEHICLE = default_vehicle()
 NOMINAL = nominal_parameters(VEHICLE).dynamics(np, VEHICLE)

@@ -15,8 +15,8 @@ from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 
-from ..conftest import BLUE
-from ..synthetic import RATE, bad_value, edited, fly, record, shuffled
+from ..apparatus.public_recordings import BLUE
+from ..apparatus.synthetic_flights import RATE, bad_value, edited, fly, record, shuffled
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import Stores, get_typestore
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.mapping import Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import COLUMNS
 
-from .bags import (
+from ..apparatus.bags import (
     COMMAND_TEXT,
     COMMAND_TYPE,
     HEADER,
@@ -25,6 +25,7 @@ from .bags import (
     START_NS,
     foreign_topics,
     pose_message,
+    rosbags_folder,
     stamped,
     write_mcap,
 )
@@ -119,31 +120,6 @@ def test_metadata_gives_the_order_of_the_files(tmp_path: Path, topics):
         "rosbag2_bagfile_information:\n  relative_file_paths: [old/late.mcap, old/early.mcap]\n"
     )
     assert read_recording(folder).streams == whole.streams
-
-
-def rosbags_folder(path: Path, *, plugin=StoragePlugin.SQLITE3, version=8, compress=None) -> None:
-    """A folder by rosbags' own writer and serialiser."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(COMMAND_TEXT, COMMAND_TYPE))
-    t = store.types
-    writer = Writer(path, version=version, storage_plugin=plugin)
-    if compress is not None:
-        writer.set_compression(*compress)
-    with writer:
-        pose = writer.add_connection("/optitrack/drone/pose", POSE_TYPE, typestore=store)
-        command = writer.add_connection("/drone/control", COMMAND_TYPE, typestore=store)
-        for i in range(5):
-            header = t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](100 + i, 5), "w")
-            message = t[POSE_TYPE](
-                header,
-                t["geometry_msgs/msg/Pose"](
-                    t["geometry_msgs/msg/Point"](0.5 * i, -0.25, 0.0),
-                    t["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(0.15), np.cos(0.15)),
-                ),
-            )
-            writer.write(pose, 10**9 * (200 + i), store.serialize_cdr(message, POSE_TYPE))
-            message = t[COMMAND_TYPE](header, *(0.1 * np.arange(6)))
-            writer.write(command, 10**9 * (200 + i), store.serialize_cdr(message, COMMAND_TYPE))
 
 
 def assert_is_rosbags(recording):
@@ -291,7 +267,7 @@ def test_a_broken_definition_is_one_clear_line(tmp_path: Path, topics, text: str
     ],
 )
 def test_other_stamped_poses(tmp_path: Path, topics, msgtype: str):
-    from .test_cdr import serialise
+    from ..apparatus.messages import serialise
 
     position, turn = {"x": 0.5, "y": -0.5}, {"z": np.sin(-1.2), "w": np.cos(-1.2)}
     fields = {

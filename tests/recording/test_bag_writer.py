@@ -18,7 +18,7 @@ from airpuck.recording.message import HOLOHOVER_MOTORS, StreamCodec
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import POSES, Recording, Stream
 
-from .bags import SIX, flight, stream
+from ..apparatus.bags import SIX, flight, stream
 
 
 def wrapped(angle):

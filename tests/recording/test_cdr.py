@@ -10,27 +10,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from airpuck.recording.cdr import Field, decode, encode, flatten, layout_of
 
-from .bags import pose_message, stamped
+from ..apparatus.bags import pose_message, stamped
+from ..apparatus.messages import STORE, serialise
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 POSE = "geometry_msgs/msg/PoseStamped"
-
-
-def serialise(msgtype: str, fields: dict, *, little_endian: bool = True) -> bytes:
-    """Serialise through rosbags; nested messages as dictionaries, all else zero."""
-
-    def build(name: str, given: dict):
-        values = []
-        for field, (node, description) in STORE.fielddefs[name][1]:
-            if node == 2:
-                values.append(build(description, given.get(field, {})))
-            elif node == 3:
-                values.append(np.zeros(description[1]))
-            else:
-                values.append(given.get(field, "" if description[0] == "string" else 0))
-        return STORE.types[name](*values)
-
-    return bytes(STORE.serialize_cdr(build(msgtype, fields), msgtype, little_endian=little_endian))
 
 
 def odometry(frame: str, child: str, x: float, sec: int = 5) -> bytes:

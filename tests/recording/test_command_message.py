@@ -18,7 +18,7 @@ from airpuck.recording.mapping import (
 )
 from airpuck.recording.read import read_recording
 
-from .bags import START_NS, Topic, foreign_topics, ros_header, ros_topic, write_mcap
+from ..apparatus.bags import START_NS, Topic, foreign_topics, ros_header, ros_topic, write_mcap
 
 N = 30
 VALUES = np.random.default_rng(5).uniform(0, 1, (N, 4))

@@ -16,7 +16,7 @@ from airpuck.recording.mapping import Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream
 
-from .bags import SIX, flight
+from ..apparatus.bags import SIX, flight
 
 POSE = "optitrack_drone_pose.csv"
 COMMAND = "drone_control.csv"

@@ -15,7 +15,7 @@ from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream
 
-from .bags import START_NS, flight, foreign_topics, write_mcap
+from ..apparatus.bags import START_NS, flight, foreign_topics, write_mcap
 
 
 def is_prefix(part: Stream, whole: Stream) -> bool:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from airpuck.recording.message import HOLOHOVER_CONTROL, HOLOHOVER_MOTORS, MessageCodec, StreamCodec
 
-from .bags import stamped
+from ..apparatus.bags import stamped
 
 NUMBERS = st.floats(-1e3, 1e3)
 CODECS = {name: StreamCodec(name) for name in ("pose", "reference", "estimate", "imu", "mouse")}

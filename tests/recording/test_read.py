@@ -12,7 +12,7 @@ from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
 
-from .bags import flight
+from ..apparatus.bags import flight
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def test_what_is_no_recording(tmp_path: Path, name: str, says: str):
 
 
 def test_hostile_names_stay_on_one_line(tmp_path: Path):
-    from .bags import write_mcap
+    from ..apparatus.bags import write_mcap
 
     path = write_mcap(
         tmp_path / "a.mcap", {f"/a\nb{i}": ("x\x1b[31m", "\n", []) for i in range(50)}

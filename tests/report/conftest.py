@@ -2,65 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
-from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Span, Trajectory
+from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import compare
-from airpuck.identification.fit_result import Fit
-from airpuck.identification.method import Iteration
-from airpuck.identification.problem import Loss
-from airpuck.model.model_file import Model
-from airpuck.model.rungs import named_rung
 from airpuck.report.fit_sections import FitStudy
 from airpuck.report.judged_sections import Judged
 from airpuck.report.reproduce import Reproduction, reproduce
 
-from ..synthetic import fly
+from ..apparatus.models import VEHICLES, fit_of, model_of
+from ..apparatus.synthetic_flights import fly
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
-
-
-def four_propellers() -> Vehicle:
-    """One pair side by side, two propellers alone, no common radius."""
-    return Vehicle.model_validate(
-        {
-            "name": "quad",
-            "mass_kg": 0.2,
-            "radius_m": 0.09,
-            "command_min": 0.02,
-            "pairs": [["front", "back"]],
-            "propellers": [
-                {"name": "front", "position_m": (0.06, 0.0), "direction_deg": 90},
-                {"name": "left", "position_m": (0.0, 0.05), "direction_deg": 180},
-                {"name": "back", "position_m": (-0.06, 0.0), "direction_deg": 270},
-                {"name": "right", "position_m": (0.01, -0.06), "direction_deg": 0},
-            ],
-            "nominal": {"thrust_N": (0.03, 1.0, -0.4), "inertia_kg_m2": 5e-4},
-        }
-    )
-
-
-VEHICLES = {"six": default_vehicle, "four": four_propellers}
-
-
-def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
-    """A model of a rung at its nominal values, with thrusts scaled."""
-    parameters = named_rung(name).initial(vehicle)
-    parameters = replace(parameters, thrust=factor * parameters.thrust)
-    fit = {"encoder_length": 20, "prediction_length": 50, "stride": 7, "weights": [1, 1, 0.1]}
-    return Model(name, vehicle, parameters, named_rung(name).mask(parameters), fit=fit)
-
-
-def fit_of(model: Model, training: Trajectory | None = None) -> Fit:
-    """What a fit would look like, without the work."""
-    history = tuple(Iteration(k, 1e-4 * (1 + 2.0**-k)) for k in range(4))
-    loss = None if training is None else Loss().on([training], model.vehicle)
-    found = history[-1].loss
-    return Fit(model, found, history, True, "converged", 100, 0.1, (), objective=loss)
 
 
 @pytest.fixture(scope="session", params=["six", "four"])
@@ -89,7 +42,3 @@ def judged(study) -> Judged:
 def reproduction(data, tmp_path_factory) -> Reproduction:
     """The paper's study on the real recordings."""
     return reproduce(data, tmp_path_factory.mktemp("reproduction"))
-
-
-def random_scales(n: int) -> np.ndarray:
-    return np.random.default_rng(0).uniform(0.5, 2.0, n)

@@ -15,8 +15,8 @@ from airpuck.recording.read import read_recording
 from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.report.animation import animate
 
-from .conftest import VEHICLES, four_propellers
-from .flights import CRAFT, EPOCH, flight, stream, with_pose
+from ..apparatus.drawn_flights import CRAFT, EPOCH, flight, stream, with_pose
+from ..apparatus.models import VEHICLES, four_propellers
 
 
 def milliseconds(image: Image.Image) -> list[int]:

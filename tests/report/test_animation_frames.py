@@ -22,8 +22,8 @@ from airpuck.report.animation_frames import (
 )
 from airpuck.report.style import propeller_size
 
-from .conftest import VEHICLES, four_propellers
-from .flights import CRAFT, EPOCH, flight, with_pose
+from ..apparatus.drawn_flights import CRAFT, EPOCH, flight, with_pose
+from ..apparatus.models import VEHICLES, four_propellers
 
 
 @pytest.mark.parametrize("name", VEHICLES)

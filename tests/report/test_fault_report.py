@@ -16,7 +16,7 @@ from airpuck.report.fault_report import (
     fault_timeline_figure,
 )
 
-from ..synthetic import fly
+from ..apparatus.synthetic_flights import fly
 
 SPANS = (
     Span(0.0, 0.8, "not armed", 0.999),

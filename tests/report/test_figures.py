@@ -24,7 +24,7 @@ from airpuck.report.fit_figures import loss_history_figure, parameter_figure, th
 from airpuck.report.flight_figures import path_figure, prediction_figure
 from airpuck.report.style import RESOLUTION, drawn, png, propeller_colors, propeller_groups
 
-from .conftest import fit_of, model_of
+from ..apparatus.models import fit_of, model_of
 
 FIGURES = {
     "craft": lambda s, j: craft_figure(s.models[0].vehicle),

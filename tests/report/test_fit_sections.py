@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.report.fit_sections import FitStudy, sources_section, study_sections
 
-from .conftest import fit_of, model_of
+from ..apparatus.models import fit_of, model_of
 
 
 def test_the_loss_of_a_reference_is_that_of_the_fits_own_objective(study):

@@ -17,7 +17,7 @@ from airpuck.report.law_report import clearance_figure, path_figure, summary
 from airpuck.report.tracking_report import tracking_report, tracking_sections
 from airpuck.twin.tracking_study import Tracked
 
-from .flights import CRAFT, flight
+from ..apparatus.drawn_flights import CRAFT, flight
 
 PLANS = {
     0: Prediction(np.array([0.1, 0.2]), np.full((2, 6), 0.05), ()),

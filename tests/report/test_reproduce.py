@@ -12,18 +12,10 @@ from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.report.error_figures import touched_by
 from airpuck.report.reproduce import FAULTS, PRINTED, TRAINING, VALIDATION, reproduce
 
-from ..conftest import TRAINING as TRAINING_NAME
-from ..conftest import VALIDATION as VALIDATION_NAME
-from .test_page import check_self_contained
-
-#: RMSE at 0.2 s with published parameters: x, y [mm], γ [rad] (table:prediction_error).
-TABLE_2 = {
-    "M0": (16.19, 15.72, 0.5008),
-    "M1": (15.08, 14.98, 0.4951),
-    "M2": (12.87, 11.39, 0.3910),
-    "M3": (10.84, 9.76, 0.3871),
-    "M4": (10.76, 9.56, 0.3874),
-}
+from ..apparatus.pages import check_self_contained
+from ..apparatus.public_recordings import TABLE_2
+from ..apparatus.public_recordings import TRAINING as TRAINING_NAME
+from ..apparatus.public_recordings import VALIDATION as VALIDATION_NAME
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from airpuck.model.model_file import published_model
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.report.reproduce import TRAINING, VALIDATION
 
-from .test_page import check_self_contained
+from ..apparatus.pages import check_self_contained
 
 sys.path.append(str(Path(__file__).parents[2] / "studies"))
 claims = importlib.import_module("side_claims")

@@ -21,7 +21,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, Radio, Stall, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
 
-from ..recovered import assert_recovered
+from ..apparatus.recovery import assert_recovered
 
 PUBLISHED = published_model("M3")
 TRUTH = replace(

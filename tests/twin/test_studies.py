@@ -1,24 +1,13 @@
 """The long studies of the twin, as they stand in `studies/`."""
 
-import importlib.util
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-STUDIES = Path(__file__).parents[2] / "studies"
-
-
-def study(name):
-    spec = importlib.util.spec_from_file_location(name, STUDIES / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from ..apparatus.studies import STUDIES, study
 
 
 def flight(seed):

@@ -17,7 +17,7 @@ from airpuck.web import match_page
 from airpuck.web.match_page import watch_in_browser
 from airpuck.web.page import ArenaSettings
 
-from .arena import free_port
+from ..apparatus.arena import free_port
 
 
 def test_a_page_sees_a_game_from_its_beginning_to_its_end(monkeypatch):

@@ -25,7 +25,7 @@ from airpuck.web.messages import packed_state
 from airpuck.web.page import hello_of
 from airpuck.web.server import NEWS, STATE, THOUGHT
 
-from .arena import Arena
+from ..apparatus.arena import Arena
 
 pytestmark = pytest.mark.browser
 sync_api = pytest.importorskip("playwright.sync_api")

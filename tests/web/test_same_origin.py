@@ -7,6 +7,8 @@ import pytest
 
 from airpuck.web.same_origin import refusal, same_origin_only
 
+from ..apparatus.handshakes import websocket
+
 PORT = "8080"
 
 
@@ -78,25 +80,6 @@ def port():
         port = free.getsockname()[1]
     with _served("127.0.0.1", port):
         yield port
-
-
-def websocket(port: int, headers: dict[str, str]) -> int:
-    """Open a WebSocket by hand; return the status of the answer."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.putrequest("GET", "/", skip_host=True)
-    for name, value in {
-        "Host": f"127.0.0.1:{port}",
-        "Connection": "Upgrade",
-        "Upgrade": "websocket",
-        "Sec-WebSocket-Version": "13",
-        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
-        **headers,
-    }.items():
-        connection.putheader(name, value)
-    connection.endheaders()
-    status = connection.getresponse().status
-    connection.close()
-    return status
 
 
 def test_a_server_of_viser_refuses(port):

@@ -18,7 +18,7 @@ from PIL import Image
 from airpuck.web.scene import EYE, FIELD_OF_VIEW, LOOKS_AT, on_table
 from airpuck.web.view import Wishes
 
-from ..live.processes import POSES, REFERENCES, Process, Watch
+from ..apparatus.processes import POSES, REFERENCES, Process, Watch
 
 REACH = (1.0, 0.5)
 

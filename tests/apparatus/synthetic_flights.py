@@ -9,8 +9,8 @@ import numpy as np
 from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import Model, published_model
 from airpuck.recording.stream import Recording, Stream
-from tests.random_flight import POSE_RATE as RATE
-from tests.random_flight import random_flight, random_recording
+from tests.apparatus.random_flights import POSE_RATE as RATE
+from tests.apparatus.random_flights import random_flight, random_recording
 
 __all__ = ["RATE", "bad_value", "edited", "fly", "record", "shuffled"]
 

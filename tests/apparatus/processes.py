@@ -131,3 +131,11 @@ class Watch:
 
     def close(self) -> None:
         self.graph.close()
+
+
+def until(condition, timeout=10.0):
+    """Wait for something to become true."""
+    stop = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < stop, "it did not happen"
+        time.sleep(0.01)

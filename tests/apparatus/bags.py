@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from airpuck.recording.stream import COLUMNS, Recording, Stream
@@ -174,3 +175,28 @@ def foreign_topics() -> dict[str, Topic]:
             [(START_NS + i * 10**8, b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00") for i in range(40)],
         ),
     }
+
+
+def rosbags_folder(path: Path, *, plugin=StoragePlugin.SQLITE3, version=8, compress=None) -> None:
+    """A folder by rosbags' own writer and serialiser."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(COMMAND_TEXT, COMMAND_TYPE))
+    t = store.types
+    writer = Writer(path, version=version, storage_plugin=plugin)
+    if compress is not None:
+        writer.set_compression(*compress)
+    with writer:
+        pose = writer.add_connection("/optitrack/drone/pose", POSE_TYPE, typestore=store)
+        command = writer.add_connection("/drone/control", COMMAND_TYPE, typestore=store)
+        for i in range(5):
+            header = t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](100 + i, 5), "w")
+            message = t[POSE_TYPE](
+                header,
+                t["geometry_msgs/msg/Pose"](
+                    t["geometry_msgs/msg/Point"](0.5 * i, -0.25, 0.0),
+                    t["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(0.15), np.cos(0.15)),
+                ),
+            )
+            writer.write(pose, 10**9 * (200 + i), store.serialize_cdr(message, POSE_TYPE))
+            message = t[COMMAND_TYPE](header, *(0.1 * np.arange(6)))
+            writer.write(command, 10**9 * (200 + i), store.serialize_cdr(message, COMMAND_TYPE))

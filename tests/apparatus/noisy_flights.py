@@ -9,7 +9,7 @@ import numpy as np
 from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import Model, published_model
 
-from .synthetic import fly
+from .synthetic_flights import fly
 
 #: Standard deviations of x, y [m] and yaw [rad].
 POSE_NOISE = (4.5e-5, 4.5e-5, 6.5e-4)

@@ -1,6 +1,6 @@
 """Damaged files of every kind, read in a process with little memory and time for each.
 
-    python -m tests.boundary.fuzz [--cases N] [--first SEED] [KIND ...]
+    python -m tests.apparatus.fuzz [--cases N] [--first SEED] [KIND ...]
 
 A case is good if it is read or refused by an `InputError` in one printable line, and nothing is
 written. All other exceptions, deaths of the process, cases above the limit of time, and files left
@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.boundary import mutations as m
+from tests.apparatus import mutations as m
 
 MEMORY = 2 * 2**30
 SECONDS = 10
@@ -68,7 +68,7 @@ class TooSlow(BaseException):
 def _bag(folder: Path, **options: Any) -> Path:
     from mcap.writer import CompressionType
 
-    from tests.recording.bags import foreign_topics, write_mcap
+    from tests.apparatus.bags import foreign_topics, write_mcap
 
     topics = {
         name: (msgtype, text, messages[:30])
@@ -80,7 +80,7 @@ def _bag(folder: Path, **options: Any) -> Path:
 
 
 def _db3(folder: Path) -> Path:
-    from tests.recording.test_bag import rosbags_folder
+    from tests.apparatus.bags import rosbags_folder
 
     rosbags_folder(folder / "bag")
     return folder / "bag" / "bag.db3"
@@ -98,7 +98,7 @@ def _npz(folder: Path) -> Path:
 
 
 def _pt(folder: Path) -> Path:
-    from tests.recording.test_torch_archive import archive
+    from tests.apparatus.torch_archives import archive
 
     return archive(folder / "data.pt")
 
@@ -106,7 +106,7 @@ def _pt(folder: Path) -> Path:
 def _csv(folder: Path) -> Path:
     from airpuck.recording.csv_folder import write_csv
     from airpuck.recording.stream import Recording
-    from tests.recording.bags import SIX, stream
+    from tests.apparatus.bags import SIX, stream
 
     columns = ("x_m", "y_m", "yaw_rad")
     streams = {"pose": stream(20, 240, columns, 1), "command": stream(10, 100, SIX, 2)}
@@ -115,7 +115,7 @@ def _csv(folder: Path) -> Path:
 
 
 def _metadata(folder: Path) -> Path:
-    from tests.recording.test_bag import rosbags_folder
+    from tests.apparatus.bags import rosbags_folder
 
     rosbags_folder(folder / "bag")
     return folder / "bag" / "metadata.yaml"
@@ -160,7 +160,7 @@ def _params(folder: Path) -> Path:
 
 
 def _definition(folder: Path) -> Path:
-    from tests.recording.bags import COMMAND_TEXT, POSE_TEXT
+    from tests.apparatus.bags import COMMAND_TEXT, POSE_TEXT
 
     extra = "float64[36] covariance\nstring[] names\nint32 KIND=3\nfloat64[<=5] some\n"
     return _written(folder, "a.msg", POSE_TEXT.replace("\n", "\n" + extra, 1) + COMMAND_TEXT[40:])
@@ -313,7 +313,7 @@ def _refusal(error: Exception, path: Path) -> str:
 def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
     """Read one file; return its outcome and what is wrong with that, empty for nothing."""
     from airpuck.boundary.errors import InputError
-    from tests.command_line import airpuck
+    from tests.apparatus.commands import airpuck
 
     before = sorted(path.parent.iterdir())
     # Of processor time, since other tests may run beside this one; and in all for what waits.
@@ -382,7 +382,7 @@ def fuzz(names: Sequence[str], count: int, first: int = 0) -> dict[str, Tally]:
     tallies = {name: Tally() for name in names}
     left, done = list(names), 0
     while left:
-        command = [sys.executable, "-m", "tests.boundary.fuzz", *left, "--work"]
+        command = [sys.executable, "-m", "tests.apparatus.fuzz", *left, "--work"]
         command += ["--first", str(first), "--cases", str(count), "--done", str(done)]
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

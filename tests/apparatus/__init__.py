@@ -1,0 +1,1 @@
+"""What the tests are made with: each module says what it makes, or what it checks."""

@@ -1,0 +1,15 @@
+"""Long studies, as modules."""
+
+import importlib.util
+from pathlib import Path
+
+STUDIES = Path(__file__).parents[2] / "studies"
+
+
+def study(name):
+    spec = importlib.util.spec_from_file_location(name, STUDIES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
