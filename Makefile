@@ -49,7 +49,7 @@ demo: install  ## the whole way on a simulated recording, no download
 	$(BIN)/airpuck demo --out demo
 
 test: dev  ## the quick tests, in minutes: while you work
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" --hypothesis-profile quick
 
 test-all: dev  ## all tests but the studies and the browser: before you push
 	$(BIN)/python -m pytest -n $(WORKERS)

@@ -5,23 +5,22 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import tempfile
+import sys
 import threading
 from pathlib import Path
 
 import hypothesis
 import jaxtyping
 import pytest
+from platformdirs import user_cache_path
 
 pytest.register_assert_rewrite("tests.apparatus")
 
 from .apparatus import typechecker  # noqa: E402
 
-# Compiled programs are kept from test to test and from process to process; they are found again by
-# their content, so an old one is never used for new code.
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "airpuck-tests-compiled")
-)
+# Compiled programs are kept from test to test, from process to process and from run to run. They
+# are found again by their content, so an old one is never used for new code.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(user_cache_path("airpuck-tests")))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 # Most programs run once here, so that compiling them costs more than running them. An XLA that does
@@ -32,6 +31,11 @@ os.environ.setdefault(
     " --xla_llvm_disable_expensive_passes=true",
 )
 
+# The hook below compiles all modules of ours. Without their bytecode each worker, and each process
+# that a test starts, does so again, for seconds.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # Threads of linear algebra wait for each other in busy loops. Workers and other processes that the
 # tests start inherit this; in the first process a plugin has imported NumPy already.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -41,10 +45,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The same examples in every run, so that a failure is always somebody's change; HYPOTHESIS_PROFILE
-# =default looks for new ones.
-hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
-hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+# The same examples in every run, so that a failure is always somebody's change. The quick tier
+# tries a few of them; `--hypothesis-profile default` looks for new ones.
+for name, count in (("full", 100), ("quick", 10)):
+    hypothesis.settings.register_profile(
+        name, derandomize=True, deadline=None, database=None, max_examples=count
+    )
+hypothesis.settings.load_profile("full")
 
 jaxtyping.jaxtyped = typechecker.jaxtyped
 _hook = jaxtyping.install_import_hook("airpuck", "tests.apparatus.typechecker.check")

@@ -12,8 +12,9 @@ import pytest
 from airpuck.boundary.limits import MIB
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.recording.torch_archive import read_authors_experiment
-from tests.apparatus.refusals import GIB, refusal, written
-from tests.apparatus.torch_archives import archive
+
+from ..apparatus.refusals import GIB, refusal, written
+from ..apparatus.torch_archives import archive
 
 
 def zeros_deflated(size: int) -> bytes:

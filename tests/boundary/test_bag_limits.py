@@ -11,8 +11,9 @@ from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.message import definitions
 from airpuck.recording.read import read_recording
 from airpuck.recording.sqlite_file import read_sqlite
-from tests.apparatus.bags import COMMAND_TYPE, foreign_topics, rosbags_folder, write_mcap
-from tests.apparatus.refusals import GIB, little_memory, refusal, written
+
+from ..apparatus.bags import COMMAND_TYPE, foreign_topics, rosbags_folder, write_mcap
+from ..apparatus.refusals import GIB, little_memory, refusal, written
 
 
 def zeros_zstd(size: int) -> bytes:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.apparatus.fuzz import fuzz, kinds, table
+from ..apparatus.fuzz import fuzz, kinds, table
 
 KINDS = list(kinds(Path("/")))
 

@@ -18,8 +18,9 @@ from airpuck.boundary.limits import (
 )
 from airpuck.boundary.parsing import load_json, load_toml, load_yaml
 from airpuck.recording.read import read_recording
-from tests.apparatus.bags import rosbags_folder
-from tests.apparatus.refusals import refusal, written
+
+from ..apparatus.bags import rosbags_folder
+from ..apparatus.refusals import refusal, written
 
 
 @pytest.mark.parametrize(
@@ -127,7 +128,7 @@ from pathlib import Path
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import MIB
 from airpuck.recording.read import read_recording
-from tests.apparatus.refusals import little_memory
+from ..apparatus.refusals import little_memory
 
 with little_memory(20 * MIB):
     try:

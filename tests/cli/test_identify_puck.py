@@ -10,7 +10,8 @@ from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import COLUMNS, Recording, Stream
-from tests.apparatus.commands import airpuck
+
+from ..apparatus.commands import airpuck
 
 TRUTH = AirHockey(puck=Puck(drag_1_s=0.1, rail=Contact(restitution=0.7, friction=0.15)))
 

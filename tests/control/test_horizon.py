@@ -5,7 +5,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.compute.compiled import program
@@ -16,6 +16,8 @@ from airpuck.model.model_file import published_model
 from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration
 from airpuck.physics.rollout import rollout, step
+
+from ..apparatus.examples import examples
 
 MODEL = published_model("M3")
 RANDOM = np.random.default_rng(2)
@@ -207,7 +209,7 @@ def test_straight_thrust_curves_do_not_bend():
     assert not posed(PLAN, np.zeros(6), model=model).bend.any()
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.floats(0, 0.11), st.lists(st.integers(1, 4), min_size=2, max_size=6))
 def test_a_shifted_plan_gives_what_was_planned(elapsed, lengths):
     blocks = Blocks(0.02, tuple(lengths))

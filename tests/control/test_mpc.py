@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
@@ -26,6 +26,7 @@ from airpuck.physics.rollout import rollout
 from airpuck.physics.rollout import step as physics
 
 from ..apparatus.closed_loops import HOME, fly
+from ..apparatus.examples import examples
 
 MODEL = published_model("M3")
 H = 0.01
@@ -304,7 +305,7 @@ def test_the_lqr_that_steers_in_its_place_is_that_of_the_tuning():
 anything = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-5, 5)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.lists(anything, min_size=6, max_size=6), st.lists(anything, min_size=3, max_size=3))
 def test_whatever_is_believed_commands_are_finite_and_within_limits(state, push):
     with np.errstate(all="ignore"):

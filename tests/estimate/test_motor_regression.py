@@ -1,15 +1,17 @@
 """The shared regression, against SciPy's integrals and NumPy's least squares."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from airpuck.estimate.held_commands import HeldCommands
 from airpuck.estimate.motor_regression import normal_equations, solved, twice_integrated
 
+from ..apparatus.examples import examples
 
-@settings(max_examples=30)
+
+@examples(30)
 @given(st.integers(0, 10**6))
 def test_integrals_are_exact_for_accelerations_linear_between_samples(seed):
     rng = np.random.default_rng(seed)

@@ -2,18 +2,20 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.faults.effect_match import match_effects, rotation, turned
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import acceleration_map
 
+from ..apparatus.examples import examples
+
 MODEL = published_model("M3")
 EFFECTS = acceleration_map(np, MODEL.dynamics, 0.0, 0.0)[0] * np.array([[1], [1], [0.04]])
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     order=st.permutations(range(6)),
     signs=st.lists(st.sampled_from([1, -1]), min_size=6, max_size=6),

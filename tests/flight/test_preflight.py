@@ -25,7 +25,8 @@ from airpuck.recording.stream import Recording
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
 from airpuck.twin.twin import Twin
-from tests.apparatus.models import four_propellers
+
+from ..apparatus.models import four_propellers
 
 MODEL = published_model("M3")
 NAMES = MODEL.vehicle.propeller_names

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -13,6 +13,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from airpuck.boundary.errors import InputError
 from airpuck.live import dds
 from airpuck.recording.message import HOLOHOVER_CONTROL, command_type, definitions
+
+from ..apparatus.examples import examples
 
 pytest.importorskip("cyclonedds")
 
@@ -74,7 +76,7 @@ def build(given_values, node, description, make, array):
 
 @pytest.mark.parametrize("msgtype", SENT)
 @given(data=st.data())
-@settings(max_examples=20)
+@examples(20)
 def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
     plain = values(data.draw, Nodetype.NAME, msgtype)
     root = (Nodetype.NAME, msgtype)

@@ -10,7 +10,8 @@ import pytest
 import airpuck
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from tests.apparatus.synthetic_flights import fly
+
+from ..apparatus.synthetic_flights import fly
 
 M4 = published_model("M4")
 

@@ -6,13 +6,14 @@ import math
 import numpy as np
 import pymunk
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import MOST, RESTING, Moving, PuckOnTable
 
+from ..apparatus.examples import examples
 from ..apparatus.studies import study
 
 CLOSED = Table(length_m=2.0, width_m=1.0, goal_width_m=1e-9)
@@ -188,7 +189,7 @@ def test_a_wedged_puck_stops_and_holds_what_presses_it(give_way):
     assert puck.state.vy < -6
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     st.tuples(*[st.floats(-1, 1)] * 5),
     st.floats(0, 1),

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.craft.vehicle import default_vehicle
@@ -14,6 +14,8 @@ from airpuck.model.model_file import published_model
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration, configuration_matrix, derivative
 from airpuck.physics.thrust import thrust
+
+from ..apparatus.examples import examples
 
 speeds = st.lists(st.floats(0, 1), min_size=6, max_size=6).map(np.array)
 motions = st.tuples(*[st.floats(-4, 4)] * 4).map(np.array)
@@ -101,7 +103,7 @@ def test_the_papers_frame_leaves_the_offset_unrotated():
     )
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(speeds, motions, speeds)
 def test_numpy_and_jax_agree(speed, motion, command):
     dynamics = general_parameters().dynamics(np, default_vehicle())

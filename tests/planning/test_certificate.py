@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -12,6 +12,8 @@ from airpuck.planning import plan as planning
 from airpuck.planning.attainable import YAWS, frontier, motor_range, pushes
 from airpuck.planning.certificate import Weight, lower_bound, lower_bound_through
 from airpuck.planning.request import Goal, Limits, checked_request
+
+from ..apparatus.examples import examples
 
 M3 = airpuck.read_model("paper:M3")
 WIDE = Limits(spin=40.0, speed=10.0)
@@ -47,7 +49,7 @@ def test_motors_cannot_have_other_speeds():
 @example(576)  # these are so short that the steps of time are coarse
 @example(321)
 @example(355)
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(0, 10_000))
 def test_no_random_flight_is_faster_than_its_bound(seed):
     random = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
@@ -15,6 +15,7 @@ from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 
+from ..apparatus.examples import examples
 from ..apparatus.public_recordings import BLUE
 from ..apparatus.synthetic_flights import RATE, bad_value, edited, fly, record, shuffled
 
@@ -169,7 +170,7 @@ def test_a_missing_stream_is_named(recording):
         preprocess(replace(recording, streams={"pose": recording["pose"]}))
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.data())
 def test_any_damage_gives_a_trajectory_or_a_clear_error(recording, data):
     """Delete, repeat, freeze, swap or shift random rows of random streams."""

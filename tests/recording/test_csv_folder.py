@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
@@ -17,6 +17,7 @@ from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream
 
 from ..apparatus.bags import SIX, flight
+from ..apparatus.examples import examples
 
 POSE = "optitrack_drone_pose.csv"
 COMMAND = "drone_control.csv"
@@ -224,7 +225,7 @@ def test_a_folder_where_a_file_should_be(tmp_path: Path):
         read_recording(tmp_path)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(cut=st.integers(0, len("\n".join(POSE_LINES))), junk=st.binary(max_size=6))
 def test_cut_anywhere(cut: int, junk: bytes):
     with tempfile.TemporaryDirectory() as name:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
@@ -16,6 +16,7 @@ from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream
 
 from ..apparatus.bags import START_NS, flight, foreign_topics, write_mcap
+from ..apparatus.examples import examples
 
 
 def is_prefix(part: Stream, whole: Stream) -> bool:
@@ -218,7 +219,7 @@ def read_damaged(content: bytes) -> Recording | None:
             return None
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(data=st.data())
 def test_cut_anywhere(whole: Path, complete: Recording, data: st.DataObject):
     content = whole.read_bytes()
@@ -233,7 +234,7 @@ def test_cut_anywhere(whole: Path, complete: Recording, data: st.DataObject):
         assert recording is None
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(data=st.data())
 def test_bytes_changed_anywhere(whole: Path, data: st.DataObject):
     content = bytearray(whole.read_bytes())
@@ -243,7 +244,7 @@ def test_bytes_changed_anywhere(whole: Path, data: st.DataObject):
     read_damaged(bytes(content))
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(junk=st.binary(max_size=400))
 def test_junk_after_the_magic(junk: bytes):
     assert read_damaged(b"\x89MCAP0\r\n" + junk) is None

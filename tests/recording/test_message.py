@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.recording.message import HOLOHOVER_CONTROL, HOLOHOVER_MOTORS, MessageCodec, StreamCodec
 
 from ..apparatus.bags import stamped
+from ..apparatus.examples import examples
 
 NUMBERS = st.floats(-1e3, 1e3)
 CODECS = {name: StreamCodec(name) for name in ("pose", "reference", "estimate", "imu", "mouse")}
@@ -15,7 +16,7 @@ CODECS = {name: StreamCodec(name) for name in ("pose", "reference", "estimate", 
 
 @pytest.mark.parametrize("stream", CODECS)
 @given(data=st.data())
-@settings(max_examples=20)
+@examples(20)
 def test_streams_come_back(stream, data):
     codec = CODECS[stream]
     values = data.draw(st.lists(NUMBERS, min_size=len(codec.columns), max_size=len(codec.columns)))

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.torch_archive import Refused, read_authors_experiment, read_inert
 
+from ..apparatus.examples import examples
 from ..apparatus.torch_archives import (
     archive,
     dictionary,
@@ -184,7 +185,7 @@ def test_no_such_file(tmp_path: Path):
             read_authors_experiment(path)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(data=st.data())
 def test_damage_anywhere(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject):
     path = tmp_path_factory.mktemp("damage") / "data.pt"
@@ -372,7 +373,7 @@ def test_no_pickle_takes_memory_or_time(tmp_path: Path, data: bytes):
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.binary(max_size=60))
 def test_junk_is_refused_or_plain(junk: bytes):
     try:
@@ -381,7 +382,7 @@ def test_junk_is_refused_or_plain(junk: bytes):
         assert str(refusal).isprintable()
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(data=st.data())
 def test_changed_pickles_are_refused_or_plain(data: st.DataObject):
     content = bytearray(pickle.dumps({"T": {"x": (1, 2)}, "X": {"y": "text"}}, 2))

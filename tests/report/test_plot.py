@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.model.model_file import published_model
-from tests.apparatus.synthetic_flights import fly
+
+from ..apparatus.synthetic_flights import fly
 
 M3 = published_model("M3")
 

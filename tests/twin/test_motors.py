@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.twin.motors import MotorUnit
 from airpuck.twin.settings import Motors, Stall, Weakness
+
+from ..apparatus.examples import examples
 
 NAMES = ("left", "right")
 BOTH = np.array([0.6, 0.3])
@@ -96,7 +98,7 @@ def test_a_stall_of_an_unknown_motor_is_refused():
     assert "(there are left, right)" in str(caught.value)
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(
     unarmed=st.floats(0, 1),
     delay=st.floats(0, 0.3),

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -17,6 +17,8 @@ from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import step
 from airpuck.twin.plant import LONGEST_STEP, Disc, Plant, advance, build_plant
 from airpuck.twin.settings import Effects, default_twin_settings
+
+from ..apparatus.examples import examples
 
 PUBLISHED = published_model("M3")
 #: The published craft with an offset that matters, fixed to the body.
@@ -222,13 +224,13 @@ motions = st.tuples(*[st.floats(-1, 1)] * 4)
 places = st.sampled_from([(1.03, 0.0), (-1.03, 0.1), (0.2, 0.48), (0.3, -0.48), (1.03, -0.48)])
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(motions, places, fraction, st.floats(0, 1.5))
 def test_rails_never_give_energy_to_a_disc(motion, position, restitution, friction):
     assert gained(motion, position, restitution, friction, (0.0, 0.0)) <= 1e-9
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(motions, places, st.floats(0, 0.9), st.floats(0, 1.5), st.floats(0, 5e-3))
 def test_rails_never_give_energy_to_an_off_center_disc(motion, position, restitution, friction, r):
     assert gained(motion, position, restitution, friction, (r, 0.0)) <= 1e-9
@@ -240,7 +242,7 @@ def test_elastic_rails_with_friction_never_give_energy_to_an_off_center_disc():
     assert gained(motion, (1.03, 0.0), 1.0, 0.3, (5e-3, 0.0)) <= 1e-9
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(st.integers(0, 10**6), fraction, st.floats(0, 1))
 def test_after_a_hit_the_craft_leaves_the_rail_and_friction_does_not_reverse_the_slip(
     seed, restitution, friction

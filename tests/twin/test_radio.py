@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
 from airpuck.twin.radio import RadioLink, heard_commands, queued_delay
 from airpuck.twin.settings import Radio, default_twin_settings
+
+from ..apparatus.examples import examples
 
 PERIOD = 0.01
 
@@ -170,7 +172,7 @@ def test_loss_takes_packets_away_without_moving_the_others():
 spans = st.tuples(st.floats(0, 1), st.floats(0, 0.3)).map(lambda s: (s[0], s[0] + s[1]))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     seed=st.integers(0, 10**6),
     delay=st.floats(0, 0.1),

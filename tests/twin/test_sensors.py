@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from airpuck.twin.sensors import EPOCH_NS, Sensor
+
+from ..apparatus.examples import examples
 
 NOISE = (1e-3, 2e-3, 5e-3)
 
@@ -135,7 +137,7 @@ def test_what_is_delivered_is_what_is_logged():
     assert {m.kind for _, m in found} == {"pose"}
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(
     st.integers(0, 10**6),
     st.floats(0, 0.05),

@@ -17,9 +17,9 @@ from collections.abc import Iterator
 import pytest
 
 from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
-from tests.apparatus.handshakes import websocket as opened
 
 from ..apparatus.arena import Arena
+from ..apparatus.handshakes import websocket as opened
 
 client = pytest.importorskip("websockets.sync.client")
 exceptions = pytest.importorskip("websockets.exceptions")
