@@ -72,6 +72,7 @@ def test_every_extra_is_tested():
     assert set(EXTRAS) - {"dev"} == tested
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("uses", FIRST_USE, ids=" ".join)
 def test_an_extra_brings_what_its_first_command_needs(uses, tmp_path):
     for extras, command in uses.items():
@@ -79,6 +80,7 @@ def test_an_extra_brings_what_its_first_command_needs(uses, tmp_path):
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_without_its_extra_a_command_says_what_to_install(tmp_path):
     plain = environment(tmp_path / "plain")
     for extras, command in ((e, c) for uses in FIRST_USE for e, c in uses.items()):
@@ -87,6 +89,7 @@ def test_without_its_extra_a_command_says_what_to_install(tmp_path):
         assert "airpuck[" in done.stderr.splitlines()[-1], extras
 
 
+@pytest.mark.slow
 def test_an_environment_has_nothing_else(tmp_path):
     python = environment(tmp_path / "plain")
     for name, status in (("jax", 0), ("pytest", 1), ("pandas", 1), ("casadi", 1)):

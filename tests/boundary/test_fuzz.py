@@ -8,6 +8,8 @@ import pytest
 
 from ..apparatus.fuzz import fuzz, kinds, table
 
+pytestmark = pytest.mark.slow
+
 KINDS = list(kinds(Path("/")))
 
 

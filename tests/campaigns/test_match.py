@@ -18,6 +18,7 @@ from ..apparatus.commands import airpuck, refused
 SHORT = Rules(goals=2, limit_s=20.0)
 
 
+@pytest.mark.slow
 def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     first = match("human:hard", "human:easy", 3, seed=5, rules=SHORT, workers=1, output=tmp_path)
     figures = first.to_json()
@@ -56,6 +57,7 @@ def test_the_interval_of_wins_is_wilsons():
     assert found["left_wins_interval"] == pytest.approx([0.0, 1.96**2 / (1 + 1.96**2)], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_tactic_that_fails_fails_the_match(tmp_path):
     (tmp_path / "bad.py").write_text("class Bad:\n    def decide(self, view): return 1 / 0\n")
     name = f"{tmp_path / 'bad.py'}:Bad"
@@ -76,6 +78,7 @@ def test_a_tactics_file_belongs_to_the_key_and_where_the_bag_goes_does_not(tmp_p
     assert Match().key() != Match(right="human:hard").key()
 
 
+@pytest.mark.slow
 def test_a_campaign_can_play(tmp_path):
     (tmp_path / "mine.py").write_text("class Mine: ...\n")
     (tmp_path / "spec.toml").write_text(
@@ -87,6 +90,7 @@ def test_a_campaign_can_play(tmp_path):
     assert entries[0].item.left == str(tmp_path / "mine.py:Mine")
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path):
     who = ("--left", "human:hard", "--right", "human:easy")
     done = airpuck(

@@ -16,6 +16,8 @@ from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import DEADLY, dispatch
 from airpuck.compute.process import Stopped, stop
 
+pytestmark = pytest.mark.slow
+
 
 class Mortal(Item):
     """Marks that it was run; some kill their worker, the first time or every time."""

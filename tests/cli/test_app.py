@@ -79,6 +79,7 @@ def test_version():
     assert airpuck_process("--version").stdout.strip().startswith("airpuck 0.")
 
 
+@pytest.mark.slow
 def test_identify_writes_a_model_and_figures(bag, identified):
     assert read_model(identified).name == "M3"
     figures = json.loads((bag.parent / "fit.json").read_text())
@@ -95,6 +96,7 @@ def test_preprocess_writes_the_arrays(bag, tmp_path):
         assert archive["input"].shape == (len(archive["t"]), 6)
 
 
+@pytest.mark.slow
 def test_evaluate_prints_json_and_nothing_else(bag, identified):
     process = airpuck_process("evaluate", identified, bag, "--json", "-")
     assert process.stderr == ""
@@ -104,6 +106,7 @@ def test_evaluate_prints_json_and_nothing_else(bag, identified):
     assert figures["rmse"]["x_m"] < 2e-3
 
 
+@pytest.mark.slow
 def test_a_preprocessed_file_serves_as_recording(bag, identified, tmp_path):
     airpuck("preprocess", bag, "-o", tmp_path / "traj.npz")
     direct, saved = (
@@ -113,6 +116,7 @@ def test_a_preprocessed_file_serves_as_recording(bag, identified, tmp_path):
     assert direct == saved
 
 
+@pytest.mark.slow
 def test_span_takes_a_part(bag, identified):
     whole, part = (
         json.loads(airpuck("evaluate", identified, bag, "--json", "-", *span).stdout)
@@ -121,6 +125,7 @@ def test_span_takes_a_part(bag, identified):
     assert part["windows"] == pytest.approx(whole["windows"] / 2, abs=1)
 
 
+@pytest.mark.slow
 def test_compare_prints_a_table(bag, identified):
     process = airpuck("compare", "paper:M0", identified, bag)
     assert process.returncode == 0
@@ -152,6 +157,7 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     assert process.stderr.splitlines()[-1].endswith(": the y axis")
 
 
+@pytest.mark.slow
 def test_adam(bag, tmp_path):
     adam = ("--method", "adam", "--epochs", "1", "-o", tmp_path / "m.toml")
     assert json.loads(airpuck("identify", bag, *adam, "--json", "-").stdout)["iterations"] == 1
@@ -228,6 +234,7 @@ def test_bad_input_ends_a_process_alike(tmp_path):
     assert refused(airpuck_process("evaluate", "none.toml", tmp_path), "none.toml", "no such file")
 
 
+@pytest.mark.slow
 def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
     # Flights of 90 s are for the reader of its report.
     monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=14.0))

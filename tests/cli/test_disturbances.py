@@ -17,6 +17,8 @@ from airpuck.recording.read import read_recording
 from ..apparatus.disturbed_commands import Server
 from ..apparatus.synthetic_flights import record
 
+pytestmark = pytest.mark.slow
+
 #: By name: the words of a command.
 COMMANDS = {
     "preprocess": "preprocess bag -o out/trajectory.npz --json out/figures.json",

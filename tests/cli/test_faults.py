@@ -11,6 +11,8 @@ from airpuck.recording.stream import Recording, Stream
 from ..apparatus.commands import airpuck, refused
 from ..apparatus.synthetic_flights import record
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):

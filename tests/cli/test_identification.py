@@ -28,6 +28,7 @@ def bag(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
     out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "fit.json", "--report", tmp_path / "r")
     out = (*out, "--validation", bag, "-v")

@@ -34,6 +34,7 @@ def bag(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_bag_of_a_puck_becomes_a_table_file(bag, tmp_path):
     done = airpuck(
         "identify", "--puck", bag, "-o", "table.toml", "--json", "figures.json", cwd=tmp_path
@@ -55,6 +56,7 @@ def test_a_bag_of_a_puck_becomes_a_table_file(bag, tmp_path):
     assert figures["kept_along_rail"] == pytest.approx(found.puck.kept_along_rail)
 
 
+@pytest.mark.slow
 def test_without_a_name_nothing_is_written(bag, tmp_path):
     done = airpuck("identify", "--puck", bag, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -62,6 +64,7 @@ def test_without_a_name_nothing_is_written(bag, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_sizes_are_those_of_the_table_file(bag, tmp_path):
     given = AirHockey(puck=Puck(mass_kg=0.02))
     given.save(tmp_path / "given.toml")

@@ -37,6 +37,7 @@ def planned(tmp_path_factory):
     return path, json.loads(figures.read_text()), ended.stdout
 
 
+@pytest.mark.slow
 def test_a_plan_is_said_and_written(planned):
     path, figures, said = planned
     assert figures["converged"] is True
@@ -47,6 +48,7 @@ def test_a_plan_is_said_and_written(planned):
     assert again.duration == figures["time_s"]
 
 
+@pytest.mark.slow
 def test_a_plan_is_raced(planned, tmp_path):
     path, figures, _ = planned
     out, picture = tmp_path / "race.json", tmp_path / "race.png"
@@ -77,6 +79,7 @@ def test_wrong_requests_end_in_one_line(words, said):
     assert refused(airpuck(*words.split()), said)
 
 
+@pytest.mark.slow
 def test_a_plan_has_its_course(planned):
     ended = airpuck("race", "--plan", planned[0], "--course", "slalom")
     assert refused(ended, "--plan: is planned already")

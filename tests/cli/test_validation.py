@@ -12,6 +12,8 @@ from airpuck.recording.bag_writer import write_bag
 from ..apparatus.commands import airpuck, refused
 from ..apparatus.synthetic_flights import record
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):

@@ -95,6 +95,7 @@ def allocator(solver: Literal["daqp", "piqp"] = "daqp", n: int = 6) -> ThrustAll
     return ThrustAllocator(n, ARM, SLACK_WEIGHT, solver)
 
 
+@pytest.mark.slow
 def test_both_solvers_agree():
     daqp, piqp = (allocator(solver) for solver in SOLVERS)
     for problem, _ in sample():

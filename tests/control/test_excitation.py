@@ -94,6 +94,7 @@ def test_signals_go_on_with_the_time_though_steps_are_missed():
     np.testing.assert_allclose(late, whole[160:], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [1.0, 0.4])
 def test_signals_are_uniform_and_independent(amplitude):
     commands = at_rest(pilot(amplitude=amplitude, hold=PERIOD, seed=7), 3000)

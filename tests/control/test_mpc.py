@@ -96,6 +96,7 @@ def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
     return np.array([x, y, yaw, 0.0, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_it_reaches_set_points_that_an_lqr_needs_longer_for():
     target, settled = np.array([0.6, -0.2, 2.8]), []
     for ours in (free(), TrackingController(MODEL, HOME)):
@@ -115,6 +116,7 @@ def test_it_flies_a_craft_with_delay_that_is_another_than_believed():
     assert {one.status for one in steps[5:]} <= {"optimal", "softened"}
 
 
+@pytest.mark.slow
 def test_the_closed_loop_is_that_of_the_physics_by_another_integrator():
     target, start = SetPoint(0.5, 0.1, 1.5), at_rest(-0.2, 0.0, 0.0)
     with jax.enable_x64(True):

@@ -16,6 +16,8 @@ from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.model.model_file import Model, published_model
 from airpuck.physics.rigid_body import Dynamics, derivative
 
+pytestmark = pytest.mark.slow
+
 M4 = published_model("M4")
 MPC = default_tuning().with_regulator("mpc")
 GOAL = SetPoint(0.4, -0.2, 1.0)

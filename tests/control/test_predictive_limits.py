@@ -9,6 +9,8 @@ import pytest
 
 from airpuck.control.law import Predicted
 
+pytestmark = pytest.mark.slow
+
 sys.path.append(str(Path(__file__).parents[2] / "studies"))
 cost = importlib.import_module("predictive_limits.cost")
 converged = importlib.import_module("predictive_limits.converged")

@@ -276,6 +276,7 @@ def real(experiments):
     return identify(training, "M3").model, validation
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("protocol", REACHED)
 def test_prediction_on_the_paper_s_windows(protocol, real):

@@ -47,6 +47,7 @@ def test_the_arithmetic_by_hand():
     assert change.z == pytest.approx((after - before) / joint, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_propeller_that_lost_a_tenth_is_named(fits):
     motor = TRUTH.vehicle.propeller_names[2]
     found = drift(fits[0], fits[2])
@@ -59,16 +60,19 @@ def test_a_propeller_that_lost_a_tenth_is_named(fits):
     assert not others
 
 
+@pytest.mark.slow
 def test_two_flights_of_one_craft_differ_in_nothing(fits):
     (sentence,) = drift(fits[0], fits[1]).verdicts
     assert sentence.startswith("nothing moved: of 17 quantities")
 
 
+@pytest.mark.slow
 def test_models_without_errors_or_of_other_crafts_are_refused(fits):
     with pytest.raises(InputError, match="know the error"):
         drift(published_model("M3"), fits[0])
 
 
+@pytest.mark.slow
 def test_shared_data_and_other_terms_are_noted(fits):
     other = replace(fits[0], name="M2").with_delay(0.03)
     assert other.uncertainty

@@ -24,6 +24,7 @@ def in_deviations(bands):
     return BAND * ((bands.measured - bands.predicted) / bands.total)[-1]
 
 
+@pytest.mark.slow
 def test_bands_hold_what_they_say_on_the_twin():
     # Default radio: what its jitter does is not in the model, and found by maximum likelihood.
     flight = preprocess(excite(TRUTH, 20.0, seed=3))
@@ -43,6 +44,7 @@ def test_bands_hold_what_they_say_on_the_twin():
     assert ((size > 0.5) & (size < 1.3)).all()
 
 
+@pytest.mark.slow
 def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
     flight = flights[1].slice(0, 0.7)
     bands = prediction_bands(fits[0], flight, horizon=0.5)
@@ -85,6 +87,7 @@ def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance
     np.testing.assert_allclose(bands.by_parameters[-1], expected[-1], rtol=0.3)
 
 
+@pytest.mark.slow
 def test_without_any_error_the_band_is_that_of_the_pose(fits):
     flight = noisy(duration=2.0, seed=5)
     silent = Noise(POSE_NOISE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -98,6 +101,7 @@ def test_without_any_error_the_band_is_that_of_the_pose(fits):
     np.testing.assert_allclose(bands.total, expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_predictions_do_not_overlap_nor_leave_the_recording(fits):
     flight = noisy(duration=2.0, seed=5)
     known = innovations(fits[0], flight, Noise(POSE_NOISE, (0.1, 0.1, 2.0), (0.0, 0.0, 0.0)))

@@ -9,6 +9,8 @@ from airpuck.evaluation.residuals import resid
 
 from ..apparatus.noisy_flights import TRUTH, noisy
 
+pytestmark = pytest.mark.slow
+
 #: Spin drag of the craft that its model lacks [1/s].
 DRAG = 1.0
 

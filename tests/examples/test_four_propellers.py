@@ -10,6 +10,8 @@ import pytest
 
 import airpuck
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "four_propellers"
 

@@ -28,6 +28,7 @@ def loss():
     return PredictionLoss(windows, VEHICLE, PaperEncoder())
 
 
+@pytest.mark.slow
 def test_approaches_the_minimum(loss):
     start = RUNGS["M3"].initial(VEHICLE)
     free = RUNGS["M3"].mask(start)
@@ -39,6 +40,7 @@ def test_approaches_the_minimum(loss):
     assert outcome.history[-1].test_loss == pytest.approx(outcome.loss, rel=0.5)
 
 
+@pytest.mark.slow
 def test_a_first_step_goes_down_the_gradient_at_the_learning_rate(loss):
     start = RUNGS["M1"].initial(VEHICLE)
     free = RUNGS["M1"].mask(start)
@@ -57,6 +59,7 @@ def test_a_first_step_goes_down_the_gradient_at_the_learning_rate(loss):
     )
 
 
+@pytest.mark.slow
 def test_the_seed_decides(loss):
     start = RUNGS["M3"].initial(VEHICLE)
     free = RUNGS["M3"].mask(start)

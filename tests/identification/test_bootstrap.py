@@ -16,6 +16,8 @@ from airpuck.model.uncertainty import DelayJitter
 
 from ..apparatus.disturbed_flights import noisy
 
+pytestmark = pytest.mark.slow
+
 
 def test_few_blocks_are_warned_of():
     flight = noisy(duration=7.0)

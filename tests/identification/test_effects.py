@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model, read_model
@@ -10,6 +11,8 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Effects, Radio, default_twin_settings
+
+pytestmark = pytest.mark.slow
 
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
 

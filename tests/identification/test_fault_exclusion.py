@@ -40,6 +40,7 @@ def fit(faulty):
     return identify(faulty, "M3", preparation=Preparation(faults="exclude"))
 
 
+@pytest.mark.slow
 def test_faults_do_not_move_the_estimate(fit, faulty):
     kept = identify(faulty, "M3", preparation=Preparation(faults="keep"))
     assert off(kept) > 0.05
@@ -50,6 +51,7 @@ def test_faults_do_not_move_the_estimate(fit, faulty):
         assert any(s.start < begin + 0.1 and s.stop > end - 0.1 for s in found)
 
 
+@pytest.mark.slow
 def test_a_clean_flight_loses_nothing(clean):
     fit, kept = (
         identify(clean, "M3", preparation=Preparation(faults=f)) for f in ("exclude", "keep")
@@ -60,6 +62,7 @@ def test_a_clean_flight_loses_nothing(clean):
     assert fit.loss == kept.loss
 
 
+@pytest.mark.slow
 def test_what_was_left_out_is_in_the_model_file(fit, faulty, tmp_path):
     fit.model.save(tmp_path / "m.toml")
     left_out = read_model(tmp_path / "m.toml").fit["left_out"]
@@ -70,6 +73,7 @@ def test_what_was_left_out_is_in_the_model_file(fit, faulty, tmp_path):
     assert 0 < first["confidence"] <= 1
 
 
+@pytest.mark.slow
 def test_iterations_go_on_after_the_faults_are_out(fit):
     numbers = [step.number for step in fit.history]
     assert numbers == list(range(len(numbers)))

@@ -37,6 +37,7 @@ def test_exact_data_give_exact_parameters():
     assert fit.loss < 1e-12
 
 
+@pytest.mark.slow
 def test_two_recordings_at_once():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]
@@ -72,6 +73,7 @@ def test_recordings_of_different_rates_are_refused():
     assert Loss().samples([rare]) == (20, 25, 4)
 
 
+@pytest.mark.slow
 def test_a_craft_with_four_propellers():
     vehicle = four_propellers()
     start = named_rung("M3").initial(vehicle)
@@ -89,6 +91,7 @@ def test_a_craft_with_four_propellers():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [1, 5])
 def test_any_degree(degree):
     fit = identify(fly(published_model("M3"), duration=6.0), named_rung("M3", degree=degree))
@@ -146,6 +149,7 @@ def real(experiments):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_own_fits_reach_table_2(real):
     training, validation = real

@@ -17,6 +17,8 @@ from airpuck.twin.radio import queued_delay
 from ..apparatus.excited_flights import TRUTH, flown, settings
 from ..apparatus.public_recordings import BLUE
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def flight():

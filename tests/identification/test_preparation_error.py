@@ -62,6 +62,7 @@ def test_rounds_add_up():
     np.testing.assert_allclose(error_growth(-part, 2 * part, one, 2), np.diag([1.75, 1.75, 1.0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("entry", [LAG, ANGLE])
 def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, monkeypatch):
     """The whole preparation again, with all that it decides anew, two errors away."""
@@ -94,6 +95,7 @@ def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, mon
     assert np.linalg.norm(moved[1]) == pytest.approx(np.linalg.norm(moved[0]), rel=0.2)
 
 
+@pytest.mark.slow
 def test_it_makes_estimates_less_certain(flight, fit):
     """Packets that may come when they like explain some of what a wrong lag does."""
     growth = growth_of(fit, *found(fit, [flight]))
@@ -102,10 +104,12 @@ def test_it_makes_estimates_less_certain(flight, fit):
     assert np.median(growth) < 1.1
 
 
+@pytest.mark.slow
 def test_without_packets_only_smoothing_is_left(flight, fit):
     np.testing.assert_allclose(growth_of(fit, *found(fit, [flight], [NOTHING])), 1.0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
     """Prepared data keep the mean of the packets' delays, whatever is added to all of them."""
     (own,) = fit.packet_delays
@@ -114,6 +118,7 @@ def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
     np.testing.assert_allclose(one[1], other[1], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_fit_has_all_of_it(flight, fit):
     """Blocks, what they share, data prepared with the estimate, and packets that are a sample."""
     loss, parameters = fit.objective, fit.model.parameters
@@ -132,6 +137,7 @@ def test_a_fit_has_all_of_it(flight, fit):
     assert expected.standard_errors[DELAY] > 1.2 * errors[DELAY]
 
 
+@pytest.mark.slow
 def test_a_single_block_has_no_errors(flight):
     short = identify(flight.slice(0.2, 0.25), preparation=Preparation(faults="keep"))
     assert np.isnan(short.uncertainty.standard_errors).all()

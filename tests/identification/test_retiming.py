@@ -128,6 +128,7 @@ def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
     np.testing.assert_allclose(again.state, trajectory.state, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_retimed_fit_is_several_times_more_accurate():
     """Against one that takes every packet to arrive after the mean delay, on the same flight."""
     trajectory = flown(0.007, 40.0).trajectory

@@ -41,6 +41,7 @@ def faulty(clean):
     return replace(clean, command=command)
 
 
+@pytest.mark.slow
 def test_unmarked_faults_hardly_move_the_estimate(faulty):
     plain = identify(faulty, "M3", preparation=KEEP_FAULTS)
     robust = identify(faulty, "M3", loss=ROBUST, preparation=KEEP_FAULTS)
@@ -52,11 +53,13 @@ def test_unmarked_faults_hardly_move_the_estimate(faulty):
     assert robust.loss > plain.loss
 
 
+@pytest.mark.slow
 def test_without_faults_nothing_is_lost(clean):
     plain, robust = identify(clean, "M3"), identify(clean, "M3", loss=ROBUST)
     assert off(robust) < 1.5 * off(plain) + 2e-3
 
 
+@pytest.mark.slow
 def test_a_window_counts_as_student_says(faulty):
     """Against the formula, with errors from `evaluate` on the same windows."""
     loss = PredictionLoss(make_windows(faulty, 20, 50, 70), MODEL.vehicle, PaperEncoder())
@@ -67,6 +70,7 @@ def test_a_window_counts_as_student_says(faulty):
     assert weight.min() < 0.05 < 1 < weight.max()
 
 
+@pytest.mark.slow
 def test_iterations_are_counted_on(faulty):
     seen = []
     fit = identify(faulty, "M0", loss=ROBUST, preparation=KEEP_FAULTS, progress=seen.append)
@@ -75,11 +79,13 @@ def test_iterations_are_counted_on(faulty):
     assert max(step.number for step in seen) == fit.iterations
 
 
+@pytest.mark.slow
 def test_adam_is_not_robust(clean):
     with pytest.raises(InputError, match="robust"):
         identify(clean, "M3", method=Adam(epochs=1), loss=ROBUST)
 
 
+@pytest.mark.slow
 def test_a_window_that_is_drawn_twice_counts_as_two(faulty):
     """Resampled fits find weights anew: those of the windows that were drawn."""
     loss = replace(ROBUST.on([faulty], MODEL.vehicle), clusters=None)
@@ -191,6 +197,7 @@ def test_the_information_is_the_derivative_of_the_weighted_scores():
     np.testing.assert_allclose(ours, slope, atol=0.02 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_medians_on_the_paper_s_experiments(experiments):
     training, validation = (

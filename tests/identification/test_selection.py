@@ -43,6 +43,7 @@ def plain():
     return flight()
 
 
+@pytest.mark.slow
 def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
     selection = select_model(plain, SHORT_LADDER)
     assert selection.fit.model.name == "M3"
@@ -55,6 +56,7 @@ def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
     assert read_model(tmp_path / "model.toml").fit["selection"]["ladder"] == names
 
 
+@pytest.mark.slow
 def test_a_craft_with_inflow_pair_interaction_and_drag_gets_them():
     told = []
     selection = select_model(flight(RICH), SHORT_LADDER, progress=told.append)
@@ -68,6 +70,7 @@ def test_a_craft_with_inflow_pair_interaction_and_drag_gets_them():
     assert not figures["rungs"][0]["within_one_standard_error"]
 
 
+@pytest.mark.slow
 def test_no_sample_is_both_learned_from_and_predicted(plain, monkeypatch):
     loss = Loss()
     held_out = _HeldOut.of([plain], loss, 5)
@@ -113,6 +116,7 @@ def test_one_standard_error_or_half_a_percent_is_as_good_as_the_best():
     assert not candidate(0.011, 0.001).within
 
 
+@pytest.mark.slow
 def test_too_short_a_recording_is_refused(plain):
     with pytest.raises(InputError, match="name a model"):
         select_model(plain.slice(0, 0.2), ("M0",))

@@ -61,6 +61,7 @@ def flight() -> Trajectory:
     return flown()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("applied", [3 / 240, 7 / 240])
 def test_delay_and_lag_are_found_together(applied):
     """From a delay two samples off and a lag half too long, in data without noise."""
@@ -77,6 +78,7 @@ def test_delay_and_lag_are_found_together(applied):
     assert found.inertia == pytest.approx(TRUTH.parameters.inertia, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_held_by_whole_samples_the_lag_is_biased(flight):
     """What the continuous delay is for: 5 samples in place of 4.5 make the lag too short."""
     fit = identify(flight, preparation=FIXED, loss=LONG)
@@ -115,6 +117,7 @@ def test_gradient_by_finite_differences(flight, name, indexing):
         assert here.gradient[entry] == pytest.approx(difference, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
     """Whatever preprocessing found in the other recording, also from the file."""
     learned = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
@@ -132,17 +135,20 @@ def test_shifted_commands_count_from_the_nominal_delay():
     assert fit.model.transport_delay == pytest.approx(VEHICLE.nominal.transport_delay_s, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_rungs_without_a_lag_keep_the_delay(flight):
     fit = identify(flight, "M0")
     assert not fit.model.delay_learned
     assert identify(flight, "M0", preparation=LEARNED).model.transport_delay > 1.5 * flight.delay
 
 
+@pytest.mark.slow
 def test_adam_does_not_learn_it(flight):
     with pytest.raises(InputError, match="Levenberg-Marquardt only"):
         identify(flight, preparation=LEARNED, method=Adam(epochs=1))
 
 
+@pytest.mark.slow
 def test_warns_of_a_recording_with_another_delay(flight):
     strange = replace(flown(seed=2), delay=12 / 240)
     warnings = identify([flight, strange]).warnings

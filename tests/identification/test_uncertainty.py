@@ -180,6 +180,7 @@ def test_intervals_and_derived_quantities(fit):
     assert by_hand < 0.2 * known.standard_errors[4]
 
 
+@pytest.mark.slow
 def test_the_order_of_trajectories_does_not_matter():
     flights = [noisy(seed, duration=7.0) for seed in (1, 2)]
     first, second = identify(flights), identify(flights[::-1])
@@ -188,6 +189,7 @@ def test_the_order_of_trajectories_does_not_matter():
     )
 
 
+@pytest.mark.slow
 def test_twice_the_data_have_smaller_errors(fit):
     flights = [noisy(seed) for seed in (0, 3)]
     twice = identify(flights).uncertainty.standard_errors
@@ -227,6 +229,7 @@ def test_a_curve_held_in_the_middle_moves_only_along_its_constraint():
     assert slope < 1e-6 * found.standard_errors[0]
 
 
+@pytest.mark.slow
 def test_m4_knows_products_only():
     fit = identify(noisy(), "M4")
     known = fit.identifiability

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.clock import Clock
@@ -13,6 +14,8 @@ from airpuck.live.process import LiveSettings
 from airpuck.live.safety import Limits
 
 from ..apparatus.processes import CODECS, COMMANDS, POSES
+
+pytestmark = pytest.mark.slow
 
 VEHICLE = default_vehicle()
 

@@ -15,6 +15,8 @@ from airpuck.live.process import LiveSettings, Process
 from airpuck.physics.puck import PuckState
 from airpuck.recording.message import StreamCodec
 
+pytestmark = pytest.mark.slow
+
 
 class Table:
     """A twin with a human, and what that says."""

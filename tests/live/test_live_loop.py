@@ -12,6 +12,8 @@ import pytest
 
 from ..apparatus.studies import STUDIES, study
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("duration", [15.0, pytest.param(30.0, marks=pytest.mark.study)])
 def test_the_rate_is_held(domain, monkeypatch, duration):

@@ -1,6 +1,10 @@
 """The check before flight, of a twin in another process."""
 
+import pytest
+
 from ..apparatus.processes import Process, Watch
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_twin_is_ready(domain):

@@ -28,6 +28,8 @@ from airpuck.twin.settings import default_twin_settings
 from ..apparatus.processes import CODECS, COMMANDS, EVENT, IDLE, POSES, REFERENCES, Process, Watch
 from ..apparatus.recovery import assert_recovered
 
+pytestmark = pytest.mark.slow
+
 TRUTH = published_model("M3")
 #: Room for a busy machine [s].
 SLACK = 0.1

@@ -14,6 +14,8 @@ from airpuck.recording.message import StreamCodec
 from ..apparatus.arena import free_port
 from ..apparatus.processes import POSES, Process, Watch
 
+pytestmark = pytest.mark.slow
+
 TOPIC, MALLET = "/optitrack/puck/pose", "/optitrack/mallet/pose"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import default_vehicle
@@ -16,6 +17,8 @@ from airpuck.live.score import Score
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.message import StreamCodec
+
+pytestmark = pytest.mark.slow
 
 VEHICLE = default_vehicle()
 PLAY = AirHockey()

@@ -19,6 +19,8 @@ from airpuck.twin.tracking_study import Tracked
 
 from ..apparatus.drawn_flights import CRAFT, flight
 
+pytestmark = pytest.mark.slow
+
 PLANS = {
     0: Prediction(np.array([0.1, 0.2]), np.full((2, 6), 0.05), ()),
     10: Prediction(np.array([0.1, 0.2]), np.full((2, 6), 0.1), ("motor",)),

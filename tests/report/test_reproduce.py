@@ -28,6 +28,7 @@ def rounded(errors):
     return round(errors["x_mm"], 2), round(errors["y_mm"], 2), round(errors["yaw_rad"], 4)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_published_parameters_give_table_2_to_every_digit(figures):
     published = figures["table_2"]["published"]
@@ -40,6 +41,7 @@ def test_published_parameters_give_table_2_to_every_digit(figures):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_own_fits_reach_the_published_errors(figures):
     table = figures["table_2"]
@@ -55,6 +57,7 @@ def test_own_fits_reach_the_published_errors(figures):
     assert all(fit["iterations"] <= 15 for fit in figures["fits"].values())
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_numbers_are_those_of_direct_calls(figures, reproduction, experiments):
     assert (TRAINING, VALIDATION) == (TRAINING_NAME, VALIDATION_NAME)
@@ -72,6 +75,7 @@ def test_numbers_are_those_of_direct_calls(figures, reproduction, experiments):
             assert result["horizon_step"] == 48
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_page_shows_everything(reproduction, data):
     page = check_self_contained(reproduction.page.read_text(encoding="utf-8"))
@@ -90,6 +94,7 @@ def test_page_shows_everything(reproduction, data):
     assert str(data) not in page.text  # the page can be sent to others
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_known_faults_hold_the_largest_errors(reproduction):
     best = reproduction.judged.best
@@ -100,6 +105,7 @@ def test_known_faults_hold_the_largest_errors(reproduction):
         assert np.abs(errors).argmax() in np.flatnonzero(faulty)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_fits_beat_the_published_loss(reproduction):
     losses = reproduction.study.reference_losses

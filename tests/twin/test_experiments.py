@@ -54,6 +54,7 @@ def fit(excited):
     return identify(preprocess(excited), "M3")
 
 
+@pytest.mark.slow
 def test_an_excitation_stays_inside_the_rails_and_moves_about(excited):
     pose = excited["pose"].values
     reach = SETTINGS.table.reach(TRUTH.vehicle.radius_m)
@@ -79,10 +80,12 @@ def test_amplitude_and_hold_reach_the_signals(plant):
     assert held[49] > 2 * np.median(held)
 
 
+@pytest.mark.slow
 def test_identification_recovers_the_truth(fit):
     assert_recovered(fit.model.parameters, TRUTH.parameters)
 
 
+@pytest.mark.slow
 def test_identification_does_not_just_return_its_start(fit):
     start, truth = nominal_model(TRUTH.vehicle).parameters, TRUTH.parameters
     assert abs(start.inertia / truth.inertia - 1) > 0.1
@@ -90,10 +93,12 @@ def test_identification_does_not_just_return_its_start(fit):
     assert np.abs(start.center_of_mass - truth.center_of_mass).max() > 0.9e-3
 
 
+@pytest.mark.slow
 def test_identification_recovers_the_delay_to_a_sample(fit):
     assert fit.model.transport_delay == pytest.approx(TRUTH.transport_delay, abs=1.01 / 240)
 
 
+@pytest.mark.slow
 def test_the_true_model_reaches_its_set_points_within_six_seconds():
     (flight,) = tracking_study([M4], M4, dwell=6.0)
     for result, pose in zip(flight.results, SET_POINTS[1:], strict=True):
@@ -103,6 +108,7 @@ def test_the_true_model_reaches_its_set_points_within_six_seconds():
     assert set(flight.outcomes) <= {"exact", "scaled", "nearest", "no pose"}
 
 
+@pytest.mark.slow
 def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near():
     poor, true = tracking_study([M0, M4], M4)
     poor, true = (
@@ -112,6 +118,7 @@ def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near(
     assert poor[:, :2].max() > 2 * true[:, :2].max()
 
 
+@pytest.mark.slow
 def test_rejecting_the_disturbance_brings_a_poor_model_to_its_set_points(plant_m4):
     reference = SetPoints([0.0, 0.5, 6.5], SET_POINTS[:3])
     recording, _ = track(M0, reference, 12.5, truth=M4, plant=plant_m4)
@@ -121,6 +128,7 @@ def test_rejecting_the_disturbance_brings_a_poor_model_to_its_set_points(plant_m
     assert found[:, 2].max() < 0.02
 
 
+@pytest.mark.slow
 def test_set_points_are_reached_over_a_bad_radio(plant_m4):
     radio = Radio(
         delay_s=0.03, jitter_s=0.03, loss=0.3, outages_s=((1.0, 1.1), (2.5, 2.6), (7.0, 7.1))
@@ -222,6 +230,7 @@ def faulty_flight(estimator, motors, plant):
     return np.sqrt(np.mean(error**2, axis=0))
 
 
+@pytest.mark.slow
 def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m4):
     dead = Motors(stalls=(Stall(motor="motor_b_2", start_s=1.0, stop_s=99.0),))
     unaware, aware = (
@@ -231,6 +240,7 @@ def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m
     assert aware[2] < 0.8 * unaware[2]
 
 
+@pytest.mark.slow
 def test_looking_after_the_motors_does_no_harm_to_a_healthy_craft(plant_m4):
     kalman, actuation = (faulty_flight(e, Motors(), plant_m4) for e in ("kalman", "actuation"))
     np.testing.assert_allclose(actuation, kalman, rtol=0.1)

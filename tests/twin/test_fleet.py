@@ -76,6 +76,7 @@ def twin_of(model, command, *, seed=0, pose=(0.0, 0.0, 0.0), delay=None, setting
     return twin
 
 
+@pytest.mark.slow
 def test_each_craft_does_what_a_twin_of_its_own_would_do():
     rng = np.random.default_rng(1)
     commands = np.stack([COMMAND, COMMAND[::-1], rng.permutation(COMMAND)], axis=-1)
@@ -161,6 +162,7 @@ def test_single_precision_is_near():
     np.testing.assert_allclose(single.state, double.state, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_flights_of_a_fleet_give_the_parameters_back():
     rng = np.random.default_rng(0)
     # One motor of each pair and its opposite, and back: the craft comes to rest, far from a rail.

@@ -15,6 +15,7 @@ def planned():
     return course_plan("straight", M3, default_twin_settings(), reserve=0.1)
 
 
+@pytest.mark.slow
 def test_a_plan_is_flown_in_its_time_and_a_set_point_takes_twice_as_long(planned):
     found = race(planned, M3, seeds=2)
     assert found.contacts == 0

@@ -66,6 +66,7 @@ def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path):
     assert table.rows[0][4] == "no poses"
 
 
+@pytest.mark.slow
 def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
     points = SetPoints([0.0, 0.3], [(0.0, 0.0, 0.0), (0.5, 0.2, 1.0)])
     lqr, mpc = tracking_study(

@@ -28,6 +28,8 @@ from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import Pages
 from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
 
+pytestmark = pytest.mark.slow
+
 PLAY = AirHockey()
 IDLE = np.full(6, 0.03)
 

@@ -20,6 +20,7 @@ from airpuck.web.page import ArenaSettings
 from ..apparatus.arena import free_port
 
 
+@pytest.mark.slow
 def test_a_page_sees_a_game_from_its_beginning_to_its_end(monkeypatch):
     pytest.importorskip("websockets")
     from websockets.exceptions import ConnectionClosed

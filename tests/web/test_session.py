@@ -24,6 +24,8 @@ from airpuck.web.page import ArenaSettings, Pages
 from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
 from airpuck.web.session import Session, play_in_browser
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass
 class State:
