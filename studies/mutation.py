@@ -4,23 +4,25 @@
 
 Draws mistakes at random from all places where one can be made: a sign, a comparison, a number, a
 condition, a minimum for a maximum, a statement left out. Docstrings, messages, annotations,
-decorators, assertions and `__repr__` are left alone. For each mistake the tests that run the line
-are run, quick ones first, until one fails. A mistake that no test notices survives; one whose tests
-run far beyond their usual time is counted as noticed.
+decorators, assertions and `__repr__` are left alone. For each mistake the tests that call the
+function are run, quick ones first, until one fails. A mistake that no test notices survives; one
+whose tests run far beyond their usual time is counted as noticed.
 
 Prints the survivors and a table. Results are kept in a file per package, so that a run can be
 stopped and resumed. A survivor is tried again when the tests have changed.
 
-One process with everything imported forks for each mistake, and only the modules that depend on the
-changed one are imported anew. That takes seconds where a new interpreter takes half a minute.
+One process that has collected the tests forks for each mistake and gives the changed function its
+new code. Where a module's constants or a class change, the fork imports anew what depends on them.
+So a mistake costs what its tests cost, where a new interpreter takes half a minute to begin.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import gc
 import hashlib
-import importlib
+import inspect
 import json
 import os
 import random
@@ -33,11 +35,12 @@ import time
 import traceback
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
 import pytest
@@ -82,7 +85,9 @@ CALLS = {a: b for pair in _PAIRS for a, b in (pair, pair[::-1])}
 #: Keywords that check or label, and change no result.
 IDLE_KEYWORDS = {"strict", "stacklevel", "check", "help"}
 #: A test that takes longer than this is not run [s of a processor].
-SLOW = 3.0
+SLOW = 2.5
+#: A quick test is run before others [s of a processor].
+QUICK = 0.3
 #: Tests are stopped after twice their usual time and this [s of a processor], or after so many
 #: times that by the clock, which also knows other work on the machine.
 PATIENCE, LOADED = 10.0, 10.0
@@ -107,6 +112,12 @@ class Mutant:
     def key(self) -> str:
         """What it is known by in the file of results."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+
+    @property
+    def module(self) -> str:
+        """Name of the module."""
+        name = self.path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        return f"airpuck.{name}"
 
     def mutated(self) -> bytes:
         """Return the file with the mistake."""
@@ -303,10 +314,10 @@ def mutants(package: str, count: int, seed: int) -> list[Mutant]:
                 (name, text.count(b"\n", 0, start) + 1, start, end, text, choices, digest)
             )
     draw = random.Random(f"{package} {seed}")
+    # The first of many are the same as few.
+    draw.shuffle(places)
     drawn = []
-    for name, line, start, end, text, choices, digest in draw.sample(
-        places, min(count, len(places))
-    ):
+    for name, line, start, end, text, choices, digest in places[:count]:
         after = draw.choice(choices)
         mutant = Mutant(name, line, start, end, text[start:end].decode(), after, digest)
         compile(mutant.mutated(), name, "exec")
@@ -316,57 +327,32 @@ def mutants(package: str, count: int, seed: int) -> list[Mutant]:
 
 @dataclass
 class Test:
-    """What is known of a test: how long it takes, and which lines of the package it runs."""
+    """What is known of a test: how long it takes, and which functions of the package it calls."""
 
     node: str
-    seconds: float = 0.0
-    passed: bool = True
+    seconds: float
+    passed: bool
+    #: File and first line.
+    calls: set[tuple[str, int]]
 
 
-class Watch:
-    """A pytest plugin that notes times, outcomes, and the lines that each test runs."""
+class Reports:
+    """A pytest plugin that keeps the names of tests that failed."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = f"{folder}{os.sep}"
-        self.tests: dict[str, Test] = {}
-        self.lines: dict[str, set[tuple[str, int]]] = defaultdict(set)
-        self.now: set[tuple[str, int]] = set()
-
-    def _call(self, frame: Any, event: str, argument: Any) -> Any:
-        name = frame.f_code.co_filename
-        if not name.startswith(self.folder):
-            return None
-        now = self.now
-
-        def line(frame: Any, event: str, argument: Any) -> Any:
-            now.add((name, frame.f_lineno))
-            return line
-
-        return line(frame, event, argument)
-
-    @pytest.hookimpl(hookwrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Follow a test with its fixtures."""
-        test = self.tests[item.nodeid] = Test(item.nodeid)
-        self.now = self.lines[item.nodeid]
-        threading.settrace(self._call)
-        sys.settrace(self._call)
-        began = sum(os.times()[:4])
-        yield
-        test.seconds = sum(os.times()[:4]) - began
-        sys.settrace(None)
+    def __init__(self) -> None:
+        self.failed: list[str] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Note a failure in any of a test's parts."""
-        self.tests[report.nodeid].passed &= report.passed
+        if report.failed:
+            self.failed.append(report.nodeid)
 
 
 class Chosen:
-    """A pytest plugin that runs some tests in a given order, and keeps the name of a failure."""
+    """A pytest plugin that runs some tests in a given order."""
 
     def __init__(self, order: list[str]) -> None:
         self.order = {node: k for k, node in enumerate(order)}
-        self.failed = ""
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -376,10 +362,65 @@ class Chosen:
             key=lambda item: self.order[item.nodeid],
         )
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Keep the first failure."""
-        if report.failed and not self.failed:
-            self.failed = report.nodeid
+
+class Instead:
+    """A pytest plugin that does something else with the tests than to run them."""
+
+    def __init__(self, work: Callable[[pytest.Session], None]) -> None:
+        self.work = work
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Do it."""
+        self.work(session)
+        return True
+
+
+def run(items: list[pytest.Item], stop: bool = True) -> list[str]:
+    """Run collected tests in this process; return those that fail, or the first of them."""
+    reports = Reports()
+    items[0].config.pluginmanager.register(reports)
+    for item, following in zip(items, [*items[1:], None], strict=True):
+        item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+        if stop and reports.failed:
+            break
+    return reports.failed
+
+
+def too_slow(signal: int, frame: Any) -> None:
+    """End a slow test."""
+    pytest.fail("slow")
+
+
+def watched(items: list[pytest.Item], folder: Path) -> list[dict[str, Any]]:
+    """Run collected tests in this process; return what is known of each."""
+    inside, found = f"{folder}{os.sep}", []
+    calls: set[tuple[str, int]] = set()
+
+    def call(frame: Any, event: str, argument: Any) -> None:
+        code = frame.f_code
+        if code.co_filename.startswith(inside):
+            calls.add((code.co_filename, code.co_firstlineno))
+
+    signal.signal(signal.SIGPROF, too_slow)
+    for item in items:
+        calls.clear()
+        began = sum(os.times()[:4])
+        signal.setitimer(signal.ITIMER_PROF, 2 * SLOW)
+        threading.settrace(call)
+        sys.settrace(call)
+        failed = run([item])
+        sys.settrace(None)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        seconds = sum(os.times()[:4]) - began
+        found.append(
+            {
+                "node": item.nodeid,
+                "seconds": round(seconds, 3),
+                "passed": not failed and seconds < SLOW,
+                "calls": sorted(calls),
+            }
+        )
+    return found
 
 
 def in_a_child(work: Callable[[], Any], limit: float) -> Any:
@@ -428,54 +469,34 @@ def in_a_child(work: Callable[[], Any], limit: float) -> Any:
     return json.loads(said) if said else {"failed": "crash", "why": "the process ended"}
 
 
-ARGUMENTS = ["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-m", "not study and not browser"]
+ARGUMENTS = ["-q", "-s", "-x", "-n", "0", "-p", "no:cacheprovider"]
+ARGUMENTS += ["-m", "not study and not browser and not slow"]
 
 
-def tested(files: list[str], *plugins: Any, stop: bool = True) -> int:
+def tested(files: list[str], *plugins: Any) -> int:
     """Run pytest in this process."""
-    arguments = ARGUMENTS if stop else [a for a in ARGUMENTS if a != "-x"]
-    return int(pytest.main([*arguments, *files], plugins=list(plugins)))
+    return int(pytest.main([*ARGUMENTS, *files], plugins=list(plugins)))
 
 
-def baseline(package: str, out: Path) -> tuple[list[Test], dict[str, set[tuple[str, int]]]]:
-    """Run the tests of a package as it is, file by file where they are not known yet.
-
-    Also imports here what they imported.
-    """
-    files = sorted((ROOT / "tests" / package).rglob("test_*.py"))
-    sources = b"".join(path.read_bytes() for path in sorted((SOURCES / package).rglob("*.py")))
+def baseline(package: str, items: list[pytest.Item], out: Path) -> list[Test]:
+    """Run the tests of a package as it is, file by file where they are not known yet."""
     kept = out / f"{package}-baseline.json"
     known = json.loads(kept.read_text()) if kept.exists() else {}
-    keys = {
-        str(path.relative_to(ROOT)): hashlib.sha256(sources + path.read_bytes()).hexdigest()
-        for path in files
-    }
-    missing = [name for name, key in keys.items() if known.get(name, {}).get("key") != key]
-
-    def work(files: list[str]) -> Any:
-        watch = Watch(SOURCES / package)
-        tested(files, watch, stop=False)
-        return {
-            "tests": [asdict(test) for test in watch.tests.values()],
-            "lines": {node: sorted(found) for node, found in watch.lines.items()},
-            "modules": list(sys.modules),
-        }
-
-    tested(["--collect-only", f"tests/{package}"])
-    for name in missing:
-        known[name] = {**in_a_child(lambda name=name: work([name]), 3600.0), "key": keys[name]}
-        kept.write_text(json.dumps(known))
-    for name in dict.fromkeys(name for file in keys for name in known[file]["modules"]):
-        if name != "__main__" and name not in sys.modules:
-            with suppress(Exception), warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                importlib.import_module(name)
-    tests = [Test(**test) for file in keys for test in known[file]["tests"]]
-    return tests, {
-        node: {(name, line) for name, line in lines}
-        for file in keys
-        for node, lines in known[file]["lines"].items()
-    }
+    sources = b"".join(path.read_bytes() for path in sorted((SOURCES / package).rglob("*.py")))
+    files: dict[Path, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        files[item.path].append(item)
+    found: list[Test] = []
+    for path, tests in files.items():
+        name, key = path.name, hashlib.sha256(sources + path.read_bytes()).hexdigest()
+        if known.get(name, {}).get("key") != key:
+            rows = in_a_child(lambda tests=tests: watched(tests, SOURCES / package), 1200.0)
+            known[name] = {"key": key, "tests": rows}
+            kept.write_text(json.dumps(known))
+        for row in known[name]["tests"]:
+            calls = {(file, line) for file, line in row["calls"]}
+            found.append(Test(row["node"], row["seconds"], row["passed"], calls))
+    return found
 
 
 def imported(path: Path) -> set[str]:
@@ -529,48 +550,119 @@ def forget(module: str) -> None:
             delattr(sys.modules[parent], last)
 
 
-def attempt(mutant: Mutant, order: list[str]) -> dict[str, Any]:
+def codes(scope: CodeType, functions: dict[tuple[str, int], CodeType], rest: list[Any]) -> None:
+    """Sort the code of a module into its functions, and what runs when it is imported."""
+    rest += [scope.co_code, scope.co_names]
+    for constant in scope.co_consts:
+        if not isinstance(constant, CodeType):
+            rest.append(repr(constant))
+        elif constant.co_flags & inspect.CO_OPTIMIZED:
+            functions[constant.co_qualname, constant.co_firstlineno] = constant
+        else:
+            codes(constant, functions, rest)
+
+
+def functions_of(folder: Path) -> dict[tuple[str, str, int], list[FunctionType]]:
+    """Return all functions that are loaded from a folder: by file, name and first line."""
+    found = defaultdict(list)
+    for one in gc.get_objects():
+        if isinstance(one, FunctionType) and one.__code__.co_filename.startswith(
+            f"{folder}{os.sep}"
+        ):
+            code = one.__code__
+            found[code.co_filename, code.co_qualname, code.co_firstlineno].append(one)
+    return found
+
+
+def changed_in_place(
+    mutant: Mutant, loaded: dict[tuple[str, str, int], list[FunctionType]]
+) -> bool:
+    """Give functions the code with a mistake; return whether that is all there is to change."""
+    path = SOURCES / mutant.path
+    loader: Any = sys.modules[mutant.module].__loader__
+    old: dict[tuple[str, int], CodeType] = {}
+    new: dict[tuple[str, int], CodeType] = {}
+    before: list[Any] = []
+    after: list[Any] = []
+    codes(loader.source_to_code(path.read_bytes(), str(path)), old, before)
+    codes(loader.source_to_code(mutant.mutated(), str(path)), new, after)
+    if before != after or old.keys() != new.keys():
+        return False
+    changes = [key for key in old if old[key] != new[key]]
+    users = [loaded[str(path), *key] for key in changes]
+    if not users or not all(users):
+        return False
+    try:
+        for key, functions in zip(changes, users, strict=True):
+            for function in functions:
+                function.__code__ = new[key]
+    except ValueError:  # another number of free variables
+        return False
+    return True
+
+
+def attempt(
+    mutant: Mutant,
+    order: list[str],
+    items: dict[str, pytest.Item],
+    loaded: dict[tuple[str, str, int], list[FunctionType]],
+) -> dict[str, Any]:
     """Make a mistake in this process, and run tests until one fails."""
-    module = "airpuck." + mutant.path.removesuffix(".py").replace("/", ".").removesuffix(
-        ".__init__"
-    )
+    if changed_in_place(mutant, loaded):
+        failed = run([items[node] for node in order])
+        return {"failed": failed[0] if failed else ""}
     original = SourceFileLoader.get_code
 
     def get_code(self: SourceFileLoader, fullname: str) -> Any:
-        if fullname == module:
+        if fullname == mutant.module:
             return self.source_to_code(mutant.mutated(), str(SOURCES / mutant.path))  # type: ignore[arg-type]
         return original(self, fullname)
 
     SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
-    forget(module)
-    chosen = Chosen(order)
-    files = list(dict.fromkeys(node.partition("::")[0] for node in order))
-    status = tested(files, chosen)
-    return {"failed": chosen.failed or ("" if status == 0 else "import")}
+    forget(mutant.module)
+    reports = Reports()
+    status = tested(
+        list(dict.fromkeys(node.partition("::")[0] for node in order)), Chosen(order), reports
+    )
+    return {"failed": reports.failed[0] if reports.failed else ("" if status == 0 else "import")}
 
 
-def order_for(
-    mutant: Mutant, tests: list[Test], lines: dict[str, set[tuple[str, int]]]
-) -> list[str]:
-    """Return the tests of the files that run a line: quick ones first, then those that run it.
+def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], int]) -> list[str]:
+    """Return the tests of the files that call a function: quick ones first.
 
-    A module's fixture, or a compiled program, runs a line for one test only, so that the other
-    tests of its file come, too. What runs when a module is imported concerns all who import it.
+    A fixture of a module, or a compiled program, calls a function for one test only, so that the
+    other quick tests of its file come, too. What runs when a module is imported concerns all who
+    use it.
     """
     path = str(SOURCES / mutant.path)
-    last = mutant.line + mutant.before.count("\n")
-    runs = {
-        test.node
-        for test in tests
-        if any((path, line) in lines[test.node] for line in range(mutant.line, last + 1))
-    }
-    if not runs:
-        runs = {t.node for t in tests if any(name == path for name, _ in lines[t.node])}
-    files = {node.partition("::")[0] for node in runs}
-    chosen = [t for t in tests if t.passed and t.node.partition("::")[0] in files]
-    chosen = [t for t in chosen if t.seconds < SLOW]
-    chosen.sort(key=lambda t: (t.node not in runs, t.seconds > 0.5, t.node.partition("::")[0]))
+    around = [
+        (file, first)
+        for (file, first), last in spans.items()
+        if file == path and first <= mutant.line <= last
+    ]
+    calls = {t.node for t in tests if around and max(around) in t.calls}
+    if not calls:
+        calls = {t.node for t in tests if any(file == path for file, _ in t.calls)}
+    files = {node.partition("::")[0] for node in calls}
+    chosen = [
+        t
+        for t in tests
+        if t.passed
+        and (t.node in calls or (t.node.partition("::")[0] in files and t.seconds < QUICK))
+    ]
+    chosen.sort(key=lambda t: (t.node not in calls, t.seconds > QUICK, t.node.partition("::")[0]))
     return [test.node for test in chosen]
+
+
+def spans_of(package: str) -> dict[tuple[str, int], int]:
+    """Return from which to which line functions go: file and first line, and last line."""
+    found = {}
+    for path in (SOURCES / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.FunctionDef):
+                first = min(x.lineno for x in (node, *node.decorator_list))
+                found[str(path), first] = node.end_lineno or first
+    return found
 
 
 def state_of_tests(package: str) -> str:
@@ -594,27 +686,27 @@ def study(package: str, count: int, seed: int, out: Path) -> list[tuple[Mutant, 
         row = known.get(mutant.key)
         return row is not None and (row["killed"] or row["tests"] == state)
 
-    if not all(map(settled, drawn)):
+    def work(session: pytest.Session) -> None:
         began = time.monotonic()
-        tests, lines = baseline(package, out)
+        tests, spans = baseline(package, session.items, out), spans_of(package)
+        items = {item.nodeid: item for item in session.items}
         usual = {test.node: test.seconds for test in tests}
+        loaded = functions_of(SOURCES / package)
         print(
             f"{package}: {len(tests)} tests, {time.monotonic() - began:.0f} s;"
-            f" left out: {sum(t.seconds >= SLOW for t in tests)} slow,"
-            f" {sum(not t.passed for t in tests)} skipped or failing",
+            f" {sum(not t.passed for t in tests)} of them slow or failing",
+            file=sys.__stderr__,
             flush=True,
         )
         for mutant in drawn:
             if settled(mutant):
                 continue
-            order = order_for(mutant, tests, lines)
+            order = order_for(mutant, tests, spans)
             limit = PATIENCE + 2 * sum(usual[node] for node in order)
             began = time.monotonic()
-            found = (
-                in_a_child(lambda m=mutant, o=order: attempt(m, o), limit)
-                if order
-                else {"failed": ""}
-            )
+            found = {"failed": ""}
+            if order:
+                found = in_a_child(lambda m=mutant, o=order: attempt(m, o, items, loaded), limit)
             found = {"failed": "time limit"} if found is None else found
             row = {
                 "key": mutant.key,
@@ -630,7 +722,11 @@ def study(package: str, count: int, seed: int, out: Path) -> list[tuple[Mutant, 
             with file.open("a") as log:
                 log.write(json.dumps(row) + "\n")
             mark = "killed" if row["killed"] else "SURVIVED"
-            print(f"{mark} {row['seconds']:5.1f} s {mutant}  [{row['by']}]", flush=True)
+            line = f"{mark} {row['seconds']:5.1f} s {mutant}  [{row['by']}]"
+            print(line, file=sys.__stderr__, flush=True)
+
+    if not all(map(settled, drawn)):
+        tested([f"tests/{package}"], Instead(work))
     return [(mutant, known[mutant.key]) for mutant in drawn]
 
 

@@ -1,25 +1,138 @@
-"""Which contact is chosen for a shot."""
+"""Shooting: whether shots that are promised score, on the twin's table."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from airpuck.hockey import attack
-from airpuck.hockey.attack import Shoot, _Found
-from airpuck.hockey.interception import Outlook
-from airpuck.hockey.player import Player
+from airpuck.hockey.attack import Shoot
+from airpuck.hockey.interception import Outlook, stays_inside
+from airpuck.hockey.shot import ArrivalError
 
-from .test_player import MODEL, PLAY, Noted, moving, stepped
+from .situations import PITCH, SEEN, after_contact, contact, decided, mirrored, view_of
+
+RESTING = [(-0.45, y, 0, 0, 0, 0) for y in (-0.2, 0.0, 0.25)]
+MOVING = [
+    (-0.2, 0.1, 0, -0.3, -0.1, 0),
+    (-0.3, -0.2, 0, -0.1, 0.2, 3.0),
+    (0.1, 0.1, 0, -0.6, 0.0, 0),
+    (-0.5, 0.3, 0, 0.1, -0.3, 0),
+]
+
+
+@pytest.mark.parametrize("puck", RESTING + MOVING)
+def test_a_shot_that_is_likely_to_score_does(puck):
+    view = view_of(puck)
+    intention = decided(Shoot(), view)
+    assert intention.kind in ("strike", "bank")
+    assert intention.chance > 0.45
+    time, place, velocity, before = contact(view, intention)
+    # The discs touch, on the own half, at a speed that was to be tried.
+    np.testing.assert_allclose(intention.meet[1:], before[:2], atol=2e-3)
+    assert np.hypot(*(place - before[:2])) == pytest.approx(PITCH.contact_distance, abs=2e-3)
+    assert stays_inside(view, place, velocity)
+    assert np.abs(np.hypot(*velocity) - [0.6, 1.3, 2.1]).min() < 1e-9
+    assert 0.05 < time - view.time < 1.75
+    flown, _ = after_contact(view, intention)
+    drawn, bounced = [], False
+    for t in np.arange(0.0, 1.0, 0.025):
+        flown.run(time + t)
+        bounced |= flown.goal == 0 and any(touch.met == "rail" for touch in flown.touches)
+        drawn.append(flown.state[:2])
+    np.testing.assert_allclose(intention.path, drawn, atol=0.03)
+    flown.run(time + 4.0)
+    assert flown.goal == 1
+    rails = [touch.met for touch in flown.touches].count("rail")
+    assert (intention.kind == "bank") == (rails > 0)
+
+
+@pytest.mark.parametrize("puck", RESTING + MOVING)
+def test_in_a_mirror_shots_are_as_good(puck):
+    view = view_of(puck, opponent=np.array([0.9, 0.1, 0.0, 0.0]))
+    one, other = (decided(Shoot(least=0.0), seen) for seen in (view, mirrored(view)))
+    assert one is not None
+    assert other is not None
+    assert one.chance == pytest.approx(other.chance, abs=0.1)
+
+
+def test_a_defender_in_the_way_lowers_the_chance_and_one_aside_does_not():
+    puck = (-0.45, 0.0, 0, 0, 0, 0)
+    free = decided(Shoot(), view_of(puck)).chance
+    chances = [
+        decided(Shoot(least=0.0), view_of(puck, opponent=np.array([0.85, y, 0.0, 0.0]))).chance
+        for y in (0.0, 0.5)
+    ]
+    assert chances[0] < free - 0.05
+    assert chances[1] <= free + 0.05
+
+
+def test_a_craft_that_errs_more_has_less_chance():
+    view = view_of((-0.6, 0.2, 0, 0, 0, 0))
+    found = [
+        decided(Shoot(least=0.0, error=ArrivalError(place, 20 * place)), view).chance
+        for place in (0.001, 0.01, 0.03)
+    ]
+    assert found[0] > found[1] > found[2]
+
+
+def test_what_cannot_be_shot_is_not():
+    nothing = [
+        view_of((0.6, 0.0, 0, 0, 0, 0)),  # on the other half
+        view_of((-0.4, 0.0, 0, 3.0, 0, 0)),  # too fast to be caught up with
+        view_of((-1.05, 0.5, 0, 0, 0, 0)),  # no room behind it
+    ]
+    unknown = view_of((-0.45, 0.0, 0, 0, 0, 0))
+    rough = SEEN + np.diag([0, 0, 0, 0.04, 0.04, 0.0]) ** 2
+    nothing.append(replace(unknown, puck=replace(unknown.puck, covariance=rough)))
+    for view in nothing:
+        assert decided(Shoot(least=0.0), view, 8) is None
+    assert decided(Shoot(least=0.999), view_of((-0.7, 0.3, 0, 0, 0, 0)), 8) is None
+    assert decided(Shoot(least=0.0, clears=True), unknown).kind == "clear"
+
+
+def test_a_shot_under_way_is_kept_and_one_that_was_interrupted_is_not():
+    strategy, view = Shoot(), view_of((-0.45, 0.1, 0, 0, 0, 0))
+    first = decided(strategy, view)
+    for k in range(4, 8):
+        now = replace(view, time=0.01 * k)
+        assert strategy.propose(now, Outlook(now)).meet == first.meet
+    # Others had their turn: it searches again, and what it finds first comes later.
+    now = replace(view, time=0.3)
+    assert strategy.propose(now, Outlook(now)) is None
+
+
+def test_a_shot_is_given_up_when_the_puck_leaves():
+    strategy, view = Shoot(), view_of((-0.45, 0.1, 0, 0, 0, 0))
+    assert decided(strategy, view) is not None
+    gone = view_of((0.3, 0.1, 0, 1.0, 0, 0), time=0.04)
+    assert strategy.propose(gone, Outlook(gone)) is None
+
+
+def test_a_puck_in_the_way_is_gone_round():
+    # The craft is before the puck: from there it can only shoot at its own goal.
+    view = view_of((-0.6, 0.0, 0, 0, 0, 0), craft=(-0.35, 0.02, 0, 0, 0, 0))
+    intention = decided(Shoot(least=0.0), view, 6)
+    assert intention is not None
+    if intention.avoid is not None:
+        np.testing.assert_allclose(intention.avoid[:2], (-0.6, 0.0))
+        assert intention.avoid[2] > PITCH.contact_distance
 
 
 def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypatch):
-    noted = Noted()
-    stepped(Player(MODEL, PLAY, noted), moving, 5)
-    view = noted.views[-1]
-    chance = np.repeat([0.24, 0.27], 3)
-    # The sooner one is worth more, as patience costs: 0.24 exp(-0.036) > 0.27 exp(-0.18).
-    found = _Found(view.time + np.array([0.3, 1.5]), np.zeros(2), np.ones(2))
-    monkeypatch.setattr(attack, "chances", lambda *_: (chance, np.zeros(6)))
+    # A puck that rolls along the table: where it is met says when.
+    view = view_of((-0.6, -0.3, 0, 0.0, 0.35, 0))
+    seen = []
+
+    def chances(pitch, model, contacts, *_):
+        y = contacts.place[:, 1]
+        seen.append(y)
+        # The sooner one is worth more, as patience costs, but is too unlikely.
+        return np.where(y > y.min() + 0.01, 0.27, 0.24), np.zeros(len(y))
+
+    monkeypatch.setattr(attack, "chances", chances)
     monkeypatch.setattr(attack, "way_is_free", lambda *_: True)
-    shot, _ = Shoot(least=0.25)._closely(view, Outlook(view), found)
-    assert shot is not None
-    assert shot.chance == 0.27
-    assert shot.meeting.time == view.time + 1.5
+    intention = decided(Shoot(least=0.25), view, 2)
+    assert np.ptp(seen[0]) > 0.02
+    assert intention.chance == 0.27
+    assert intention.meet[2] > seen[0].min() + 0.01

@@ -14,20 +14,29 @@ PLAY = AirHockey()
 EXACT = Skill(reaction_s=0.2, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
 
 
+class Frames:
+    """An observer that looks when it is told to."""
+
+    due = math.inf
+
+    def observe(self, time: float) -> None:
+        self.due = math.inf
+
+
 def episode(skill: Skill, puck: PuckState, duration: float, start=(-0.85, 0.0), seed=0):
     """Let one hand play a puck alone; return its ways and the world."""
     world, hand = World(PLAY, puck), ScriptedHand(PLAY, skill, seed)
     mallet = HandMallet(PLAY.mallet, PLAY.table, *start)
     world.bodies.append(mallet)
     assert world.puck is not None
-    frames = type("Frames", (), {"due": math.inf, "observe": lambda self, time: None})()
+    frames = Frames()
     world.observers.append(frames)
     ways, rate = [], 0.01
     for k in range(round(duration / rate)):
         seen = None if world.puck.goal else world.puck.state
         mallet.target = hand.target(k * rate, (mallet.x, mallet.y), seen, (0.9, 0.0))
         frames.due = (k + 1) * rate
-        world._advance((k + 1) * rate)
+        world.run((k + 1) * rate)
         ways.append((mallet.x, mallet.y, mallet.vx, mallet.vy))
     return np.array(ways), world
 

@@ -1,52 +1,29 @@
-"""Where and when the craft can meet the puck; catching and freeing it."""
+"""Where and when the craft can meet the puck: by hand, by dense grids and by the twin's puck."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
-from airpuck.control.reference import Rendezvous
-from airpuck.craft.table import AirHockey
-from airpuck.hockey.all_rounder import AllRounder
-from airpuck.hockey.attack import Shoot
-from airpuck.hockey.goalkeeper import Guard, Wait
+from airpuck.control.reference import Rendezvous, SetPoint
+from airpuck.hockey.goalkeeper import Guard
 from airpuck.hockey.interception import (
     Meeting,
     Outlook,
     around,
     effort,
+    run_up,
     slack,
     stays_inside,
     way_is_free,
 )
-from airpuck.hockey.player import pitch_of
-from airpuck.hockey.possession import Catch, Free, good_place
-from airpuck.hockey.prediction import PuckBelief, PuckModel
 from airpuck.hockey.shot import unit
-from airpuck.hockey.tactic import View
-from airpuck.model.model_file import read_model
-from airpuck.physics.puck import Disc, strike
-from airpuck.planning.minimal_time import read_minimal_times
+from airpuck.physics.puck import Disc, PuckState, strike
+from airpuck.twin.puck import PuckOnTable
 
-MODEL, PLAY = read_model("paper:M3"), AirHockey()
-PITCH, TIMES, PUCK = pitch_of(MODEL, PLAY), read_minimal_times(), PuckModel(PLAY)
-SEEN = np.diag([3e-5, 3e-5, 1e-3, 3e-3, 3e-3, 0.1]) ** 2
-
-
-def view_of(puck, craft=None, time=0.0, opponent=None):
-    craft = np.array([*PITCH.home, 0, 0, 0, 0] if craft is None else craft, dtype=float)
-    belief = PuckBelief(time, np.array(puck, dtype=float), SEEN)
-    return View(time, craft, belief, PUCK, opponent, PITCH, TIMES)
-
-
-def decided(strategy, view, periods=4):
-    """Ask a strategy for some periods, in which nothing moves; return its last proposal."""
-    for k in range(periods):
-        view = View(
-            view.time + 0.01 * (k > 0), view.craft, view.puck, PUCK, view.opponent, PITCH, TIMES
-        )
-        found = strategy.propose(view, Outlook(view))
-    return found
+from .situations import PITCH, PLAY, SEEN, TIMES, view_of
 
 
 def test_slack_is_what_the_shortest_times_leave():
@@ -67,6 +44,21 @@ def test_slack_is_what_the_shortest_times_leave():
     needed = float(TIMES((way, 0.0), (0.0, 0.0), "rest"))
     assert moving[0] < time - PITCH.delay - needed
     assert moving[0] > time - PITCH.delay - 1.3 * needed
+
+
+def test_effort_is_the_greatest_acceleration_of_a_cubic():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        craft = np.array([*rng.uniform(-0.9, -0.3, 2), 0, *rng.normal(0, 0.4, 2), 0])
+        place, velocity, time = rng.uniform(-0.8, -0.2, 2), rng.normal(0, 0.6, 2), 0.7
+        # The propellers act later; until then the craft goes on.
+        begin = craft[:2] + PITCH.delay * craft[3:5]
+        spline = CubicHermiteSpline(
+            [PITCH.delay, time], [begin, place], [craft[3:5], velocity]
+        ).derivative(2)
+        most = max(np.hypot(*spline(t)) for t in np.linspace(PITCH.delay, time, 50))
+        found = effort(view_of((0, 0, 0, 0, 0, 0), craft, time=0.0), time, place, velocity)
+        assert found == pytest.approx(most / PITCH.acceleration)
 
 
 def test_effort_from_rest_to_rest_by_hand():
@@ -131,120 +123,110 @@ def test_the_way_round_the_puck_does_not_touch_it():
     assert not way_is_free(view, outlook, through)
 
 
-def test_a_resting_puck_before_an_open_goal_is_shot_at_once():
-    for y in (-0.2, 0.0, 0.25):
-        intention = decided(Shoot(), view_of((-0.45, y, 0, 0, 0, 0)))
-        assert intention.kind in ("strike", "bank")
-        assert intention.chance > 0.6
-        if intention.kind == "strike":  # along a line into the goal
-            way = intention.path[-1] - intention.path[0]
-            end = intention.path[0, 1] + way[1] / way[0] * (PITCH.goal_line - intention.path[0, 0])
-            assert abs(end) < PLAY.table.goal_width_m / 2
-        # No shot at the own goal.
-        assert intention.reference.state[3] > 0
-
-
-def test_a_covered_goal_is_shot_at_over_a_bank_or_with_less_chance():
-    puck = (-0.45, 0.0, 0, 0, 0, 0)
-    free = decided(Shoot(), view_of(puck))
-    keeper = np.array([0.95, 0.0, 0.0, 0.0])
-    covered = decided(Shoot(least=0.0), view_of(puck, opponent=keeper))
-    assert covered.chance < free.chance
-
-
-def test_a_caught_puck_leaves_the_craft_slowly():
-    view = view_of((0.2, 0.1, 0, -1.0, -0.1, 0))
-    intention = decided(Catch(), view, 1)
-    assert intention.kind == "prepare"
-    time, x, y = intention.meet
-    # By the law of single discs.
-    velocity = intention.reference.state[3:5]
+def test_the_outlook_is_the_way_of_the_twins_puck():
+    for puck in ((0.2, 0.3, 0.1, 2.0, 1.5, 4.0), (0.5, 0.1, 0, -3.0, 0.2, 0), (0, 0, 0, 0, 0, 0)):
+        view = view_of(puck, time=3.0)
+        outlook, alone = Outlook(view), PuckOnTable(PLAY, PuckState(*puck), 3.0)
+        assert outlook.speed == pytest.approx(math.hypot(*puck[3:5]))
+        for time in (3.0, 3.1, 3.26, 3.5, 4.0, 4.98):
+            alone.run(time)
+            np.testing.assert_allclose(outlook.at(time)[:2], alone.state[:2], atol=0.02)
+            np.testing.assert_allclose(outlook.places[round((time - 3) / 0.02)], alone.state[:2])
+        crosses = (outlook.places[:, 0] < -0.4).any()
+        assert outlook.comes(-0.4) == crosses
+        assert (outlook.threat is not None) == (alone.goal < 0)
+    # Between two steps it goes straight; beyond the ends it goes on.
+    view = view_of((0.0, 0.1, 0, 1.0, 0.0, 0))
     outlook = Outlook(view)
-    vx, vy = outlook.at(time)[3:5].tolist()
-    place = intention.reference.state[:2] - (intention.reference.time - time) * velocity
-    nx, ny = ((np.array([x, y]) - place) / np.hypot(x - place[0], y - place[1])).tolist()
-    body = Disc(0, 0, vx, vy, 0.0, PLAY.puck.radius_m, PLAY.puck.mass_kg, PLAY.puck.inertia)
-    craft = Disc(
-        0, 0, *velocity.tolist(), 0.0, PITCH.craft_radius, PITCH.craft_mass, PITCH.craft_inertia
-    )
-    strike(body, craft, nx, ny, PLAY.puck.craft)
-    assert math.hypot(body.vx, body.vy) < 0.15 * math.hypot(vx, vy)
-    assert PITCH.inside(place)
+    first, second = outlook.at(np.array([0.02, 0.04]))
+    np.testing.assert_allclose(outlook.at(0.025), 0.75 * first + 0.25 * second)
 
 
-def test_a_puck_in_a_corner_is_pushed_and_not_into_the_own_goal():
-    view = view_of((-1.06, 0.5, 0, 0, 0, 0))
-    assert good_place(view, np.array([[-1.06, 0.5], [-0.5, 0.0]])).tolist() == [0.0, 1.0]
-    intention = decided(Free(), view, 6)
-    assert intention.kind == "free"
+def test_a_threat_is_when_the_puck_is_at_the_own_goal():
+    for y, vy in ((0.0, 0.0), (0.3, -0.45), (-0.35, 0.6), (0.4, 1.0)):
+        outlook = Outlook(view_of((0.3, y, 0, -2.0, vy, 0)))
+        puck = PuckOnTable(PLAY, PuckState(0.3, y, 0.0, -2.0, vy))
+        while (
+            puck.time < 2 and puck.state.x > -PITCH.goal_line + PLAY.puck.radius_m and not puck.goal
+        ):
+            puck.run(puck.time + 1e-3)
+        if puck.goal or abs(puck.state.y) < 0.15:
+            assert outlook.threat == pytest.approx(puck.time, abs=0.04)
+        elif abs(puck.state.y) > 0.25:
+            assert outlook.threat is None
+    # Neither at the other's goal, nor beside the own one, nor when it rests before it.
+    for puck in ((0.3, 0, 0, 2.0, 0, 0), (0.3, 0.4, 0, -2.0, 0, 0), (-0.9, 0, 0, 0, 0, 0)):
+        assert Outlook(view_of(puck)).threat is None
 
 
-def test_a_shot_at_the_own_goal_is_met_and_others_are_not():
-    guard = Guard()
-    shot = view_of((0.6, 0.1, 0, -3.0, -0.2, 0))
-    intention = guard.propose(shot, Outlook(shot))
-    assert intention.kind in ("defend", "prepare")
-    time, x, y = intention.meet
-    np.testing.assert_allclose(Outlook(shot).at(time)[:2], [x, y], atol=0.02)
-    away = view_of((0.6, 0.1, 0, 2.0, -0.2, 0))
-    assert guard.propose(away, Outlook(away)) is None
-    assert Wait().propose(away, Outlook(away)).kind == "home"
+def test_one_search_a_decision_and_a_velocity_that_is_known():
+    view = view_of((0.3, 0, 0, -1.0, 0, 0))
+    outlook = Outlook(view)
+    assert [outlook.may_search() for _ in range(3)] == [True, False, False]
+    for deviation, known in ((0.02, True), (0.04, False)):
+        covariance = SEEN + np.diag([0, 0, 0, deviation, deviation, 0]) ** 2
+        belief = replace(view.puck, covariance=covariance)
+        assert Outlook(replace(view, puck=belief)).known == known
 
 
-def test_without_a_puck_it_defends_blind_and_then_goes_home():
-    tactic = AllRounder()
-    tactic.decide(view_of((0.6, 0.2, 0, -1.0, 0.0, 0)))
-
-    def blind(time):
-        return tactic.decide(View(time, view_of(np.zeros(6)).craft, None, PUCK, None, PITCH, TIMES))
-
-    assert blind(0.2).kind == "defend"
-    assert blind(0.2).reference.y == pytest.approx(0.2, abs=0.02)  # where it would have come
-    assert blind(2.0).kind == "home"
-
-
-@pytest.mark.parametrize("puck", [(-0.6, 0.45, 0, 0.1, 0, 0), (-0.7, 0.2, 0, 0, 0, 0)])
-def test_one_search_a_decision_and_none_that_waits_for_ever(puck, monkeypatch):
-    searched = []
-
-    def counted(strategy, method):
-        search = getattr(strategy, method)
-
-        def count(self, *arguments):
-            searched[-1].append(self)
-            return search(self, *arguments)
-
-        monkeypatch.setattr(strategy, method, count)
-
-    counted(Shoot, "_search")
-    counted(Shoot, "_closely")
-    counted(Free, "_search")
-    tactic, view = AllRounder(), view_of(puck, opponent=np.array([0.9, 0.0, 0.0, 0.0]))
-    # Nothing is good enough for it, so that all others are asked.
-    shoot, *_, free, clear, _ = tactic.strategies
-    shoot.least = 1.1
-    for k in range(20):
-        searched.append([])
-        view = View(0.01 * k, view.craft, view.puck, PUCK, view.opponent, PITCH, TIMES)
-        tactic.decide(view)
-    assert max(map(len, searched)) == 1
-    who = [one[0] for one in searched if one]
-    assert {shoot, clear} <= set(who) or free in who
+def test_a_way_is_free_where_a_craft_on_a_cubic_keeps_off_the_puck():
+    rng, free, blocked = np.random.default_rng(4), 0, 0
+    for _ in range(300):
+        craft = np.array([*rng.uniform([-0.95, -0.3], [-0.2, 0.3]), 0, *rng.normal(0, 0.3, 2), 0])
+        puck = np.array([*rng.uniform([-0.8, -0.3], [-0.3, 0.3]), 0, *rng.normal(0, 0.3, 2), 0])
+        view = view_of(puck, craft)
+        if np.hypot(*(craft[:2] - puck[:2])) < PITCH.contact_distance + 0.02:
+            continue
+        outlook, meeting = Outlook(view), Meeting(0.8, rng.uniform(-1.4, 1.4), 1.0)
+        at = outlook.at(0.8)
+        place = at[:2] - PITCH.contact_distance * unit(meeting.normal)
+        way = CubicHermiteSpline([0.0, 0.8], [craft[:2], place], [craft[3:5], unit(meeting.normal)])
+        times = np.linspace(0.04, 0.76, 200)
+        apart = np.linalg.norm(way(times) - outlook.at(times)[:, :2], axis=1)
+        nearest = (apart - PITCH.contact_distance)[times < 0.6].min()
+        found = way_is_free(view, outlook, meeting)
+        # Nine places are looked at, with a margin.
+        if nearest < -0.01:
+            assert not found
+            blocked += 1
+        elif nearest > 0.04 and (apart > PITCH.contact_distance).all():
+            assert found
+            free += 1
+    assert min(free, blocked) > 20
 
 
-def test_in_play_a_slow_puck_is_shot_and_a_fast_one_is_stopped():
-    for speed, kinds in ((0.2, {"strike", "bank", "clear"}), (1.5, {"prepare"})):
-        view = view_of((-0.3, 0.1, 0, -speed, 0, 0), opponent=np.array([0.9, 0.0, 0.0, 0.0]))
-        tactic = AllRounder(AllRounder().strategies[2:])
-        intention = decided(Asked(tactic), view, 12)
-        assert intention.kind in kinds
+def test_a_way_round_leads_to_the_nearer_side_and_straight_where_nothing_is_between():
+    goal = np.array([-0.9, 0.0])
+    for y, side in ((0.05, -1), (-0.05, 1)):
+        view = view_of((-0.7, y, 0, 0, 0, 0), craft=(-0.5, 0, 0, 0, 0, 0))
+        target = around(view, Outlook(view), goal)
+        assert side * (target.y - y) > PITCH.contact_distance
+    # At a rail there is no room beyond the puck.
+    view = view_of((-0.7, -0.4, 0, 0, 0, 0), craft=(-0.5, -0.38, 0, 0, 0, 0))
+    assert around(view, Outlook(view), np.array([-0.9, -0.39])).y > -0.4 + PITCH.contact_distance
+    for puck in ((-0.3, 0.0), (-0.7, 0.3), (-1.05, 0.0)):
+        view = view_of((*puck, 0, 0, 0, 0), craft=(-0.5, 0, 0, 0, 0, 0))
+        near = np.array([-0.75, 0.0])
+        assert around(view, Outlook(view), near) == SetPoint(-0.75, 0.0, 0.0)
 
 
-class Asked:
-    """A tactic as a strategy."""
+def test_a_run_up_begins_behind_the_contact():
+    view = view_of((-0.4, 0.1, 0, 0, 0, 0), craft=(-0.8, 0.0, 0, 0, 0, 0))
+    place, avoid = run_up(view, Outlook(view), Meeting(1.0, 0.3, 1.0))
+    expected = np.array([-0.4, 0.1]) - (PITCH.contact_distance + 0.1) * unit(0.3)
+    np.testing.assert_allclose([place.x, place.y], expected)
+    np.testing.assert_allclose(avoid, (-0.4, 0.1, PITCH.contact_distance + 0.01))
 
-    def __init__(self, tactic):
-        self.tactic = tactic
 
-    def propose(self, view, _):
-        return self.tactic.decide(view)
+def test_a_receding_contact_is_aimed_at_a_little_deeper_than_the_discs_touch():
+    for puck, speed in (((0, 0, 0), 1.0), ((-1.0, 0.2, 0), -0.3), ((-0.5, 0, 0), 0.2)):
+        view = view_of((-0.4, 0.1, 0, *puck))
+        meeting = Meeting(0.0, 0.3, speed)
+        found = meeting.reference(view, view.puck.mean)
+        later = found.time - meeting.time
+        assert 0 < later <= 0.03
+        # By then the discs, if they could, would overlap by 6 mm.
+        closing = speed - np.array(puck[:2]) @ unit(0.3)
+        assert closing * later == pytest.approx(0.006) or later == 0.03
+        np.testing.assert_allclose(found.state[3:5], speed * unit(0.3))
+        assert (found.then.x, found.then.y) == PITCH.home

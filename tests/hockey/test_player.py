@@ -216,7 +216,8 @@ def test_lists_and_arrays_of_a_tactic_are_turned_on_either_side(side):
             return given
 
     player = Player(MODEL, PLAY, Plain(), side=side)
-    found = player._in_world(Plain().decide(player))
+    stepped(player, moving, 2)
+    found = player.intention
     np.testing.assert_allclose(found.path, -side * np.array([[0.1, 0.2], [0.3, 0.4]]))
     np.testing.assert_allclose(found.meet, [1.0, -side * 0.1, -side * 0.2])
     np.testing.assert_allclose(found.avoid, [-side * 0.1, -side * 0.2, 0.05])

@@ -56,8 +56,10 @@ def block(view: View, outlook: Outlook) -> Intention:
     # What is beyond the fence covers less; of places with time enough the one nearest to here.
     near = np.linalg.norm(places - view.craft[:2], axis=1)
     late = np.minimum(late, 0.1) - 0.2 * near - 2.0 * np.maximum(apart - pitch.contact_distance, 0)
-    # Before a puck that is behind the fence already, the craft would push it on.
-    late -= 5.0 * (apart < pitch.contact_distance - 0.004)
+    # A puck that is behind the fence already is not met there any more: the craft would push it on,
+    # or stand where it has been.
+    passed = ((places - outlook.places[1:count]) * motions).sum(axis=1) < 0
+    late -= 5.0 * (passed | (apart < pitch.contact_distance - 0.004))
     best = int(np.argmax(late))
     place, time = places[best], float(times[best])
     # Forwards by half of the recoil, so that it goes back as fast as it came.
