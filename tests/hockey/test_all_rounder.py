@@ -10,7 +10,7 @@ from airpuck.hockey.all_rounder import AllRounder, Strategy
 from airpuck.hockey.tactic import Intention
 from airpuck.planning.minimal_time import MinimalTimes
 
-from .situations import PITCH, PLAY, TIMES, decided, later, view_of
+from ..apparatus.hockey_situations import PITCH, PLAY, TIMES, decided, later, view_of
 
 
 class Says:

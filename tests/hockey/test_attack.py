@@ -10,7 +10,15 @@ from airpuck.hockey.attack import Shoot
 from airpuck.hockey.interception import Outlook, stays_inside
 from airpuck.hockey.shot import ArrivalError
 
-from .situations import PITCH, SEEN, after_contact, contact, decided, mirrored, view_of
+from ..apparatus.hockey_situations import (
+    PITCH,
+    SEEN,
+    after_contact,
+    contact,
+    decided,
+    mirrored,
+    view_of,
+)
 
 RESTING = [(-0.45, y, 0, 0, 0, 0) for y in (-0.2, 0.0, 0.25)]
 MOVING = [

@@ -11,9 +11,9 @@ from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.goalkeeper import Blind, Guard, Wait, block
 from airpuck.hockey.interception import Outlook, slack
 from airpuck.physics.puck import PuckState
-from airpuck.twin.puck import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable
 
-from .situations import (
+from ..apparatus.hockey_situations import (
     PITCH,
     PLAY,
     after_contact,

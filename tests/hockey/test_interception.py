@@ -21,9 +21,9 @@ from airpuck.hockey.interception import (
 )
 from airpuck.hockey.shot import unit
 from airpuck.physics.puck import Disc, PuckState, strike
-from airpuck.twin.puck import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable
 
-from .situations import PITCH, PLAY, SEEN, TIMES, view_of
+from ..apparatus.hockey_situations import PITCH, PLAY, SEEN, TIMES, view_of
 
 
 def test_slack_is_what_the_shortest_times_leave():

@@ -8,7 +8,7 @@ import pytest
 from airpuck.hockey.interception import Outlook, slack
 from airpuck.hockey.possession import Catch, Free, good_place
 
-from .situations import (
+from ..apparatus.hockey_situations import (
     PITCH,
     PLAY,
     after_contact,

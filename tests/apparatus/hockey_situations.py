@@ -12,8 +12,8 @@ from airpuck.hockey.prediction import PuckBelief, PuckModel
 from airpuck.hockey.tactic import Intention, View
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.planning.minimal_time import read_minimal_times
-from airpuck.twin.puck import PuckOnTable
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 PITCH, TIMES, PUCK = pitch_of(MODEL, PLAY), read_minimal_times(), PuckModel(PLAY)
