@@ -16,7 +16,7 @@ from platformdirs import user_cache_path
 
 pytest.register_assert_rewrite("tests.apparatus")
 
-from .apparatus import typechecker  # noqa: E402
+from .apparatus import once, typechecker  # noqa: E402
 
 # Compiled programs are kept from test to test, from process to process and from run to run. They
 # are found again by their content, so an old one is never used for new code.
@@ -75,6 +75,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_setup() -> None:
     """Check the first calls in each test."""
     typechecker.start_again()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Let the workers of a session find what one of them made."""
+    own = tmp_path_factory.getbasetemp()
+    once.folder = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
 @pytest.fixture(scope="session")

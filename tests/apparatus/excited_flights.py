@@ -10,6 +10,8 @@ import pytest
 from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
+from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin import craft as craft_module
@@ -18,6 +20,8 @@ from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
+
+from .once import once
 
 #: The craft: the published M3, its centre of mass fixed to the body.
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
@@ -58,6 +62,7 @@ def settings(jitter: float, noise: bool = True) -> TwinSettings:
     return twin.model_copy(update=changed)
 
 
+@once
 def flown(jitter: float, duration: float, seed: int = 0, noise: bool = True) -> Flown:
     """Fly with a radio of a given jitter [s], and look into it."""
     delay: list[float] = []
@@ -85,3 +90,9 @@ def flown(jitter: float, duration: float, seed: int = 0, noise: bool = True) -> 
     time, state = twins[0].truth
     frame = np.searchsorted(time, trajectory.time - trajectory.command_time[0] - 1e-4)
     return Flown(trajectory, np.array(delay), state[frame, 3:6])
+
+
+@once
+def fit_of_flown(jitter: float, duration: float) -> Fit:
+    """M3 of such a flight."""
+    return identify(flown(jitter, duration).trajectory)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+# The words of a ladder, without the fits of a minute that the command makes first.
 from airpuck.cli.identification import _ladder_summary
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.selection import Candidate, Selection

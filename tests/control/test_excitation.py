@@ -10,7 +10,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import (
     Excitation,
     ExcitationPlan,
-    _weakest_effort,
+    _weakest_effort,  # plans use its values, which trials of random efforts check
     read_excitation_plan,
 )
 from airpuck.control.reference import SetPoint

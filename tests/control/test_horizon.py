@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from airpuck.compute.compiled import program
 from airpuck.control.authority import control_authority
+
+# What the horizon takes a craft's brake to be is in the stages, but mixed with other numbers.
 from airpuck.control.horizon import Blocks, _brake, linearised, stages
 from airpuck.control.tuning import Limits, default_tuning
 from airpuck.model.model_file import published_model

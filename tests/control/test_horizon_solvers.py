@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from airpuck.control.horizon import Blocks, Stages
+
+# The same problem is written down by hand, with the same damping.
 from airpuck.control.horizon_solvers import _DAMPING, Condensed, Multistage
 from airpuck.control.tuning import Limits, default_tuning
 from airpuck.craft.vehicle import Vehicle

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import FLYING, Step
+
+# A weight within the plan, compared with a least-squares fit that no flight shows.
 from airpuck.control.mpc import MPC, _way_left
 from airpuck.control.reference import Reference, Rendezvous, SetPoint, TimedPath
 from airpuck.control.tracking import TrackingController

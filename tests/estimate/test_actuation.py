@@ -8,6 +8,8 @@ from scipy.stats import multivariate_normal
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.windows import Past, make_windows
+
+# The regression is written down again by hand, from the same motion and motor speeds.
 from airpuck.estimate.actuation import (
     ActuationEncoder,
     EffectivenessPrior,

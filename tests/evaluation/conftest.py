@@ -8,11 +8,11 @@ import pytest
 from airpuck.identification.fit import identify
 
 from ..apparatus.noisy_flights import TRUTH, noisy
+from ..apparatus.once import once
 
 
-@pytest.fixture(scope="session")
-def flights():
-    """Two flights of one craft, and one with a motor that lost a tenth of its thrust."""
+@once
+def three_flights():
     weak = np.array(TRUTH.parameters.thrust)
     weak[2] *= 0.9
     weakened = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=weak))
@@ -20,7 +20,18 @@ def flights():
     return [*same, noisy(weakened, 30.0, seed=3)]
 
 
+@once
+def three_models():
+    return [identify(flight, "M3").model for flight in three_flights()]
+
+
 @pytest.fixture(scope="session")
-def fits(flights):
+def flights():
+    """Two flights of one craft, and one with a motor that lost a tenth of its thrust."""
+    return three_flights()
+
+
+@pytest.fixture(scope="session")
+def fits():
     """M3 of each flight."""
-    return [identify(flight, "M3").model for flight in flights]
+    return three_models()

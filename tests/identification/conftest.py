@@ -10,6 +10,7 @@ from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 
 from ..apparatus.disturbed_flights import noisy
+from ..apparatus.once import once
 from ..apparatus.robust_fits import MODEL
 from ..apparatus.synthetic_flights import fly
 
@@ -22,6 +23,11 @@ def clean() -> Trajectory:
     return replace(flight, state=flight.state + noise)
 
 
+@once
+def fit_of_noisy() -> Fit:
+    return identify(noisy())
+
+
 @pytest.fixture(scope="session")
 def fit() -> Fit:
-    return identify(noisy())
+    return fit_of_noisy()

@@ -14,7 +14,7 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.read import read_recording
 from airpuck.twin.radio import queued_delay
 
-from ..apparatus.excited_flights import TRUTH, flown, settings
+from ..apparatus.excited_flights import TRUTH, fit_of_flown, flown, settings
 from ..apparatus.public_recordings import BLUE
 
 pytestmark = pytest.mark.slow
@@ -26,8 +26,8 @@ def flight():
 
 
 @pytest.fixture(scope="module")
-def fit(flight):
-    return identify(flight.trajectory)
+def fit():
+    return fit_of_flown(0.007, 40.0)
 
 
 def test_every_packet_is_found_within_its_error(flight):

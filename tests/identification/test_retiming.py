@@ -21,7 +21,7 @@ from airpuck.identification.retiming import (
 )
 from airpuck.preprocessing.derivative import velocity
 
-from ..apparatus.excited_flights import TRUTH, flown
+from ..apparatus.excited_flights import TRUTH, fit_of_flown, flown
 
 
 def packets(numbers, deviation, error=0.0) -> PacketDelays:
@@ -132,7 +132,7 @@ def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
 def test_a_retimed_fit_is_several_times_more_accurate():
     """Against one that takes every packet to arrive after the mean delay, on the same flight."""
     trajectory = flown(0.007, 40.0).trajectory
-    retimed_fit = identify(trajectory)
+    retimed_fit = fit_of_flown(0.007, 40.0)
     plain = identify(trajectory, preparation=Preparation(retimings=0))
     wrong = [thrust_error(fit.model, TRUTH).max() for fit in (plain, retimed_fit)]
     assert wrong[1] < 0.5 * wrong[0]

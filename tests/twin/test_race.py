@@ -4,6 +4,8 @@ import pytest
 
 import airpuck
 from airpuck.craft.table import Table
+
+# All courses are on the table; flying each takes minutes.
 from airpuck.twin.race import _COURSES, course_plan, race
 from airpuck.twin.settings import default_twin_settings
 

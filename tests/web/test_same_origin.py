@@ -73,6 +73,7 @@ def test_headers_given_twice_or_not_at_all():
 def port():
     """A page of viser's, guarded; nothing of airpuck's is on it."""
     pytest.importorskip("viser")
+    # Without a flight, which the page waits for.
     from airpuck.web.view import _served
 
     with socket.socket() as free:
