@@ -13,9 +13,8 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_packaged, read_toml, write_toml
 from airpuck.model.model_file import Model
-from airpuck.planning.plan import search
 from airpuck.planning.request import Goal, Limits, checked_request
-from airpuck.planning.starts import starts
+from airpuck.planning.search import TIDY, ranked, search
 from airpuck.planning.transcription import program_for
 
 _FORMAT = "airpuck minimal times 1"
@@ -165,12 +164,10 @@ def shortest_time(
     request = checked_request(
         model, [0.0, 0.0, yaw, velocity[0], velocity[1], 0.0], goal, (), None, (), Limits()
     )
+    best = ranked(request)[0][0]
     program = program_for(model, _INTERVALS, 1, 0)
-    _, guess, final_yaw = next(starts(request, _INTERVALS))
-    solved = program.solve(request, guess, final_yaw)
-    if not solved.converged:
-        solved, _ = search(request, 2 * _INTERVALS)
-    return float(solved.path.durations.sum())
+    solved = program.solve(request, best.path.resampled(_INTERVALS), best.yaw, TIDY)
+    return solved.time if solved.converged else search(request, 2 * _INTERVALS)[0].time
 
 
 def _place(axis: Float[np.ndarray, " k"], value: Any) -> tuple[Any, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -25,43 +25,16 @@ from airpuck.planning.certificate import (
     unavoidable_rail,
 )
 from airpuck.planning.request import Goal, Limits, Request, checked_request
-from airpuck.planning.starts import further_starts, starts
-from airpuck.planning.transcription import Path, Solved, Transcription, program_for
+from airpuck.planning.search import Start, further, search
+from airpuck.planning.transcription import Path, Solved
 
 _FORMAT = "airpuck plan 1"
-#: Intervals of the program that judges the starts.
-_COARSE = 20
 #: A plan whose bound is below this share of its time may not be the best: more starts are tried.
 _DOUBTFUL = 0.93
-#: Paths that may be refined before the search gives up.
-_REFINED = 5
 #: Samples of a plan are this far apart [s].
 _SAMPLE = 1e-3
-#: Parts of an interval in which a path is simulated again; how far off its end may be (x, y, γ and
-#: their rates), and how far between nodes it may be beyond what it must not touch [m].
-_PARTS, _MISSED = 5, np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-2])
-_GRAZED = 3e-3
 #: Multipliers of rails that are nothing, as a share of the largest price.
 _TOUCH = 1e-3
-
-
-@dataclass(frozen=True)
-class Start:
-    """A start of the search and what became of it.
-
-    Attributes
-    ----------
-    name : str
-        How the craft turns, or passes, in the first guess.
-    time_s : float or None
-        The duration that it led to, mostly on a coarse grid; None if it did not converge.
-    status : str
-        The solver's words.
-    """
-
-    name: str
-    time_s: float | None
-    status: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +75,11 @@ class Plan:
         """How long the flight takes [s]."""
         return float(self.time[-1])
 
+    def path(self, legs: int = 1) -> Path:
+        """Return nodes and commands, in so many legs of equally many intervals."""
+        ends = self.time[:: (len(self.time) - 1) // legs]
+        return Path(np.diff(ends), self.states, self.commands)
+
     @property
     def spread(self) -> float:
         """By what share the worst start that converged is slower than the best."""
@@ -129,9 +107,8 @@ class Plan:
     @cached_property
     def samples(self) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M s"]]:
         """Times [s] and states of the flight as simulated from the start, a millisecond apart."""
-        path = Path(np.array([self.duration]), self.states, self.commands)
         parts = int(np.ceil(np.diff(self.time).max() / _SAMPLE))
-        return path.simulated(self.model, self.time, parts)
+        return self.path().simulated(self.model, self.time, parts)
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the planned state and acceleration at ``now + ahead``; see `Reference.at`.
@@ -327,11 +304,11 @@ def plan(
     """
     numbers.INTERVALS.check(intervals, "intervals")
     request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())
-    solved, tried = search(request, intervals, warm)
+    near = None if warm is None else warm.path(len(request.via) + 1)
+    solved, tried = search(request, intervals, near)
     bound = _bound(request, solved)
     if warm is None and bound < _DOUBTFUL * solved.path.times[-1]:
-        program = program_for(request.model, intervals, len(request.via) + 1, len(request.keep_out))
-        for begun, other in _further(request, program):
+        for begun, other in further(request, intervals, solved.time):
             tried = (*tried, begun)
             if other is not None:
                 # Whatever the weight is that it comes from, a bound holds.
@@ -349,83 +326,11 @@ def plan(
     )
 
 
-def search(
-    request: Request, intervals: int, warm: Plan | None = None
-) -> tuple[Solved, tuple[Start, ...]]:
-    """Try the starts on a coarse grid, and refine the best until one converges."""
-    legs, discs = len(request.via) + 1, len(request.keep_out)
-    found: list[tuple[float, float, list[Path]]] = []
-    tried = []
-    if warm is not None:
-        durations = np.diff(warm.time[:: (len(warm.time) - 1) // legs])
-        path = Path(durations, warm.states, warm.commands)
-        near = min(request.goal_yaws(), key=lambda yaw: abs(yaw - warm.states[-1, 2]))
-        found.append((warm.duration, near, [path]))
-    else:
-        coarse = program_for(request.model, _COARSE, legs, discs)
-        for name, guess, yaw in starts(request, _COARSE):
-            one = coarse.solve(request, guess, yaw)
-            time = float(one.path.durations.sum())
-            tried.append(Start(name, time if one.converged else None, one.status))
-            # What the coarse grid lets pass a rail may be no start for the fine one.
-            paths = [one.path, guess] if one.converged else [guess]
-            found.append((time if one.converged else np.inf, yaw, paths))
-    fine = program_for(request.model, intervals, legs, discs)
-    statuses = [start.status for start in tried]
-    best_first = sorted(found, key=lambda f: f[0])
-    refined = [(yaw, path) for _, yaw, paths in best_first for path in paths][:_REFINED]
-    for yaw, path in refined:
-        solved = fine.solve(request, path.resampled(intervals), yaw)
-        if solved.converged and _flies(request, solved.path):
-            if warm is not None:
-                time = float(solved.path.durations.sum())
-                tried.append(Start("the neighbouring plan", time, solved.status))
-            return solved, tuple(tried)
-        statuses.append("touches between nodes" if solved.converged else solved.status)
-    for begun, solved in _further(request, fine) if warm is None else ():
-        tried.append(begun)
-        if solved is not None:
-            return solved, tuple(tried)
-        statuses.append(begun.status)
-    axis = unavoidable_rail(request)
-    if axis is not None:
-        raise InputError(
-            f"from this yaw and spin it hits a rail along {axis} whatever it does", field="start"
-        )
-    words = ", ".join(sorted(set(statuses)))
-    raise InputError(
-        f"no plan was found from any of {max(len(tried), 1)} starts ({words}); there may be no way "
-        "within the limits",
-        field="plan",
-    )
-
-
-def _further(request: Request, program: Transcription) -> Iterator[tuple[Start, Solved | None]]:
-    """Try the further starts; None where one leads to no flight."""
-    for name, guess, yaw in further_starts(request, program.intervals):
-        solved = program.solve(request, guess, yaw)
-        flies = solved.converged and _flies(request, solved.path)
-        time = float(solved.path.times[-1]) if flies else None
-        yield Start(name, time, solved.status), solved if flies else None
-
-
 def _bound(request: Request, solved: Solved) -> float:
     """Return a time that no control undercuts, with the help of a plan."""
     if len(request.via):
         return lower_bound_through(request, solved.path.durations)
     return lower_bound(request, _weight(request, solved), float(solved.path.times[-1]))
-
-
-def _flies(request: Request, path: Path) -> bool:
-    """Simulate a path in smaller steps: it must end where it should, and touch nothing."""
-    _, states = path.simulated(request.model, path.times, _PARTS)
-    if (np.abs(states[-1] - path.states[-1])[:6] > _MISSED).any():
-        return False
-    place = states[:, :2]
-    discs = request.keep_out
-    away = np.hypot(*(place[:, None] - discs[:, :2]).transpose(2, 0, 1)) - discs[:, 2]
-    inside = (np.abs(place) < np.array(request.reach) + _GRAZED).all()
-    return bool(inside and (away > -_GRAZED).all())
 
 
 def _weight(request: Request, solved: Solved) -> Weight:

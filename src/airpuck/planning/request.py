@@ -27,6 +27,9 @@ _FARTHEST = 100.0
 _MOST_POINTS = 20
 #: Start and goal that are nearer than this are the same [m, m, rad, m/s, m/s, rad/s].
 _SAME = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
+#: Turns at which the search begins where the final yaw is free: from 24 of them, all around, flights
+#: of ten random requests were faster by 0.3 % at most [rad].
+_FREE_TURNS = (0.0, 0.9, -0.9, 1.8, -1.8, 2.7, -2.7)
 #: Step in which braking before a rail is looked at [s].
 _STEP = 1e-3
 
@@ -124,7 +127,7 @@ class Request:
         """Return the final yaws worth trying, as continuous angles; the nearest first."""
         begin, yaw = self.start[2], self.goal.yaw
         if yaw is None:
-            return (float(begin),)
+            return tuple(float(begin + turn) for turn in _FREE_TURNS)
         if self.goal.turn == "exact":
             return (float(yaw),)
         turn = float(wrapped(np, yaw - begin))

@@ -20,16 +20,20 @@ _FURTHER = {
 }
 #: Further from a disc than this share of its radius a way round it leads.
 _ROUND = 1.3
+#: Peak of the guess's speed over its mean, 1.5, and room to correct it.
+_STEEPEST = 1.6
 
 
 def starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
     """Yield what each start is called, its path and its final yaw."""
-    for number, yaw in enumerate(request.goal_yaws()):
-        for name, aside in _ASIDE.items():
-            if number and aside:
-                continue
-            label = "the longer turn" if number else name
-            yield label, _path(request, intervals, yaw, aside, ways=request.via), yaw
+    nearest, *others = request.goal_yaws()
+    for name, aside in _ASIDE.items():
+        # A free yaw has final yaws to begin with in place of turns on the way.
+        if aside == 0 or request.goal.yaw is not None:
+            yield name, _path(request, intervals, nearest, aside, ways=request.via), nearest
+    for yaw in others:
+        label = f"turned by {yaw - request.start[2]:+.1f} rad"
+        yield label, _path(request, intervals, yaw, 0.0, ways=request.via), yaw
     for name, side in (("round on the left", 1.0), ("round on the right", -1.0)):
         detours = _detours(request, side)
         if detours is not None:
@@ -64,7 +68,8 @@ def _path(
     lengths = np.maximum(np.diff(ends), 0.05)
     turn = abs(yaw - request.start[2])
     durations = np.maximum(2.2 * np.sqrt(lengths / push), 0.1)
-    durations = np.maximum(durations, turn / request.limits.spin * 1.3 / legs)
+    durations = np.maximum(durations, _STEEPEST * turn / request.limits.spin / legs)
+    durations = np.maximum(durations, _STEEPEST * lengths / request.limits.speed)
     if turning:  # velocities at the ends have to be turned round first
         durations[0] += 2 * np.hypot(*request.start[3:5]) / push
         durations[-1] += 2 * np.hypot(*np.nan_to_num(goal[3:5])) / push

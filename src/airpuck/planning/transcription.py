@@ -24,9 +24,6 @@ _MOTION = 6
 _LONGEST, _LONGER = 6.0, 1.0
 #: Shortest duration of a leg [s].
 _SHORTEST = 1e-3
-#: Of the mean squared change of commands between intervals, in seconds: commands that do not
-#: matter, and only those, become smooth.
-_SMOOTHING = 1e-4
 _MOST_ITERATIONS = 120
 #: Runge-Kutta steps between two nodes: then a plan of a second ends within a millimetre.
 _SUBSTEPS = 2
@@ -103,6 +100,11 @@ class Solved:
     #: Of the bounds of positions at the nodes: where the path touches a rail.
     touching: Float[np.ndarray, "nodes 2"]
 
+    @property
+    def time(self) -> float:
+        """Duration of the flight [s]."""
+        return float(self.path.durations.sum())
+
 
 class Transcription:
     """The program for a model and a number of intervals, way points and discs; see `program_for`.
@@ -122,10 +124,12 @@ class Transcription:
         u = [casadi.SX.sym(f"u{k}", self.n) for k in range(total)]
         durations = [casadi.SX.sym(f"T{leg}") for leg in range(legs)]
         places = casadi.SX.sym("discs", 3, discs)
-        steps, clear = [], []
+        steps, clear, spins = [], [], []
         for k in range(total):
             h = durations[k // intervals] / intervals
-            steps.append(z[k + 1] - advance(z[k], u[k], h))
+            end, spin = advance(z[k], u[k], h)
+            steps.append(z[k + 1] - end)
+            spins.append(spin)
             middle = between(z[k], z[k + 1], h)
             for d in range(discs):
                 for point in (middle, z[k + 1][:2]):
@@ -135,30 +139,37 @@ class Transcription:
         rates = [c * intervals / durations[k // intervals] for k, c in enumerate(changes)]
         # Motors idle afterwards.
         rates.append(casadi.sumsqr(u[-1] - model.vehicle.command_min) * intervals / durations[-1])
-        smoothing = casadi.SX.sym("smoothing")
-        rough = _SMOOTHING * sum(changes) / max(total - 1, 1) + smoothing * sum(rates)
+        smoothing, tidiness = casadi.SX.sym("smoothing"), casadi.SX.sym("tidiness")
+        rough = tidiness * sum(changes) / max(total - 1, 1) + smoothing * sum(rates)
         variables = [part for pair in zip(z, u, strict=False) for part in pair]
         x = casadi.vertcat(*variables, z[-1], *durations)
         problem = {
             "x": x,
             "f": sum(durations) + rough,
-            "g": casadi.vertcat(*steps, *clear),
-            "p": casadi.vertcat(casadi.vec(places), smoothing),
+            "g": casadi.vertcat(*steps, *clear, *spins),
+            "p": casadi.vertcat(casadi.vec(places), smoothing, tidiness),
         }
         self._solve = casadi.nlpsol("plan", "ipopt", problem, _OPTIONS)
-        self._clearances = len(clear)
+        self._clearances, self._spins = len(clear), total
 
-    def solve(self, request: Request, guess: Path, final_yaw: float) -> Solved:
-        """Solve from a guess, for a goal with this yaw."""
+    def solve(
+        self, request: Request, guess: Path, final_yaw: float, tidiness: float
+    ) -> Solved:
+        """Solve from a guess, for a goal with this yaw.
+
+        The weight [s] of the commands' mean squared change between intervals makes smooth what does
+        not matter to the time.
+        """
         lower, upper = self._bounds(request, final_yaw, guess.durations)
         steps = self.intervals * self.legs * self.size
+        clear, spin = np.ones(self._clearances), np.full(self._spins, request.limits.spin)
         found = self._solve(
             x0=self._packed(guess.states, guess.commands, guess.durations),
             lbx=lower,
             ubx=upper,
-            lbg=np.concatenate([np.zeros(steps), np.ones(self._clearances)]),
-            ubg=np.concatenate([np.zeros(steps), np.full(self._clearances, np.inf)]),
-            p=np.append(request.keep_out.ravel(), request.limits.smoothing),
+            lbg=np.concatenate([np.zeros(steps), clear, -spin]),
+            ubg=np.concatenate([np.zeros(steps), clear * np.inf, spin]),
+            p=[*request.keep_out.ravel(), request.limits.smoothing, tidiness],
         )
         stats = self._solve.stats()
         states, commands, durations = self._unpacked(found["x"].full()[:, 0])
@@ -215,22 +226,22 @@ def program_for(model: Model, intervals: int, legs: int, discs: int) -> Transcri
 
 
 def _step_functions(model: Model) -> tuple[Any, Any]:
-    """Trace the step of the physics, and the position half way between two nodes."""
+    """Trace the step of the physics with the spin half way, and the position there."""
     casadi = _casadi()
     n = model.vehicle.n_propellers
     z, u, h = casadi.SX.sym("z", _MOTION + n), casadi.SX.sym("u", n), casadi.SX.sym("h")
 
     def advance(state: Any, command: Any, duration: Any) -> Any:
-        for _ in range(_SUBSTEPS):
-            state = step(np, model.dynamics, state, command, duration[0] / _SUBSTEPS)
-        return state
+        half = step(np, model.dynamics, state, command, duration[0] / _SUBSTEPS)
+        end = step(np, model.dynamics, half, command, duration[0] / _SUBSTEPS)
+        return np.concatenate([end, half[5:6]])
 
     following = with_symbols(advance, z, u, h)
     after = casadi.SX.sym("after", _MOTION + n)
     # The middle of the cubic through both positions with both velocities.
     middle = (z[:2] + after[:2]) / 2 + h / 8 * (z[3:5] - after[3:5])
     return (
-        casadi.Function("step", [z, u, h], [following]),
+        casadi.Function("step", [z, u, h], [following[:-1], following[-1]]),
         casadi.Function("middle", [z, after, h], [middle]),
     )
 
