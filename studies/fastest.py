@@ -16,8 +16,8 @@ import numpy as np
 
 import airpuck
 from airpuck.craft.table import Table
-from airpuck.planning.plan import search
 from airpuck.planning.request import Limits, checked_request
+from airpuck.planning.search import search
 
 
 def pair(model, random, moving: bool, arriving: bool):
@@ -39,7 +39,7 @@ def warm(model, start, goal, neighbour) -> float | None:
     try:
         request = checked_request(model, moved, goal, (), Table(), (), Limits())
         begun = time.process_time()
-        search(request, 40, neighbour)
+        search(request, 40, neighbour.path())
         return time.process_time() - begun
     except airpuck.InputError:
         return None

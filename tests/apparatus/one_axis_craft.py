@@ -41,3 +41,24 @@ ACCELERATION = THRUST / MASS
 
 def at_rest(x: float) -> np.ndarray:
     return np.array([x, 0.0, 0.0])
+
+
+def ring(count: int):
+    """Propellers on a ring that push inwards, askew by turns; the last of an odd number straight.
+
+    Four and more can push and turn any way at once. Three cannot: they turn to move.
+    """
+    angles = 360 * np.arange(count) / count
+    askew = [0.0 if k == count - 1 and count % 2 else 60.0 - 120.0 * (k % 2) for k in range(count)]
+    propellers = tuple(
+        Propeller(
+            name=f"p{k}",
+            position_m=(0.05 * np.cos(np.radians(angle)), 0.05 * np.sin(np.radians(angle))),
+            direction_deg=float(angle + 180 + askew[k]),
+        )
+        for k, angle in enumerate(angles)
+    )
+    nominal = Nominal(thrust_N=(0.0, 0.4), inertia_kg_m2=3e-4)
+    return nominal_model(
+        Vehicle(name=f"ring of {count}", mass_kg=0.15, propellers=propellers, nominal=nominal)
+    )

@@ -12,6 +12,7 @@ from airpuck.planning import plan as planning
 from airpuck.planning.attainable import YAWS, frontier, motor_range, pushes
 from airpuck.planning.certificate import Weight, lower_bound, lower_bound_through
 from airpuck.planning.request import Goal, Limits, checked_request
+from airpuck.planning.search import search
 
 from ..apparatus.examples import examples
 
@@ -78,7 +79,7 @@ def test_parts_of_plans_are_not_faster_than_their_bounds():
     asked = checked_request(
         M3, (-0.5, -0.1, 0.3, 0.4, 0.5, 1.0), (0.5, 0.2, -1.0), (), Table(), (), Limits()
     )
-    solved, _ = planning.search(asked, 40)
+    solved, _ = search(asked, 40)
     weight, times = planning._weight(asked, solved), solved.path.times
     shares = []
     for node in (18, 25, 32, 40):

@@ -22,7 +22,6 @@ from airpuck.planning.certificate import (
     Weight,
     lower_bound,
     lower_bound_through,
-    unavoidable_rail,
 )
 from airpuck.planning.request import Goal, Limits, Request, checked_request
 from airpuck.planning.search import Start, further, search

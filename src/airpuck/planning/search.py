@@ -129,9 +129,7 @@ def further(
         yield Start(name, time, status), solved
 
 
-def refined(
-    request: Request, path: Path, yaw: float, intervals: int
-) -> tuple[Solved | None, str]:
+def refined(request: Request, path: Path, yaw: float, intervals: int) -> tuple[Solved | None, str]:
     """Solve on a fine grid, twice as fine where that flies elsewhere; return solver's words too."""
     path, status = _on_grid(path, intervals, _LONGEST_FINE), ""
     for _ in range(2):

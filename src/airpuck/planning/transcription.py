@@ -152,9 +152,7 @@ class Transcription:
         self._solve = casadi.nlpsol("plan", "ipopt", problem, _OPTIONS)
         self._clearances, self._spins = len(clear), total
 
-    def solve(
-        self, request: Request, guess: Path, final_yaw: float, tidiness: float
-    ) -> Solved:
+    def solve(self, request: Request, guess: Path, final_yaw: float, tidiness: float) -> Solved:
         """Solve from a guess, for a goal with this yaw.
 
         The weight [s] of the commands' mean squared change between intervals makes smooth what does
