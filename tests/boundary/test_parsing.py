@@ -70,6 +70,7 @@ REPEATED = "".join(f"a{i + 1}: &a{i + 1} [*a{i}, *a{i}, *a{i}]\n" for i in range
 MERGED = "".join(f"k{i}: &k{i} {{<<: [*a, *a]}}\n" for i in range(9))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -90,6 +90,7 @@ def test_a_campaign_of_failures_only_does_not_end_well(here, spec, tmp_path):
     assert "2 failed" in process.stdout
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed(here, spec, tmp_path):
     dwells = 'kind = "tracking"\nseeds = {seeds}\ngrid.dwell_s = '
     script = tmp_path / "airpuck_command.py"

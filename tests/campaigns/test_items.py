@@ -131,6 +131,7 @@ def test_resampled_fits_surround_the_fit(tmp_path):
     assert {row["inertia"] for row in rows} == {float(fit.model.parameters.inertia)}
 
 
+@pytest.mark.slow
 def test_a_shortest_time_is_that_of_a_plan():
     item = ShortestTime(distance_m=0.5, speed_m_s=0.5, direction_rad=0.3, seed=1)
     (row,) = item.run()

@@ -155,6 +155,7 @@ def test_motors_that_never_move_are_named(tmp_path):
     assert any("motor_b_1" in w for w in json.loads(process.stdout)["warnings"])
 
 
+@pytest.mark.slow
 def test_too_little_data_is_no_failure_of_ours(tmp_path):
     recording = record(duration=0.6, noise=1e-4)
     write_bag(recording, tmp_path / "bag")

@@ -145,6 +145,7 @@ def test_without_rejection_the_offset_is_disturbance_over_gain():
     np.testing.assert_allclose(poses[-50:].mean(axis=0), push / gains, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_set_points_are_reached_and_the_yaw_turns_the_shorter_way():
     points = [(0.0, 0.0, 0.0), (0.3, -0.2, 1.5), (0.1, 0.2, -2.5), (0.1, 0.2, 2.8)]
     ours = controller(SetPoints([0.0, 0.5, 3.5, 6.5], points), compiled=True)
@@ -163,6 +164,7 @@ def test_set_points_are_reached_and_the_yaw_turns_the_shorter_way():
     assert all(step.flies for step in steps)
 
 
+@pytest.mark.slow
 def test_a_path_is_followed_closely_thanks_to_its_feed_forward():
     times = np.linspace(0, 4, 41)
     angle = 2 * np.pi * np.clip(times - 0.5, 0, 3) / 3
@@ -212,6 +214,7 @@ def test_a_reference_is_asked_for_when_the_command_will_have_acted():
     assert asked == [(last + 0.001, MODEL.transport_delay + ours.tuning.period_s)]
 
 
+@pytest.mark.slow
 def test_with_the_delay_compensated_the_craft_flies_as_without_one_only_later():
     # Smith's predictor, with a perfect model.
     target, flown = SetPoint(0.02, -0.01, 1.0), {}

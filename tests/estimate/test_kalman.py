@@ -164,6 +164,7 @@ def test_compiled_and_numpy_agree():
         time += random.uniform(1e-3, 3e-2)
 
 
+@pytest.mark.slow
 def test_on_an_exact_flight_it_finds_state_and_disturbance():
     commands = some_commands(2.5)
     push = np.array([0.15, -0.1, 2.0])
@@ -245,6 +246,7 @@ def velocity_error(imu: bool, mouse: bool) -> np.ndarray:
 FLIGHTS: dict[str, np.ndarray] = {}
 
 
+@pytest.mark.slow
 def test_inertial_sensor_and_mouse_improve_velocities_between_sparse_poses():
     poses = velocity_error(imu=False, mouse=False)
     inertial = velocity_error(imu=True, mouse=False)

@@ -25,6 +25,7 @@ def test_intervals_hold_the_true_root_mean_square(duration):
     assert 0.90 < np.mean(held) < 0.985
 
 
+@pytest.mark.slow
 def test_pairs_are_compared_with_the_stated_false_alarms_and_intervals():
     alarms, held, widths = [], [], []
     truth = np.sqrt((1.1**2 + 0.3**2) / (1 + 0.3**2))

@@ -31,6 +31,7 @@ def estimated(rng, error=0.02, clusters=40):
     return replace(TRUTH, parameters=parameters, uncertainty=known)
 
 
+@pytest.mark.slow
 def test_nothing_moves_where_nothing_moved():
     rng = np.random.default_rng(3)
     alarms = [drift(estimated(rng), estimated(rng)).verdicts[0] for _ in range(20)]
@@ -105,6 +106,7 @@ def timed(lag: float, delay: float):
     return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
 
 
+@pytest.mark.slow
 def test_a_delay_that_took_up_a_held_lag_is_not_accused():
     found = drift(timed(0.0, 0.040), timed(0.030, 0.015))
     change = next(c for c in found.changes if c.label == "d")

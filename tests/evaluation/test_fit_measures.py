@@ -33,6 +33,7 @@ def test_the_likelihood_is_that_of_normal_innovations():
     assert fit.bic == pytest.approx(d * np.log(len(e)) - 2 * found.log_likelihood)
 
 
+@pytest.mark.slow
 def test_the_truth_fits_better_than_a_wrong_model():
     flight = noisy(duration=6.0, seed=4)
     wrong = replace(TRUTH.parameters, inertia=1.1 * TRUTH.parameters.inertia)

@@ -29,6 +29,7 @@ def nothing(flight):
     return np.zeros((len(flight), 3, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, JITTER])
 def test_jitter_is_found(jitter):
     found = []
@@ -40,6 +41,7 @@ def test_jitter_is_found(jitter):
     assert np.mean(found) == pytest.approx(jitter, abs=0.0015)
 
 
+@pytest.mark.slow
 def test_late_packets_are_no_reason_to_reject_the_truth():
     tests = resid(MODEL, late_flight(0))
     assert tests.passed, tests.verdicts
@@ -47,6 +49,7 @@ def test_late_packets_are_no_reason_to_reject_the_truth():
     assert delay.value == pytest.approx(0.0, abs=0.003)
 
 
+@pytest.mark.slow
 def test_a_delay_is_told_from_jitter():
     tests = resid(MODEL, late_flight(1, later=0.012))
     assert [error.name for error in tests.errors if not error.passed] == ["delay"]

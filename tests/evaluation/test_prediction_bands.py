@@ -55,6 +55,7 @@ def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
     assert np.abs(in_deviations(bands)).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance():
     learned = TRUTH.parameters.mask(frozenset({"motor_time_constant", "transport_delay"}))
     estimate, size = TRUTH.parameters.to_vector(), len(learned)
@@ -150,6 +151,7 @@ def predict(flight, known, entries=()):
     return predict_with_errors(TRUTH, flight, known, STARTS, STEPS, mask)
 
 
+@pytest.mark.slow
 def test_predictions_and_sensitivities_are_those_of_moved_parameters(flight, filtered):
     labels = TRUTH.parameters.labels(TRUTH.vehicle.propeller_names)
     names = ("thrust motor_b_1 φ^2", "inertia", "motor_time_constant", "center_of_mass x")
@@ -169,6 +171,7 @@ def test_predictions_and_sensitivities_are_those_of_moved_parameters(flight, fil
         assert (np.abs(slopes[..., k] - slope) < 1e-4 * scale).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 3e-3])
 def test_the_sensitivity_to_the_delay_is_that_of_commands_cut_elsewhere(flight, filtered, late):
     # Without delay the commands of this flight are at samples, where pieces begin and end.
@@ -184,6 +187,7 @@ def test_the_sensitivity_to_the_delay_is_that_of_commands_cut_elsewhere(flight, 
     assert (np.abs(slopes[..., 0] - slope) < 1e-3 * scale).all()
 
 
+@pytest.mark.slow
 def test_yaw_spreads_as_double_integrals_of_its_noises(flight, filtered):
     # Nothing else turns the craft: r + t² s + q₁t³/3 + (d + q₂ t³/20) t⁴/4 …, by hand.
     _, variance, _ = predict(flight, filtered)

@@ -61,6 +61,7 @@ def test_no_product_reaches_across_a_pause():
     np.testing.assert_allclose(test.autocorrelation, [(2 + 12) / 30, 0, 0], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_rates_of_false_alarms_are_nominal():
     # White innovations and a held input: 600 tests of each kind at the 1 % level.
     rng, alarms, beyond, lags = np.random.default_rng(1), np.zeros(2), 0.0, 10
@@ -98,6 +99,7 @@ def test_bands_know_that_both_signals_are_smooth():
     assert np.mean(beyond) < 0.03
 
 
+@pytest.mark.slow
 def test_the_true_model_passes():
     p_values = []
     for seed in range(4):
@@ -108,6 +110,7 @@ def test_the_true_model_passes():
     assert np.sum(np.array(p_values) < 0.01) <= 1  # of 24; P(more than 1) = 0.02
 
 
+@pytest.mark.slow
 def test_a_motor_that_is_modelled_too_strong_is_named():
     parameters = TRUTH.parameters
     thrust = np.array(parameters.thrust)
@@ -124,6 +127,7 @@ def test_a_motor_that_is_modelled_too_strong_is_named():
     assert {test.motor for test in tests.correlations if not test.passed} <= {motor}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "word"), [(0.01, "large"), (-0.01, "small")])
 def test_a_wrong_lag_is_a_matter_of_timing(change, word):
     parameters = TRUTH.parameters
@@ -164,6 +168,7 @@ def test_motors_that_commands_do_not_tell_apart_are_not_accused():
     assert other.tested and not other.passed
 
 
+@pytest.mark.slow
 def test_louder_innovations_where_commands_change_are_no_correlation():
     # Jitter does that: variance follows the command, the mean does not.
     rng, alarms = np.random.default_rng(6), 0

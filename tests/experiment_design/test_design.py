@@ -79,6 +79,7 @@ def test_the_best_of_all_combinations_is_found(found):
     assert scores == sorted(scores)
 
 
+@pytest.mark.slow
 def test_the_delay_counts_where_the_next_fit_learns_it(trials):
     trials()
     for name, learned in (("M1", False), ("M3", True)):
@@ -145,6 +146,7 @@ def test_what_is_known_stands_beside_and_counts(trials, found):
     )
 
 
+@pytest.mark.slow
 def test_the_loss_of_the_fit_says_how_large_real_residuals_are(trials, found):
     trials()
     fitted = replace(MODEL, fit={"loss": 4e-6})
@@ -155,6 +157,7 @@ def test_the_loss_of_the_fit_says_how_large_real_residuals_are(trials, found):
     assert robust.residual_level == 1.0
 
 
+@pytest.mark.slow
 def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monkeypatch):
     def fly(model, *_):
         # What packets that arrive late leave unexplained where nobody looks for them.
@@ -259,6 +262,7 @@ def shows_every_quantity(real: Design, checked):
     np.testing.assert_allclose(shown["proposal, obtained in 1 flights"], 100 * checked.errors[0])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_plan_that_excite_takes(found, tmp_path, monkeypatch):
     monkeypatch.setattr("airpuck.experiment_design.design.design", lambda *_, **__: found)
     plan, figures = tmp_path / "plan.toml", tmp_path / "design.json"

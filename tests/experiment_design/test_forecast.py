@@ -57,6 +57,7 @@ def errors(forecast, flight, duration, **options):
     return forecast.of(flight, duration, **options).standard_errors[ENTRIES]
 
 
+@pytest.mark.slow
 def test_the_information_is_that_of_finite_differences_of_a_plain_rollout(trajectory, information):
     windows = make_windows(trajectory, 40, 50, 7)
     whole = len(windows.time) // 240 * 240
@@ -95,6 +96,7 @@ def test_one_flight_gives_the_plain_sandwich():
     np.testing.assert_allclose(found[inside] / scale, expected / scale, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_twice_the_time_shrinks_errors_by_the_root_of_two(information):
     forecast = Forecast(MODEL, [information, synthetic(1)])
     once, twice = (errors(forecast, information, duration) for duration in (30.0, 60.0))

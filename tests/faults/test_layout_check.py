@@ -96,6 +96,7 @@ def test_a_mirrored_layout_is_remarked(flight):
     assert check.remarks[0].startswith("the y axis and the yaw are flipped")
 
 
+@pytest.mark.slow
 def test_what_mends_axes_is_said_in_terms_of_the_mapping(recorded):
     """The lab's file has Y up, and the mapping forgot that z points towards us."""
     recording, vehicle = recorded
@@ -153,6 +154,7 @@ def recorded(request):
     return excite(nominal_model(vehicle), 20.0, seed=1), vehicle
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signs", SIGNS)
 def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
     recording, vehicle = recorded

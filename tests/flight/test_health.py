@@ -62,6 +62,7 @@ def faulty(plant):
     return flown(plant, settings, FAULTY)
 
 
+@pytest.mark.slow
 def test_a_healthy_craft_is_not_alarmed(plant):
     healthy = flown(plant, default_twin_settings(), HEALTHY, seed=2)
     told = watched(healthy, 3.0, 4.0, monitor=HealthMonitor(MODEL))
@@ -72,6 +73,7 @@ def test_a_healthy_craft_is_not_alarmed(plant):
         assert "as the model says" in str(health)
 
 
+@pytest.mark.slow
 def test_a_propeller_that_weakens_in_flight_and_a_longer_delay_are_named(faulty):
     before, after = watched(faulty, FAULT, monitor=HealthMonitor(MODEL))
     assert not any("propeller" in told for told in before.findings)
@@ -105,6 +107,7 @@ def test_little_excitation_is_no_evidence():
     assert figures["delay"]["interval_95_s"] == pytest.approx([-0.0098, 0.0098])
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_an_evaluation(faulty):
     """Against offline evaluation, with an encoder of its own, on a model that is wrong."""
     wrong = replace(

@@ -224,6 +224,7 @@ class Used(TrackingController):
         super().pose(time, pose)
 
 
+@pytest.mark.slow
 def test_sensors_of_different_latencies_fly_together():
     settings = default_twin_settings()
     capture = settings.motion_capture.model_copy(update={"latency_s": 0.02})
@@ -238,6 +239,7 @@ def test_sensors_of_different_latencies_fly_together():
     np.testing.assert_allclose(state[time > 3.5, :2], [[0.3, 0.2]] * sum(time > 3.5), atol=5e-3)
 
 
+@pytest.mark.slow
 def test_without_poses_sensors_on_board_keep_nothing_in_flight():
     settings = default_twin_settings()
     capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.0, 2.0),)})

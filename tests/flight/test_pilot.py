@@ -50,6 +50,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_pilot_of_ones_own_reaches_its_set_point_on_the_twin(file):
     make = pilot_maker(f"{file}:Spring")
     recording, log = track(M3, airpuck.SetPoint(0.4, -0.1, 0.5), 6.0, make_pilot=make)
@@ -57,6 +58,7 @@ def test_a_pilot_of_ones_own_reaches_its_set_point_on_the_twin(file):
     np.testing.assert_allclose(recording["pose"].values[-1], [0.4, -0.1, 0.5], atol=0.1)
 
 
+@pytest.mark.slow
 def test_it_flies_by_name_from_the_command_line(file, tmp_path):
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
@@ -72,6 +74,7 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
     assert abs(result["steady_state_error"]["x_m"]) < 0.1
 
 
+@pytest.mark.slow
 def test_a_pilot_that_sends_percent_is_warned_of_and_named(file, tmp_path):
     file.write_text(SPRING.replace("(np.clip(", "(100 * np.clip("))
     points = tmp_path / "points.toml"

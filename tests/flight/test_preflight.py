@@ -108,6 +108,7 @@ def only(motor, share):
     return lambda u: np.where(np.arange(6) == motor, IDLE + share * (u - IDLE), u)
 
 
+@pytest.mark.slow
 def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
     dead = fly_pulses(only(2, 0.0))
     assert wrong(dead) == [NAMES[2]]
@@ -117,6 +118,7 @@ def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
     assert [c.name for c in weak.checks if c.verdict == "look"] == [NAMES[4]]
 
 
+@pytest.mark.slow
 def test_the_delay_is_that_of_motors_that_do_something():
     """Five of six stand, and what fits their noise best is any delay."""
     found = fly_pulses(lambda u: np.where(np.arange(6) == 1, u, IDLE))
@@ -175,6 +177,7 @@ def test_units_are_said(flown, unit, factors):
     assert wrong(found) == ["units"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "factor", "x"),
     [("millimetres", 1e3, 0.2), ("centimetres", 1e2, -0.05), ("millimetres", 1e3, 0.0)],
@@ -185,6 +188,7 @@ def test_units_that_put_the_craft_off_the_table_are_said(unit, factor, x):
     assert unit in words(found, "units")
 
 
+@pytest.mark.slow
 def test_degrees_are_said_of_a_guarded_test():
     found = preflight_live_like(lambda p: p * [1, 1, 180 / np.pi], (0.001, 0.002, 0.4))
     assert "degrees" in words(found, "units")
@@ -230,6 +234,7 @@ def test_slow_poses_are_refused(flown):
     assert "at least 50" in words(judge_pulses(MODEL, time[::8], pose[::8], *commands), "poses")
 
 
+@pytest.mark.slow
 def test_no_poses_and_poses_that_stop():
     assert wrong(fly_pulses(pose=lambda _: None)) == ["poses"]
     come = iter(range(300))
@@ -240,11 +245,13 @@ def test_no_poses_and_poses_that_stop():
     assert not np.isnan(found.strength[0])
 
 
+@pytest.mark.slow
 def test_garbage_among_the_poses_is_left_out():
     turn = iter(range(10_000))
     assert fly_pulses(pose=lambda p: np.full(3, np.nan) if next(turn) % 7 == 0 else p).ready
 
 
+@pytest.mark.slow
 def test_another_craft():
     quad = nominal_model(four_propellers())
     found = preflight(Twin(quad, seed=3), quad)
@@ -294,6 +301,7 @@ def test_plans_out_of_range_are_refused(plan):
 # The regression -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_effect_is_the_models_column():
     """Without noise and jitter: M(0) of the model, column by column, and the delay."""
     quiet = TwinSettings(
@@ -323,6 +331,7 @@ def test_the_effect_is_the_models_column():
 # From a recording ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_recorded_test_is_judged_alike():
     twin = Twin(MODEL, seed=3, pose=(0.001, 0.002, 0.4), plant=PLANT)
     live = preflight(twin, MODEL)

@@ -76,6 +76,7 @@ def without_epoch(recording: Recording) -> Recording:
     return moved(recording, dict.fromkeys(recording.streams, -EPOCH_NS), -EPOCH_NS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [PAPER, OURS])
 def test_a_flight_of_this_controller_comes_back(plant, options):
     weights = default_tuning().weights.model_copy(update={"position": 20.0, "yaw": 10.0})
@@ -103,6 +104,7 @@ def test_another_model_computes_other_commands(recording):
     assert np.median(np.abs(found.difference)) > 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "gains", "tolerance"),
     [
@@ -200,6 +202,7 @@ def test_a_span_is_a_share_of_the_commands(recording, plain):
     assert sum(part.to_json()["outcomes"].values()) == 75
 
 
+@pytest.mark.slow
 def test_only_commands_in_the_span_are_fitted(recording, plain):
     def edit(stamp, received, values):
         values[:75] = 0.9 - values[:75]
@@ -319,6 +322,7 @@ def test_a_model_of_another_craft_is_refused(recording):
         replay(recording, four)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_commands_of_the_papers_flight_come_back(data):
     from airpuck.recording.read import read_recording

@@ -90,6 +90,7 @@ def test_a_tactic_that_fails_is_named_in_one_line(tactics, name, words):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_tactic_of_ones_own_plays_on_either_side(tactics):
     mine = contestant(f"{tactics}:Stays")
     game = Game(mine, mine, seed=1)

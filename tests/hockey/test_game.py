@@ -28,6 +28,7 @@ def played(seed: int, left=HARD, right=EASY, rules=None) -> Game:
     return game
 
 
+@pytest.mark.slow
 def test_the_events_of_a_game_make_its_score_and_the_better_hand_wins():
     games = [played(seed, rules=Rules(goals=3)) for seed in range(3)]
     for game in games:
@@ -38,6 +39,7 @@ def test_the_events_of_a_game_make_its_score_and_the_better_hand_wins():
     assert sum(game.score[0] > game.score[1] for game in games) >= 2
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_game():
     first, second = (played(5, rules=Rules(limit_s=10.0)) for _ in range(2))
     assert first.events == second.events
@@ -201,6 +203,7 @@ def test_a_seed_too_large_for_two_sides_is_told():
     assert Game(HARD, EASY, seed=2**62 - 1).step() is not None
 
 
+@pytest.mark.slow
 def test_figures_sum_up_the_events():
     game = played(8, rules=Rules(goals=2))
     figures = game.figures()
@@ -212,6 +215,7 @@ def test_figures_sum_up_the_events():
     assert figures["left_rail_contacts"] == 0
 
 
+@pytest.mark.slow
 def test_a_hand_reaches_no_farther_than_the_centre_line():
     game = played(9, rules=Rules(limit_s=20.0))
     assert not [e for e in game.events if e.kind == "crossed"]

@@ -56,6 +56,7 @@ class Noted:
         return Intention("home", SetPoint(*view.pitch.home, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_shot_is_saved_on_either_side_within_the_own_half(plant, side):
     player = Player(MODEL, PLAY, side=side)

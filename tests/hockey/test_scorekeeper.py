@@ -168,6 +168,7 @@ def test_poses_that_jump_into_a_goal(place, frames):
     assert cameras.said == []
 
 
+@pytest.mark.slow
 def test_poses_that_are_anywhere_and_nothing():
     cameras = Cameras()
     for k in range(5000):
@@ -191,6 +192,7 @@ def test_cameras_that_are_blind_when_the_puck_is_about_to_be_in():
     assert cameras.said == []
 
 
+@pytest.mark.slow
 def test_fouls_and_a_puck_that_is_stuck():
     cameras = Cameras()
     cameras.rest(-0.5, 0.0, frames=round(15.2 / FRAME))
@@ -218,6 +220,7 @@ def test_after_the_end_the_next_puck_begins_another_game():
     assert cameras.keeper.calls["goal", -1] == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_it_agrees_with_the_referee_of_a_game(seed):
     """Two scripted humans play; the cameras lose frames and have noise."""

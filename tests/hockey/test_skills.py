@@ -66,6 +66,7 @@ def test_starts_are_the_challenges_on_this_table(name):
             assert (near_rail | (x < -0.8 * along + 1e-9)).all() and not speed.any()
 
 
+@pytest.mark.slow
 def test_a_few_episodes_of_each():
     found = skills(MODEL, episodes=3, seed=5)
     assert found["defend"].successes == 3

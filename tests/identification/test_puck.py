@@ -71,6 +71,7 @@ def normalised(fit, truth):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_every_number_is_found_within_its_standard_error(seed):
     fit = identify_puck(recorded(TRUTH, seed))
@@ -91,6 +92,7 @@ def test_every_number_is_found_within_its_standard_error(seed):
     assert fit.bounces["rail"] > 10
 
 
+@pytest.mark.slow
 def test_standard_errors_know_how_much_bounces_differ():
     # Restitution scatters by 0.03 from bounce to bounce: its mean is known to 0.03/√n, no better.
     fits = [identify_puck(recorded(TRUTH, seed, scatter=0.03)) for seed in range(4)]
@@ -111,6 +113,7 @@ def test_wrong_frames_and_a_puck_without_marks_do_no_harm():
     assert puck.rail.restitution == pytest.approx(0.7, abs=0.02)
 
 
+@pytest.mark.slow
 def test_several_recordings_count_together():
     parts = [recorded(TRUTH, seed, 10.0) for seed in (1, 2)]
     one, both = identify_puck(parts[0]), identify_puck(parts)
@@ -126,6 +129,7 @@ def test_rails_elsewhere_are_noticed():
     assert fit.play.puck.rail.restitution == pytest.approx(0.7, abs=0.01)
 
 
+@pytest.mark.slow
 def test_mallet_and_craft_are_found_where_they_were_recorded():
     twin = Twin(published_model("M3"), puck=PuckState(0.4, 0, 0, -3, 0.4), mallet=(0.8, 0), seed=2)
     assert twin.play is not None

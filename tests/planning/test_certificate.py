@@ -74,6 +74,7 @@ def test_no_random_flight_is_faster_than_its_bound(seed):
     assert lower_bound(asked, weight, 2 * duration) <= duration * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_parts_of_plans_are_not_faster_than_their_bounds():
     """Parts of a fastest flight are nearly fastest flights: bounds come close to them."""
     asked = checked_request(
@@ -98,6 +99,7 @@ def test_the_bound_holds_for_any_weight_and_is_zero_for_a_useless_one():
     assert lower_bound(asked, away, 0.6) == 0.0
 
 
+@pytest.mark.slow
 def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
     point = (0.5, 0.25)
     asked = checked_request(M3, (0, 0, 0), (0, 0, 0), (point, (-0.5, 0.25)), None, (), WIDE)

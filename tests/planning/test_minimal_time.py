@@ -45,6 +45,7 @@ def test_a_file_gives_the_table_back(tmp_path):
         read_minimal_times(path)
 
 
+@pytest.mark.slow
 def test_the_packaged_table_agrees_with_plans_as_well_as_it_says():
     found, model = read_minimal_times(), airpuck.read_model("paper:M3")
     planned = shortest_time(model, 0.7, (0.0, 0.7), 1.0, "rest")

@@ -104,6 +104,7 @@ def test_half_a_turn_takes_a_quarter_of_a_second():
     assert found.duration == pytest.approx(0.252, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [M3, EFFECTS], ids=["M3", "effects"])
 def test_an_independent_integrator_ends_at_the_goal(model):
     start = (-0.4, -0.2, 0.5, 0.8, 0.3, 2.0)
@@ -150,6 +151,7 @@ def test_of_all_final_yaws_the_search_finds_one_of_the_best():
     assert tried[0].time_s > 1.01 * found.time
 
 
+@pytest.mark.slow
 def test_finer_grids_agree(metre):
     finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), intervals=80, warm=metre)
     assert finer.duration == pytest.approx(metre.duration, rel=5e-3)
@@ -167,6 +169,7 @@ def test_a_neighbouring_plan_is_a_start_of_its_own(metre):
     assert found.duration == pytest.approx(metre.duration, rel=0.05)
 
 
+@pytest.mark.slow
 def test_way_points_rails_discs_and_limits_are_kept():
     table, limits = Table(), Limits(reserve=0.1, spin=6.0, speed=1.2, margin=0.02)
     disc = (0.1, 0.05, 0.05)
@@ -194,6 +197,7 @@ def test_way_points_rails_discs_and_limits_are_kept():
     assert 0 < found.lower_bound < found.duration
 
 
+@pytest.mark.slow
 def test_an_open_goal_is_reached_sooner(metre):
     free = airpuck.plan(M3, (-0.5, 0, 0), Goal(0.5, 0.0, None, None), table=Table())
     assert 0.9 * free.duration < free.lower_bound < free.duration < 0.8 * metre.duration
@@ -221,6 +225,7 @@ def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
         np.testing.assert_array_equal(together(2.0, ahead), one_by_one)
 
 
+@pytest.mark.slow
 def test_gentle_switches_cost_little_time(metre):
     limits = Limits(smoothing=2e-4)
     gentle = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), table=Table(), limits=limits)

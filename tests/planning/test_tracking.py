@@ -23,6 +23,7 @@ def planned():
     return airpuck.plan(M3, (-0.2, 0, 0), (0.2, 0, 0.5), table=Table(), limits=limits, intervals=20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["lqr", "mpc"])
 def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(planned, kind):
     tuning = default_tuning()
@@ -71,6 +72,7 @@ def test_corrections_are_the_bounded_least_squares_of_scipy():
         np.testing.assert_allclose(found, expected.x, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
     """Late packets, and 8 mm and 0.03 rad that the plan knows nothing of."""
     tuning, table = default_tuning(), Table()
@@ -86,6 +88,7 @@ def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
         assert near.any()
 
 
+@pytest.mark.slow
 def test_a_plan_may_end_in_motion_and_is_flown_until_then():
     goal = airpuck.Goal(0.3, 0.0, None, (0.6, 0.0, 0.0))
     limits = Limits(reserve=0.1, smoothing=2e-4)

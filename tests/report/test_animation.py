@@ -257,6 +257,7 @@ def test_a_set_point_far_away_is_no_trouble(tmp_path):
         assert animate(odd, tmp_path / f"a{suffix}").stat().st_size < 300_000
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("flown", ["control_experiment/data_M4", "control_experiment/data_M0"])
 def test_real_flights(data, tmp_path, flown):

@@ -60,6 +60,7 @@ def undrawn(monkeypatch):
     monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_another", [True, False])
 def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, request):
     if not on_another:

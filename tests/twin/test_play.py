@@ -100,6 +100,7 @@ def test_in_a_goal_the_puck_is_not_seen(plant):
     assert len(twin.recording()["puck"]) == frames + 24
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_game(plant):
     def played():
         twin = Twin(MODEL, plant=plant, puck=PuckState(0.4, 0, 0, -3, 1), mallet=(0.8, 0), seed=9)

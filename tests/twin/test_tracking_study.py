@@ -29,6 +29,7 @@ def imitated():
     return tracked
 
 
+@pytest.mark.slow
 def test_a_flight_is_imitated_from_where_it_began(imitated):
     real, twin = imitated.real, imitated.twin
     np.testing.assert_allclose(twin.pose[0], POSES[0], atol=5e-3)
@@ -39,6 +40,7 @@ def test_a_flight_is_imitated_from_where_it_began(imitated):
     assert (imitated.rmse < [0.02, 0.02, 0.1]).all()
 
 
+@pytest.mark.slow
 def test_all_moves_of_a_flight_are_reported_however_many(imitated):
     content = imitated.to_json()
     for key in ("setpoints", "flight_setpoints"):

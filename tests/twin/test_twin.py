@@ -135,6 +135,7 @@ def test_a_delay_between_two_frames_is_not_rounded(plant):
     np.testing.assert_allclose(states[:, 6], 1 - np.exp(-running / tau), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_battery_sag_takes_its_share_of_the_thrust():
     settings = QUIET.model_copy(
         update={"effects": Effects(battery_sag_1_s=0.4), "radio": Radio(delay_s=0, timeout_s=9)}
@@ -252,6 +253,7 @@ def found_delay(settings, plant):
     return preprocess(twin.recording(), MODEL.vehicle).delay
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.01, 0.0208, 0.04])
 def test_preprocessing_finds_the_delay_to_a_sample(plant, delay):
     capture = NOISY.motion_capture.model_copy(update={"dropped": 0.0})
@@ -260,6 +262,7 @@ def test_preprocessing_finds_the_delay_to_a_sample(plant, delay):
     assert found_delay(settings, plant) == pytest.approx(delay, abs=1.5 / 240)
 
 
+@pytest.mark.slow
 def test_preprocessing_finds_the_delay_though_frames_are_missing(plant):
     assert found_delay(NOISY, plant) == pytest.approx(0.0208, abs=1.5 / 240)
 
