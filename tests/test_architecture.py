@@ -1,6 +1,7 @@
 """The rules of the house: who may import whom, and what loads when."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -11,6 +12,7 @@ import pytest
 import airpuck
 
 ROOT = Path(airpuck.__file__).parent
+TESTS = Path(__file__).parent
 
 #: Rooms from the ground up: each may import itself and the ones before it.
 ORDER = (
@@ -210,6 +212,34 @@ def test_functions_are_short_or_say_why_not():
         and "Long because" not in (ast.get_docstring(node) or "")
     ]
     assert not long
+
+
+def private_imports(path: Path) -> list[str]:
+    """Names of ours with an underscore that a test imports without a comment that says why."""
+    lines, found = path.read_text(encoding="utf-8").splitlines(), []
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("airpuck"):
+            private = [alias.name for alias in node.names if alias.name.startswith("_")]
+            said = lines[node.lineno - 2].strip().startswith("#") or any(
+                "  # " in line for line in lines[node.lineno - 1 : node.end_lineno]
+            )
+            if private and not said:
+                found.append(f"{path.relative_to(TESTS)}:{node.lineno}: {', '.join(private)}")
+    return found
+
+
+def test_tests_import_public_names_or_say_why_not():
+    assert not [place for path in TESTS.rglob("*.py") for place in private_imports(path)]
+
+
+def test_what_tests_share_is_in_their_apparatus():
+    shared = [
+        f"{path.relative_to(TESTS)}: {node.module}"
+        for path in TESTS.rglob("test_*.py")
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ImportFrom) and re.search(r"(^|\.)test_", node.module or "")
+    ]
+    assert not shared
 
 
 def code_lines(function: ast.FunctionDef, lines: list[str]) -> int:
