@@ -9,10 +9,9 @@ from scipy.stats import kstest
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import (
     Excitation,
-    ExcitationPlan,
     _weakest_effort,  # plans use its values, which trials of random efforts check
-    read_excitation_plan,
 )
+from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 from airpuck.control.reference import SetPoint
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import nominal_model

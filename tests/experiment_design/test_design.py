@@ -11,7 +11,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.designing import error_table, summary
 from airpuck.cli.output import console
-from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
+from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 from airpuck.experiment_design.design import Candidate, Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
 from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial

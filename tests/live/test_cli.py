@@ -8,7 +8,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import write_toml
 from airpuck.cli import app as application
 from airpuck.cli import live
-from airpuck.control.excitation import ExcitationPlan
+from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.craft.table import Table
 from airpuck.model.model_file import published_model
 
@@ -119,8 +119,8 @@ def test_a_recorded_check_takes_no_options_of_a_flown_one(flown, tmp_path):
 
 
 def test_a_recorder_that_finds_the_disk_full_says_so(domain, tmp_path, monkeypatch):
-    from airpuck.live.process import LiveSettings
     from airpuck.live.record import BagFile, record
+    from airpuck.live.settings import LiveSettings
 
     def full(_: object) -> None:
         raise OSError(28, "No space left on device")

@@ -10,8 +10,8 @@ from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
-from airpuck.live.process import LiveSettings
 from airpuck.live.safety import Limits
+from airpuck.live.settings import LiveSettings
 
 from ..apparatus.processes import CODECS, COMMANDS, POSES
 

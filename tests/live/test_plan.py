@@ -12,7 +12,8 @@ from airpuck.estimate.estimator import Estimate
 from airpuck.live.events import HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.live.graph import SENSOR, STATE
 from airpuck.live.plan import NAME, PLAN, PLAN_TYPE, PlanOutbox, positions
-from airpuck.live.process import LiveSettings, Process
+from airpuck.live.process import Process
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.message import MessageCodec, definitions
 
 STATES = np.array([[0.1, 0.2, 0.0, 1, 0, 0], [0.2, 0.2, math.pi / 2, 1, 0, 0]])

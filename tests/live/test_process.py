@@ -14,7 +14,8 @@ from airpuck.flight.clock import Clock
 from airpuck.live import process
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, Graph, Sample
-from airpuck.live.process import Inbox, LiveSettings, Process
+from airpuck.live.process import Inbox, Process
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 

@@ -11,9 +11,9 @@ from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
-from airpuck.live.process import LiveSettings
 from airpuck.live.safety import half_of
 from airpuck.live.score import Score
+from airpuck.live.settings import LiveSettings
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.message import StreamCodec

@@ -20,8 +20,9 @@ from airpuck.flight.loop import Action
 from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Ruling
 from airpuck.live.graph import SENSOR, Graph
-from airpuck.live.process import LiveSettings, Process
+from airpuck.live.process import Process
 from airpuck.live.score import Score
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.message import StreamCodec
 from airpuck.web.live_page import LivePage
 from airpuck.web.messages import Wish, packed_wish

@@ -6,6 +6,8 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
 from importlib import resources
 from typing import Annotated, Any, TypeVar
 
@@ -15,7 +17,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
 from airpuck.boundary.parsing import load_toml
 
-Schema = TypeVar("Schema", bound=pydantic.BaseModel)
+#: A `Section`, or a settings class.
+Schema = TypeVar("Schema")
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
@@ -55,7 +58,7 @@ def read_toml(
     """Read a TOML file and check it against a schema; what it leaves out is as in `base`."""
     content = load_toml(path)
     if base is not None:
-        content = laid_over(base.model_dump(mode="json"), content)
+        content = laid_over(_adapter(schema).dump_python(base, mode="json"), content)
     return checked(content, schema, file=path)
 
 
@@ -63,6 +66,12 @@ def read_packaged(name: str, schema: type[Schema]) -> Schema:
     """Read a TOML file that comes with the package, and check it against a schema."""
     with resources.as_file(resources.files("airpuck") / "packaged" / name) as path:
         return read_toml(path, schema)
+
+
+@cache
+def _adapter(schema: type[Schema]) -> pydantic.TypeAdapter[Schema]:
+    """Return what checks values against a schema."""
+    return pydantic.TypeAdapter(schema)
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
@@ -80,10 +89,11 @@ def checked(
     content: Mapping[str, Any], schema: type[Schema], *, file: str | os.PathLike[str] | None = None
 ) -> Schema:
     """Check a mapping against a schema."""
+    adapter = _adapter(schema)
     try:
         # As JSON: there, strictness is about types (no truth value is a number, no text either)
         # and not about Python's containers.
-        return schema.model_validate_json(json.dumps(content, default=str), strict=True)
+        return adapter.validate_json(json.dumps(content, default=str), strict=True)
     except pydantic.ValidationError as error:
         # A misspelt key also leaves the right one missing: report the spelling.
         found = error.errors()
@@ -94,7 +104,14 @@ def checked(
         problem = problem.replace("Input should be", "must be")
         problem = problem.replace("a valid array", "a list in brackets, [ ]")
         problem = _OF_LENGTH.sub(r"must have \1", problem)
-        kind = next((k for k in _KINDS if k in content and k not in schema.model_fields), None)
+        known = (
+            {field.name for field in fields(schema)}
+            if is_dataclass(schema)
+            else (
+                schema.model_fields  # pyright: ignore[reportAttributeAccessIssue]
+            )
+        )
+        kind = next((k for k in _KINDS if k in content and k not in known), None)
         if first["type"] == "extra_forbidden" and kind:
             field, problem = "", f"is {_KINDS[kind]}; another kind of file is wanted"
         elif first["type"] == "extra_forbidden":

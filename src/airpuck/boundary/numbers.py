@@ -58,6 +58,7 @@ DESIGN_DURATION = Range(6, 3600, "several blocks of time, and at most an hour", 
 DWELL = Range(0.1, 1000, "a craft needs about a second to reach a set point", "s")
 HOLD = Range(0.001, 60, "signals that change more seldom hardly excite the craft", "s")
 AMPLITUDE = Range(0, 1, "commands go from 0 to 1", above=True)
+SIGNAL = Range(0, 1, "commands go from 0 to 1")
 COORDINATE = Range(-100, 100, "the table is some metres long, and yaw some turns at most")
 DISTANCE = Range(0, 100, "the table is some metres long", "m", above=True)
 MARGIN = Range(0, 1, "the table is about a metre wide", "m", above=True)

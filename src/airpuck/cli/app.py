@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import sys
+from collections.abc import Callable
 from itertools import islice
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from typer.exceptions import TyperException
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.terminal import escaped
 from airpuck.cli.names import check_inputs, refuse_empty
+from airpuck.cli.views import viewed
 from airpuck.compute.process import (
     Stopped,
     keep_compiled_programs,
@@ -90,11 +92,17 @@ class _Group(_PlainFlags, TyperGroup):
 
 
 class _App(typer.Typer):
-    """The application, whose commands are `Command`s."""
+    """The application, whose commands are `Command`s and views of settings objects."""
 
     def command(self, *args: Any, cls: type[Command] = Command, **options: Any) -> Any:
         """Return a decorator that adds a command."""
-        return super().command(*args, cls=cls, **options)
+        add = super().command(*args, cls=cls, **options)
+
+        def added(command: Callable[..., Any]) -> Callable[..., Any]:
+            add(viewed(command))
+            return command
+
+        return added
 
 
 app = _App(

@@ -68,19 +68,13 @@ def replay(
 @app.command(rich_help_panel=PANEL)
 def excite(
     output: options.NewBag,
-    duration: Annotated[
-        float | None,
-        options.number("S", "Length, by default 90 s.", numbers.FLIGHT_DURATION),
-    ] = None,
+    experiment: options.Experiment,
     seed: options.Seed = 0,
     vehicle: options.VehicleFile = None,
     model: Annotated[
         str | None,
         Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
     ] = None,
-    amplitude: options.Amplitude = None,
-    hold: options.Hold = None,
-    plan: options.PlanFile = None,
     twin: options.TwinFile = None,
     tuning: options.TuningFile = None,
     csv: Annotated[bool, Option("--csv", help="Record CSV files instead of a bag.")] = False,
@@ -92,9 +86,12 @@ def excite(
     if model is None and vehicle is None:
         model = "paper:M3"
     truth = inputs.model_or_nominal(model, vehicle, airpuck.read_model)
-    planned = inputs.read_excitation(plan, duration, amplitude, hold)
     excited = fly_excitation(
-        truth, planned, seed, settings=inputs.read_twin(twin), tuning=inputs.read_controls(tuning)
+        truth,
+        experiment,
+        seed,
+        settings=inputs.read_twin(twin),
+        tuning=inputs.read_controls(tuning),
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     figures = {

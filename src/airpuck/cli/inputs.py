@@ -15,7 +15,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli.output import warn
 
 if TYPE_CHECKING:
-    from airpuck.control.excitation import ExcitationPlan
     from airpuck.control.tuning import Tuning
     from airpuck.craft.vehicle import Vehicle
     from airpuck.data.trajectory import Trajectory
@@ -150,17 +149,6 @@ def check_predictive(path: Path | None, tuning: Tuning, *models: Model) -> None:
         with about(path):
             for model in models:
                 MPC(model, tuning, compiled=False)
-
-
-def read_excitation(
-    path: Path | None, duration: float | None, amplitude: float | None, hold: float | None
-) -> ExcitationPlan:
-    """Read the plan of an excitation, if a file is given, and change what is given beside it."""
-    from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
-
-    given = {"duration_s": duration, "amplitude": amplitude, "hold_s": hold}
-    planned = ExcitationPlan() if path is None else read_excitation_plan(path)
-    return planned.model_copy(update={k: v for k, v in given.items() if v is not None})
 
 
 def rows(texts: Sequence[str], count: int, option: str, words: str) -> list[tuple[float, ...]]:

@@ -15,77 +15,66 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app, repeated
 from airpuck.cli.output import is_stdout, report, show, write_json
+from airpuck.cli.views import Without
+from airpuck.live.settings import LiveSettings
 
 if TYPE_CHECKING:
-    from airpuck.control.reference import SetPoints
+    from collections.abc import Callable
+
+    from airpuck.control.tuning import Tuning
     from airpuck.craft.table import Table
-    from airpuck.live.process import LiveSettings
+    from airpuck.flight.pilot import Pilot
     from airpuck.model.model_file import Model
     from airpuck.planning.plan import Plan
 
 SETPOINT = "--setpoint"
 _PANEL = "Live, on a ROS 2 graph"
 
-Domain = Annotated[
-    int | None,
-    options.number("N", "DDS domain; by default $ROS_DOMAIN_ID, or 0.", numbers.DOMAIN, "--domain"),
-]
-Interface = Annotated[
-    str | None,
-    Option(
-        "--interface",
-        metavar="NAME",
-        help="Network interface, such as eth0; by default nothing leaves this machine.",
+Belief = Annotated[str, options.BELIEVED_MODEL]
+Geofence = Annotated[
+    tuple[float, float] | None,
+    options.number(
+        "X Y", "Motors idle beyond ±X, ±Y; by default beyond the table's rails.", numbers.DISTANCE
     ),
 ]
-Duration = Annotated[
-    float | None,
-    options.number("S", "Length; by default until Ctrl-C.", numbers.LIVE_DURATION, "--duration"),
-]
-Belief = Annotated[str, options.BELIEVED_MODEL]
 
 
 @app.command(rich_help_panel=_PANEL)
 def twin(
+    live: LiveSettings,
     model: Annotated[
         str, Option(metavar="MODEL", help="Truth of the simulated craft.")
     ] = "paper:M3",
     settings: options.TwinFile = None,
     pose: Annotated[
         tuple[float, float, float],
-        options.number(
-            "X Y YAW", r"Where the craft stands at first \[m, m, rad].", numbers.COORDINATE
-        ),
+        options.number("X Y YAW", r"Where the craft starts \[m, m, rad].", numbers.COORDINATE),
     ] = (0.0, 0.0, 0.0),
     puck: Annotated[
         tuple[float, float, float, float] | None,
         options.number(
-            "X Y VX VY", r"A puck, and how it moves at first \[m, m/s].", numbers.COORDINATE
+            "X Y VX VY", r"A puck: where it starts, and how fast \[m, m/s].", numbers.COORDINATE
         ),
     ] = None,
     human: Annotated[
         Literal["easy", "medium", "hard", "page"] | None,
         Option(
-            help="A human on the right, with a mallet: a script, or who is at the page of "
-            "airpuck play --live; for --puck."
+            help="A human with a mallet on the right: a script, or the person at the page of "
+            "`airpuck play --live`. With a puck at the centre, unless --puck says where."
         ),
     ] = None,
     seed: options.Seed = 0,
-    domain: Domain = None,
-    interface: Interface = None,
     mapping: options.MappingFile = None,
-    duration: Duration = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
     from airpuck.physics.puck import PuckState
 
-    live = live_settings(domain, interface, mapping, duration, quiet)
+    live = on_topics(live, mapping)
     truth = airpuck.read_model(model)
     if human is not None and puck is None:
-        raise InputError("is for --puck, which is not given", field="--human")
+        puck = (0.0, 0.0, 0.0, 0.0)
     start = None if puck is None else PuckState(*puck[:2], 0.0, *puck[2:])
     table = inputs.read_twin(settings)
     figures = serve_twin(truth, live, table, seed=seed, pose=pose, puck=start, human=human)
@@ -94,135 +83,185 @@ def twin(
         json_file,
         f"{figures['duration_s']:.1f} s: {figures['poses']} poses sent, {figures['commands']} "
         f"commands received, motors stopped {figures['stops']} times for lack of commands",
-        quiet=quiet,
+        quiet=live.quiet,
     )
 
 
 @app.command(rich_help_panel=_PANEL, cls=repeated(setpoint=3))
 def fly(
-    model: Annotated[str | None, options.CONTROLLERS_MODEL] = None,
+    live: LiveSettings,
+    model: Annotated[str, options.CONTROLLERS_MODEL],
     setpoints: Annotated[
         list[str] | None,
         Option(SETPOINT, metavar="X Y YAW", help="Where to go; repeat for several, in order."),
     ] = None,
-    dwell: Annotated[
-        float | None,
-        options.number("S", "Time at each --setpoint; by default 3 s.", numbers.DWELL),
-    ] = None,
+    dwell: Annotated[float, options.number("S", "Time at each --setpoint.", numbers.DWELL)] = 3.0,
     setpoints_file: options.SetPointsFile = None,
-    topic: Annotated[
-        bool, Option("--topic", help="Go where the graph's reference topic says.")
-    ] = False,
-    excite: Annotated[
-        bool, Option("--excite", help="Fly the excitation experiment instead.")
-    ] = False,
-    plan: Annotated[
-        Path | None,
-        Option(
-            metavar="FILE",
-            help="A time-optimal plan by airpuck plan; with --excite, one by airpuck design.",
-        ),
-    ] = None,
-    amplitude: options.Amplitude = None,
-    hold: options.Hold = None,
     pilot: options.PilotClass = None,
-    vehicle: options.VehicleFile = None,
-    geofence: Annotated[
-        tuple[float, float] | None,
-        options.number(
-            "X Y",
-            "Motors idle beyond ±X, ±Y; by default beyond the table's rails.",
-            numbers.DISTANCE,
-        ),
-    ] = None,
     regulator: options.RegulatorName = None,
     tuning: options.TuningFile = None,
-    seed: Annotated[
-        int | None, options.number("N", "Seed of --excite; by default 0.", numbers.SEED)
-    ] = None,
-    domain: Domain = None,
-    interface: Interface = None,
+    geofence: Geofence = None,
     mapping: options.MappingFile = None,
-    duration: Duration = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
-    """Fly a craft on the graph, real or a twin; Ctrl-C lands it."""
-    from airpuck.compute.process import low_latency
-    from airpuck.control.excitation import Excitation
-    from airpuck.control.reference import check_inside
-    from airpuck.flight.pilot import Pilot, pilot_maker
-    from airpuck.live.fly import fly_live
-    from airpuck.live.safety import Limits
-    from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
+    """Fly a craft on the graph, real or a twin, to set points; Ctrl-C lands it."""
+    from airpuck.control.reference import SetPoints, check_inside, read_setpoints
+    from airpuck.live.setpoints import PlannedSetPoints
+
+    if setpoints_file is not None and setpoints:
+        raise InputError("give set points or a file of them, not both", field=SETPOINT)
+    if setpoints_file is not None:
+        points = read_setpoints(setpoints_file)
+    else:
+        words = "give three numbers: x [m], y [m], yaw [rad]"
+        poses = inputs.rows(setpoints or ["0 0 0"], 3, SETPOINT, words)
+        points = SetPoints([k * dwell for k in range(len(poses))], poses)
+    craft = inputs.read_belief(model)
+    check_inside(points, _fence(geofence, craft))
+    controls = inputs.read_controls(tuning, regulator, craft)
+    make = _steered(craft, PlannedSetPoints(points), pilot, regulator, controls, geofence)
+    _flown(make, craft, controls, geofence, on_topics(live, mapping), json_file)
+
+
+@app.command("fly-topic", rich_help_panel=_PANEL)
+def fly_topic(
+    live: LiveSettings,
+    model: Annotated[str, options.CONTROLLERS_MODEL],
+    pilot: options.PilotClass = None,
+    regulator: options.RegulatorName = None,
+    tuning: options.TuningFile = None,
+    geofence: Geofence = None,
+    mapping: options.MappingFile = None,
+    json_file: options.Json = None,
+) -> None:
+    """Fly a craft on the graph to where the graph's reference topic says."""
+    from airpuck.live.setpoints import FollowedSetPoint
+
+    craft = inputs.read_belief(model)
+    controls = inputs.read_controls(tuning, regulator, craft)
+    reference = FollowedSetPoint(_fence(geofence, craft))
+    make = _steered(craft, reference, pilot, regulator, controls, geofence)
+    _flown(make, craft, controls, geofence, on_topics(live, mapping), json_file)
+
+
+@app.command("fly-plan", rich_help_panel=_PANEL)
+def fly_plan(
+    plan: Annotated[Path, Option(metavar="FILE", help="A time-optimal plan by `airpuck plan`.")],
+    live: LiveSettings,
+    model: Annotated[str, options.CONTROLLERS_MODEL],
+    regulator: options.RegulatorName = None,
+    tuning: options.TuningFile = None,
+    geofence: Geofence = None,
+    mapping: options.MappingFile = None,
+    json_file: options.Json = None,
+) -> None:
+    """Fly a time-optimal plan on the graph, once the craft is where the plan begins."""
     from airpuck.planning.tracking import Departing, plan_tracker
 
-    planned = None if excite else plan
-    if sum([bool(setpoints), setpoints_file is not None, topic, excite, planned is not None]) > 1:
-        words = "give one of --setpoint, --setpoints, --topic, --excite, --plan"
-        raise InputError(words, field="fly")
-    if dwell is not None and not setpoints:
-        raise InputError("is the time at each --setpoint; none is given", field="--dwell")
-    _refuse_unless_excited(excite, seed=seed, amplitude=amplitude, hold=hold)
-    _refuse_a_pilot_of_another(excite, planned, pilot, regulator)
-    if model is None and not excite:
-        raise InputError("needs a model; without one only --excite can fly", field="--model")
-    experiment = inputs.read_excitation(plan if excite else None, duration, amplitude, hold)
-    if excite and plan is not None:
-        duration = experiment.duration_s
-    live = live_settings(domain, interface, mapping, duration, quiet)
+    craft = inputs.read_belief(model)
+    optimal = _time_optimal(plan, craft, _fence(geofence, craft))
+    controls, rails = inputs.read_controls(tuning, regulator, craft), _rails(geofence, craft)
+
+    def make() -> Pilot:
+        return Departing(plan_tracker(optimal, controls, rails), optimal)
+
+    _flown(make, craft, controls, geofence, on_topics(live, mapping), json_file)
+
+
+@app.command("fly-excitation", rich_help_panel=_PANEL)
+def fly_excitation(
+    experiment: options.Experiment,
+    live: Annotated[LiveSettings, Without(("duration",))],
+    model: Annotated[
+        str | None,
+        Option(metavar="MODEL", help="What the craft is believed to be; by default nominal."),
+    ] = None,
+    vehicle: options.VehicleFile = None,
+    tuning: options.TuningFile = None,
+    geofence: Geofence = None,
+    seed: options.Seed = 0,
+    mapping: options.MappingFile = None,
+    json_file: options.Json = None,
+) -> None:
+    """Fly the excitation experiment on the graph; it needs no model."""
+    from airpuck.control.excitation import Excitation
+
     craft = inputs.model_or_nominal(model, vehicle)
-    fence = _fence(geofence, craft)
-    optimal = None if planned is None else _time_optimal(planned, craft, fence)
-    controls = inputs.read_controls(tuning, regulator, craft)
-    points = _set_points(setpoints, dwell, setpoints_file)
-    check_inside(points, fence)
-    reference = FollowedSetPoint(fence) if topic else PlannedSetPoints(points)
-    make_own = None if pilot is None else pilot_maker(pilot)
-    signals = {"hold": experiment.hold_s, "margin": experiment.margin_m, "seed": seed or 0}
-    excitation = partial(Excitation, tuning=controls, amplitude=experiment.amplitude, **signals)
-    if excite:
-        excitation(craft)  # refuses numbers out of range before the graph is joined
-    low_latency()
+    controls = inputs.read_controls(tuning)
+    make = partial(
+        Excitation,
+        craft,
+        tuning=controls,
+        amplitude=experiment.amplitude,
+        hold=experiment.hold_s,
+        margin=experiment.margin_m,
+        seed=seed,
+    )
+    make()  # refuses signals that the craft cannot make before the graph is joined
+    live = replace(on_topics(live, mapping), duration=experiment.duration_s)
+    _flown(make, craft, controls, geofence, live, json_file)
 
-    def make_pilot() -> Pilot:
-        if excite:
-            return excitation(craft)
-        if make_own is not None:
-            return make_own(craft, reference)
+
+def _steered(
+    craft: Model,
+    reference: Any,
+    pilot: str | None,
+    regulator: str | None,
+    controls: Tuning,
+    geofence: tuple[float, float] | None,
+) -> Callable[[], Pilot]:
+    """Return what makes our controller, or a user's pilot in its place."""
+    from airpuck.flight.pilot import pilot_maker
+
+    if pilot is None:
         rails = _rails(geofence, craft)
-        if optimal is not None:
-            return Departing(plan_tracker(optimal, controls, rails), optimal)
-        return airpuck.TrackingController(craft, reference, controls, table=rails)
+        return lambda: airpuck.TrackingController(craft, reference, controls, table=rails)
+    if regulator is not None:
+        raise InputError(
+            "chooses a law of our controller; --pilot flies yours", field="--regulator"
+        )
+    return partial(pilot_maker(pilot), craft, reference)
 
-    limits = Limits(geofence=fence)
-    figures = fly_live(make_pilot, craft.vehicle, limits, live, period=controls.period_s)
-    report_flight(figures, json_file, quiet)
+
+def _flown(
+    make: Callable[[], Pilot],
+    craft: Model,
+    controls: Tuning,
+    geofence: tuple[float, float] | None,
+    live: LiveSettings,
+    json_file: Path | None,
+) -> None:
+    """Fly a pilot on the graph, and report."""
+    from airpuck.compute.process import low_latency
+    from airpuck.live.fly import fly_live
+    from airpuck.live.safety import Limits
+
+    low_latency()
+    limits = Limits(geofence=_fence(geofence, craft))
+    figures = fly_live(make, craft.vehicle, limits, live, period=controls.period_s)
+    report_flight(figures, json_file, live.quiet)
 
 
 @app.command(rich_help_panel=_PANEL)
 def record(
     output: options.NewBag,
+    live: LiveSettings,
     vehicle: options.VehicleFile = None,
-    domain: Domain = None,
-    interface: Interface = None,
-    duration: Duration = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
     craft = inputs.read_craft(vehicle)
     motors = () if craft is None else craft.propeller_names
-    live = live_settings(domain, interface, None, duration, quiet)
     figures = record(output, live, motors=motors)
     counts = [f"{count:8d}  {topic}" for topic, count in figures["messages"].items()]
-    report(figures, json_file, *counts, output, quiet=quiet)
+    report(figures, json_file, *counts, output, quiet=live.quiet)
 
 
 @app.command(rich_help_panel=_PANEL)
 def preflight(
+    live: Annotated[LiveSettings, Without(("duration",))],
     model: Annotated[str | None, options.BELIEVED_MODEL] = None,
     vehicle: options.VehicleFile = None,
     recording: Annotated[
@@ -230,20 +269,11 @@ def preflight(
         Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
     ] = None,
     level: Annotated[
-        float | None,
-        options.number(
-            "U", "Command of the motor whose turn it is; by default 0.25.", numbers.AMPLITUDE
-        ),
-    ] = None,
-    rounds: Annotated[
-        int | None,
-        options.number("N", "How often each motor has a turn; by default 2.", numbers.PULSE_ROUNDS),
-    ] = None,
-    domain: Domain = None,
-    interface: Interface = None,
+        float, options.number("U", "Command of the motor under test.", numbers.AMPLITUDE)
+    ] = 0.25,
+    rounds: Annotated[int, options.number("N", "Pulses of each motor.", numbers.PULSE_ROUNDS)] = 2,
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
     from airpuck.flight.preflight import judge_recording
@@ -251,16 +281,11 @@ def preflight(
     from airpuck.live.fly import preflight_live
 
     craft = inputs.model_or_nominal(model, vehicle)
-    pulses = {"level": level, "rounds": rounds}
-    given = {k: v for k, v in pulses.items() if v is not None}
     if recording is not None:
-        for name, value in {**pulses, "domain": domain, "interface": interface}.items():
-            if value is not None:
-                raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
         found = judge_recording(craft, inputs.read_flight(recording, mapping))
     else:
-        live = live_settings(domain, interface, mapping, None, quiet)
-        found = preflight_live(craft, replace(PulsePlan(), **given), live)
+        plan = PulsePlan(level=level, rounds=rounds)
+        found = preflight_live(craft, plan, on_topics(live, mapping))
     checks = [f"{check.verdict:6s}{check.name:17s}{check.words}" for check in found.checks]
     report(found.to_json(), json_file, *checks)
     if not found.ready:
@@ -271,62 +296,44 @@ def preflight(
 @app.command(rich_help_panel=_PANEL)
 def watch(
     model: Belief,
-    domain: Domain = None,
-    interface: Interface = None,
+    live: LiveSettings,
     mapping: options.MappingFile = None,
-    duration: Duration = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    live = live_settings(domain, interface, mapping, duration, quiet)
-    silent = quiet or is_stdout(json_file)
+    silent = live.quiet or is_stdout(json_file)
     tell = (lambda _: None) if silent else show
-    write_json(json_file, watch_live(inputs.read_belief(model), tell, live))
+    found = watch_live(inputs.read_belief(model), tell, on_topics(live, mapping))
+    write_json(json_file, found)
 
 
 @app.command(rich_help_panel=_PANEL)
 def view(
     model: Belief,
+    live: LiveSettings,
     port: Annotated[int, options.number("N", "Port of the page.", numbers.PORT)] = 8080,
     host: Annotated[
         str, Option(metavar="ADDRESS", help="Who may see it; by default this machine alone.")
     ] = "127.0.0.1",
-    domain: Domain = None,
-    interface: Interface = None,
     mapping: options.MappingFile = None,
-    duration: Duration = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
-    """Show the table in the browser as it is; drag the set point of `airpuck fly --topic`."""
+    """Show the table in the browser as it is; drag the set point of `airpuck fly-topic`."""
     from airpuck.web.view import view_live
 
-    live = live_settings(domain, interface, mapping, duration, quiet)
-    write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))
+    belief = inputs.read_belief(model)
+    write_json(json_file, view_live(belief, on_topics(live, mapping), host=host, port=port))
 
 
-def _refuse_unless_excited(excite: bool, **given: Any) -> None:
-    """Refuse options of the excitation experiment where another flight is asked for."""
-    for name, value in given.items():
-        if value is not None and not excite:
-            raise InputError("is for --excite, which is not given", field=f"--{name}")
+def on_topics(live: LiveSettings, mapping: Path | None) -> LiveSettings:
+    """Return settings with the topics of a mapping file, if there is one."""
+    from airpuck.recording.mapping import only_topics, read_mapping
 
-
-def _refuse_a_pilot_of_another(
-    excite: bool, planned: Path | None, pilot: str | None, regulator: str | None
-) -> None:
-    """Refuse a pilot or a law where the flight brings its own."""
-    for name, given in {"pilot": pilot, "regulator": regulator}.items():
-        if excite and given is not None:
-            words = "is for a flight to set points; --excite has its own"
-            raise InputError(words, field=f"--{name}")
-    if pilot is not None and regulator is not None:
-        raise InputError("is for our controller; --pilot flies yours", field="--regulator")
-    if pilot is not None and planned is not None:
-        raise InputError("is for a flight to set points; --plan has its own", field="--pilot")
+    if mapping is None:
+        return live
+    return replace(live, topics=only_topics(read_mapping(mapping), mapping))
 
 
 def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
@@ -358,33 +365,6 @@ def report_flight(
         f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
         quiet=quiet,
     )
-
-
-def live_settings(
-    domain: int | None,
-    interface: str | None,
-    mapping: Path | None,
-    duration: float | None,
-    quiet: bool,
-) -> LiveSettings:
-    """Return how to join the graph; refuse what is not there before anything is compiled."""
-    from airpuck.live.process import LiveSettings
-    from airpuck.recording.mapping import Topics, only_topics, read_mapping
-
-    names = Topics() if mapping is None else only_topics(read_mapping(mapping), mapping)
-    return LiveSettings(names, domain, interface, duration, quiet)
-
-
-def _set_points(texts: list[str] | None, dwell: float | None, file: Path | None) -> SetPoints:
-    """Return set points from a file, or one after the other; by default the table's middle."""
-    from airpuck.control.reference import SetPoints, read_setpoints
-
-    if file is not None:
-        return read_setpoints(file)
-    dwell = 3.0 if dwell is None else dwell
-    words = "give three numbers: x [m], y [m], yaw [rad]"
-    poses = inputs.rows(texts or ["0 0 0"], 3, SETPOINT, words)
-    return SetPoints([k * dwell for k in range(len(poses))], poses)
 
 
 def _rails(geofence: tuple[float, float] | None, craft: Model) -> Table:

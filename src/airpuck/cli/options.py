@@ -13,6 +13,8 @@ from airpuck.boundary.numbers import Range
 from airpuck.boundary.outputs import Output
 from airpuck.cli.names import check_written
 from airpuck.cli.output import is_stdout
+from airpuck.cli.views import FromFile
+from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 
 #: What is written, by what stands for it in the help.
 _KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
@@ -100,15 +102,11 @@ SetPointsFile = Annotated[
     Path | None,
     Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
 ]
-PlanFile = Annotated[
-    Path | None,
-    Option("--plan", metavar="FILE", help="Amplitude, hold, length and margin, by airpuck design."),
-]
-Amplitude = Annotated[
-    float | None, number("A", "Largest random signal, by default 1.", numbers.AMPLITUDE)
-]
-Hold = Annotated[
-    float | None, number("S", "Time between its changes, by default 0.2 s.", numbers.HOLD)
+Experiment = Annotated[
+    ExcitationPlan,
+    FromFile(
+        "--plan", "An excitation by `airpuck design`; options change it.", read_excitation_plan
+    ),
 ]
 PilotClass = Annotated[
     str | None,

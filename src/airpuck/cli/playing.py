@@ -13,16 +13,17 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.live import Domain, live_settings, report_flight
+from airpuck.cli.live import on_topics, report_flight
 from airpuck.cli.output import report, say
+from airpuck.live.settings import LiveSettings
 
 if TYPE_CHECKING:
-    from airpuck.live.process import LiveSettings
     from airpuck.web.page import ArenaSettings
 
 
 @app.command(rich_help_panel="Air hockey")
 def play(
+    graph: LiveSettings,
     level: Annotated[
         Literal["easy", "medium", "hard"],
         Option(help="Of the craft: thrust, reaction, aim; the page can change it."),
@@ -31,31 +32,15 @@ def play(
     no_browser: Annotated[
         bool, Option("--no-browser", help="Serve the page, but do not open it.")
     ] = False,
-    interface: Annotated[
-        str | None,
-        Option(
-            metavar="NAME",
-            help="Network interface, such as wlan0, for a phone, and for --live; by default this "
-            "machine alone.",
-        ),
-    ] = None,
     model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
     settings: options.TwinFile = None,
     seed: options.Seed = 0,
-    duration: Annotated[
-        float | None,
-        options.number(
-            "S", "How long to serve; by default until Ctrl-C.", numbers.LIVE_DURATION, "--duration"
-        ),
-    ] = None,
     live: Annotated[
         bool, Option("--live", help="Play on a ROS 2 graph, with puck and mallet on the table.")
     ] = False,
     no_page: Annotated[bool, Option("--no-page", help="With --live: serve no page.")] = False,
-    domain: Domain = None,
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends."""
     from airpuck.web.page import ArenaSettings
@@ -64,28 +49,28 @@ def play(
         if no_page:
             shown = {"port": port, "no_browser": no_browser}
             inputs.refuse_others(play, "--no-page", shown)
-        on_graph = live_settings(domain, interface, mapping, duration, quiet)
-        page = None if no_page else ArenaSettings(port, interface, not no_browser)
-        _play_live(model, settings, level, seed, on_graph, page, json_file)
+        page = None if no_page else ArenaSettings(port, graph.interface, not no_browser)
+        _play_live(model, settings, level, seed, on_topics(graph, mapping), page, json_file)
         return
-    alone = {"--domain": domain, "--mapping": mapping, "--no-page": no_page or None}
-    for name, given in alone.items():
+    of_graph = {"--domain": graph.domain, "--mapping": mapping, "--no-page": no_page or None}
+    for name, given in of_graph.items():
         if given is not None:
             raise InputError("is for --live, which is not given", field=name)
     from airpuck.compute.process import low_latency
     from airpuck.web.session import play_in_browser
 
-    arena = ArenaSettings(port, interface, not no_browser, duration)
+    arena = ArenaSettings(port, graph.interface, not no_browser, graph.duration)
     craft, table = inputs.read_belief(model), inputs.read_twin(settings)
     low_latency()
-    figures = play_in_browser(craft, arena, level=level, settings=table, seed=seed, tell=say(quiet))
+    tell = say(graph.quiet)
+    figures = play_in_browser(craft, arena, level=level, settings=table, seed=seed, tell=tell)
     left, right = figures["score"]
     report(
         figures,
         json_file,
         f"airpuck {left} : {right} you; physics behind real time at most "
         f"{figures['behind_real_time_ms']['max']:.1f} ms",
-        quiet=quiet,
+        quiet=graph.quiet,
     )
     if figures["page_server_ended"]:
         print("airpuck: the page server has ended, and the game with it", file=sys.stderr)

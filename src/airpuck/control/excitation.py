@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml, write_toml
 from airpuck.control.law import Step
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import TrackingController
@@ -20,38 +18,12 @@ from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
-#: Largest signal: of all, or of each.
-Amplitude = float | Sequence[float]
-
 #: Least acceleration in any direction with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
 #: Greatest cosine between the effects of two propellers that oppose each other: 154 degrees.
 _OPPOSED = -0.9
 #: Share of the greatest acceleration that a stop may need.
 _BRAKING = 0.5
-
-
-class ExcitationPlan(Section):
-    """An excitation experiment; what is left out is as the paper flew it."""
-
-    #: Largest signal, of all or of each: those of the pairs, then those of the propellers without a
-    #: partner.
-    amplitude: Fraction | tuple[Fraction, ...] = 1.0
-    #: Time between changes of the signals.
-    hold_s: Positive = 0.2
-    #: Length.
-    duration_s: Positive = 90.0
-    #: Distance to the rails at which the craft must be able to stop; else the signals pause.
-    margin_m: NonNegative = 0.05
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the plan as TOML."""
-        write_toml(path, self.model_dump(mode="json"), header="An airpuck excitation experiment.")
-
-
-def read_excitation_plan(path: str | os.PathLike[str]) -> ExcitationPlan:
-    """Read the plan of an excitation experiment."""
-    return read_toml(path, ExcitationPlan, base=ExcitationPlan())
 
 
 class Excitation:
@@ -100,7 +72,7 @@ class Excitation:
         reference: Reference | None = None,
         *,
         tuning: Tuning | None = None,
-        amplitude: Amplitude = 1.0,
+        amplitude: float | Sequence[float] = 1.0,
         hold: float = 0.2,
         seed: int = 0,
         table: Table | None = None,
@@ -201,7 +173,7 @@ class Excitation:
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
 
 
-def _amplitudes(amplitude: Amplitude, signals: int) -> Float[np.ndarray, " signals"]:
+def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.ndarray, " signals"]:
     """Return the amplitude of each signal."""
     each = np.asarray(amplitude, dtype=float)
     if each.ndim == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.control.excitation import ExcitationPlan
+from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.experiment_design.forecast import (
     HELD,
@@ -95,7 +95,7 @@ class Design:
 
         def figures(candidate: Candidate) -> dict[str, Any]:
             return {
-                **candidate.plan.model_dump(mode="json"),
+                **asdict(candidate.plan),
                 "clearance_m": candidate.clearance,
                 "score": _finite(candidate.score),
                 "refused": candidate.refused,
@@ -259,7 +259,7 @@ class _Search:
     ) -> Iterator[tuple[ExcitationPlan, Trial]]:
         """Fly plans, each flight with a seed of its own."""
         repeated = [plan for plan in plans for _ in range(flights)]
-        flown = [plan.model_copy(update={"duration_s": length}) for plan in repeated]
+        flown = [replace(plan, duration_s=length) for plan in repeated]
         seeds = range(self.seed + self._flights, self.seed + self._flights + len(flown))
         self._flights += len(flown)
         self.expected = max(self.expected, self._done_s + length * len(flown))
@@ -345,7 +345,7 @@ def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationP
         amplitude = np.broadcast_to(plan.amplitude, signals).astype(float)
         amplitude[weak] *= _WEAKER
         changes.append({"amplitude": tuple(np.round(amplitude, 3).tolist())})
-    return [plan.model_copy(update=change) for change in changes]
+    return [replace(plan, **change) for change in changes]
 
 
 def _as_learned_next(model: Model) -> Model:

@@ -25,9 +25,10 @@ from airpuck.flight.pilot import Pilot, check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.plan import PlanOutbox
-from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
+from airpuck.live.process import Inbox, Outbox, Process
 from airpuck.live.safety import Guard, GuardedPilot, Limits, played
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
+from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
 
 NAME = "airpuck fly"
@@ -321,7 +322,7 @@ class _Flight:
     def _give_way(self) -> None:
         """Leave the motors to another controller, as long as there is one."""
         graph = self._process.graph
-        rivals = graph.publishers(self._process.settings.topics.command)
+        rivals = graph.publishers(self._process.topics.command)
         if rivals:
             whose = graph.describe(rivals[0])
             self._guard.stop("rival", f"another controller is on the graph: {whose}")

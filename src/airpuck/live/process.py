@@ -7,18 +7,17 @@ import math
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.flight.clock import Clock, Every, StampClock
-from airpuck.live.dds import LEASE, domain_config, domain_id
+from airpuck.live.dds import LEASE
 from airpuck.live.events import EventLog
 from airpuck.live.graph import SENSOR, STATE, Endpoint, Graph, Quality
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 
@@ -40,42 +39,6 @@ _STOOD_STILL, _COMES_LATE = 0.1, 0.05
 _REMIND = 1.0
 
 
-@dataclass(frozen=True)
-class LiveSettings:
-    """How a process joins a graph, and for how long.
-
-    Parameters
-    ----------
-    topics : Topics
-        Names of the topics; by default those of the authors' table.
-    domain : int, optional
-        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
-    interface : str, optional
-        Network interface; by default loopback, so that nothing leaves the machine.
-    duration : float, optional
-        How long to go on [s]; by default until SIGINT or SIGTERM.
-    quiet : bool, default False
-        Whether to print no events on standard error.
-
-    Raises
-    ------
-    InputError
-        If the domain or the interface does not exist, or the duration is not above 0.
-    """
-
-    topics: Topics = field(default_factory=Topics)
-    domain: int | None = None
-    interface: str | None = None
-    duration: float | None = None
-    quiet: bool = False
-
-    def __post_init__(self) -> None:
-        domain_id(self.domain)
-        domain_config(self.interface)
-        if self.duration is not None:
-            numbers.LIVE_DURATION.check(self.duration, "--duration")
-
-
 class Process:
     """A process on the graph, to be used as a context manager.
 
@@ -84,6 +47,7 @@ class Process:
 
     def __init__(self, name: str, settings: LiveSettings) -> None:
         self.settings = settings
+        self.topics = settings.topics or Topics()
         self.graph = Graph(name, domain=settings.domain, interface=settings.interface)
         self.events = EventLog(self.graph, name, quiet=settings.quiet)
         self.clock = Clock()
@@ -140,7 +104,7 @@ def _wire(
     process: Process, stream: str, motors: tuple[str, ...]
 ) -> tuple[str, StreamCodec, Quality]:
     """Return topic, codec and quality of service of a stream."""
-    topic = process.settings.topics.by_stream[stream]
+    topic = process.topics.by_stream[stream]
     return topic, StreamCodec(stream, motors), _QUALITY.get(stream, SENSOR)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from airpuck.boundary.outputs import check_output, unwritable
 from airpuck.flight.clock import Every
 from airpuck.live.listener import Listener
-from airpuck.live.process import LiveSettings, Process
+from airpuck.live.process import Process
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.bag_writer import BagFile
 
 NAME = "airpuck record"

@@ -6,7 +6,8 @@ from typing import Any
 
 from airpuck.compute.process import prioritize
 from airpuck.live.human import BEGINS, Human
-from airpuck.live.process import Inbox, LiveSettings, Outbox, Process
+from airpuck.live.process import Inbox, Outbox, Process
+from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings

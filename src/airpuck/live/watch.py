@@ -15,7 +15,8 @@ from airpuck.flight.health import Health, HealthMonitor
 from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.live.graph import LOG, SENSOR, STATE, Quality
 from airpuck.live.plan import PLAN, PLAN_TYPE, positions
-from airpuck.live.process import Inbox, LiveSettings, Process
+from airpuck.live.process import Inbox, Process
+from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
 from airpuck.recording.message import MessageCodec, definitions
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,8 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.control.excitation import Amplitude, Excitation, ExcitationPlan
+from airpuck.control.excitation import Excitation
+from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -39,7 +41,7 @@ def excite(
     duration: float = 90.0,
     seed: int = 0,
     *,
-    amplitude: Amplitude = 1.0,
+    amplitude: float | Sequence[float] = 1.0,
     hold: float = 0.2,
     margin: float = 0.05,
     settings: TwinSettings | None = None,
@@ -81,10 +83,8 @@ def excite(
     InputError
         If a number is out of range.
     """
-    # Not checked here: `Excitation` refuses numbers out of range.
-    plan = ExcitationPlan.model_construct(
-        amplitude=amplitude, hold_s=hold, duration_s=duration, margin_m=margin
-    )
+    each = tuple(amplitude) if isinstance(amplitude, Sequence) else amplitude
+    plan = ExcitationPlan(each, hold, duration, margin)
     flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning, plant=plant)
     return flown.recording
 

@@ -18,7 +18,14 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.flight.clock import Every
 from airpuck.live.plan import NAME as PLAN
+<<<<<<< HEAD:src/airpuck/web/view.py
 from airpuck.live.process import LiveSettings, Outbox, Process
+=======
+from airpuck.live.process import Outbox, Process
+from airpuck.live.same_origin import same_origin_only
+from airpuck.live.scene import Scene
+from airpuck.live.settings import LiveSettings
+>>>>>>> 5724428 (Declare settings once: options of commands are views of settings objects; fly has a verb for each kind of reference):src/airpuck/live/view.py
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
 from airpuck.web.panel import Panel

@@ -1,0 +1,127 @@
+"""A setting, declared once: Python, TOML files, campaigns and the command line are views of it."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, fields
+from difflib import get_close_matches
+from functools import cache
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import Range
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What there is to know about a field of a settings object, beside its type and default.
+
+    It is written into the field's type, ``Annotated[float, Setting(…)]``. Pydantic checks the range
+    of such a field by itself.
+    """
+
+    #: A sentence for the help.
+    help: str
+    #: The numbers that it takes.
+    within: Range | None = None
+    #: What stands for a value in the help, such as S for seconds.
+    metavar: str | None = None
+    #: Its spelling as an option, where that is not the field's name.
+    option: str | None = None
+
+    def check(self, value: Any, field: str) -> None:
+        """Raise InputError if a number, or one of several, is out of range."""
+        if self.within is not None:
+            for number in value if isinstance(value, (tuple, list)) else (value,):
+                if number is not None:
+                    self.within.check(number, field)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Let pydantic check the range."""
+        from pydantic_core.core_schema import no_info_after_validator_function
+
+        def checked(value: Any) -> Any:
+            self.check(value, "")
+            return value
+
+        return no_info_after_validator_function(checked, handler(source))
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A field of a settings object."""
+
+    name: str
+    #: With its `Setting`.
+    annotation: Any
+    setting: Setting
+    default: Any
+
+
+class Settings:
+    """Base of settings objects, which are frozen dataclasses: checks ranges and choices."""
+
+    #: Heading of its options in the help of a command.
+    HEADING: ClassVar[str] = "Settings"
+    #: For files: an unknown key is an error.
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid", "allow_inf_nan": False}
+
+    def __post_init__(self) -> None:
+        """Check every declared field."""
+        for one in declared(type(self)):
+            value = getattr(self, one.name)
+            one.setting.check(value, one.name)
+            choices = choices_of(one.annotation)
+            if choices and value is not None:
+                check_choice(value, choices, one.name)
+
+
+@cache
+def declared(kind: type) -> tuple[Declared, ...]:
+    """Return the fields of a settings class that carry a `Setting`, in their order."""
+    names = _Names(vars(sys.modules[kind.__module__]))
+    return tuple(_declared(kind, get_type_hints(kind, localns=names, include_extras=True)))
+
+
+class _Names(dict[str, Any]):
+    """What a module knows; a type that it imports for type checkers only stands for any."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name, Any)
+
+
+def _declared(kind: Any, hints: dict[str, Any]) -> Iterator[Declared]:
+    for field in fields(kind):
+        setting = setting_of(hints[field.name])
+        if setting is not None:
+            made = field.default_factory
+            default = field.default if made is MISSING else made()
+            yield Declared(field.name, hints[field.name], setting, default)
+
+
+def setting_of(annotation: Any) -> Setting | None:
+    """Return the `Setting` in a type, if there is one."""
+    if get_origin(annotation) is not Annotated:
+        return None
+    return next((m for m in annotation.__metadata__ if isinstance(m, Setting)), None)
+
+
+def choices_of(annotation: Any) -> tuple[Any, ...]:
+    """Return the values of the Literal in a type; none where there is no Literal."""
+    if get_origin(annotation) is Annotated:
+        return choices_of(annotation.__origin__)
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return next(filter(None, map(choices_of, get_args(annotation))), ())
+
+
+def check_choice(value: Any, choices: tuple[Any, ...], field: str) -> None:
+    """Raise InputError if a value is none of those known; name the nearest."""
+    if value in choices:
+        return
+    near = get_close_matches(str(value), map(str, choices), n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    listed = ", ".join(map(repr, choices))
+    raise InputError(f"is {value!r}; {hint}it takes {listed}", field=field)

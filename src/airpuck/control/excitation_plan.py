@@ -1,0 +1,74 @@
+"""The plan of an excitation experiment: signals, length, margin."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from typing import Annotated, ClassVar
+
+from airpuck.boundary import numbers
+from airpuck.boundary.settings import Setting, Settings
+
+#: Largest signal: of all, or of each.
+Amplitude = Annotated[
+    float | tuple[float, ...],
+    Setting(
+        "Largest random signal, as a share of the commands", numbers.SIGNAL, "A", "--amplitude"
+    ),
+]
+Hold = Annotated[float, Setting("Time between changes of the signals", numbers.HOLD, "S", "--hold")]
+Duration = Annotated[
+    float, Setting("Length of the flight", numbers.FLIGHT_DURATION, "S", "--duration")
+]
+Margin = Annotated[
+    float,
+    Setting(
+        "Distance to the rails at which the craft must be able to stop; else the signals pause",
+        numbers.CLEARANCE,
+        "M",
+        "--margin",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class ExcitationPlan(Settings):
+    """An excitation experiment; by default the paper's.
+
+    Attributes
+    ----------
+    amplitude : float or tuple of float
+        Largest signal, of all or of each: those of the pairs, then those of the propellers without
+        a partner. One of several may be 0.
+    hold_s : float
+        Time between changes of the signals.
+    duration_s : float
+        Length of the flight.
+    margin_m : float
+        Distance to the rails at which the craft must be able to stop; else the signals pause.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+
+    HEADING: ClassVar = "Excitation"
+
+    amplitude: Amplitude = 1.0
+    hold_s: Hold = 0.2
+    duration_s: Duration = 90.0
+    margin_m: Margin = 0.05
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the plan as TOML."""
+        from airpuck.boundary.files import write_toml
+
+        write_toml(path, asdict(self), header="An airpuck excitation experiment.")
+
+
+def read_excitation_plan(path: str | os.PathLike[str]) -> ExcitationPlan:
+    """Read the plan of an excitation experiment."""
+    from airpuck.boundary.files import read_toml
+
+    return read_toml(path, ExcitationPlan, base=ExcitationPlan())

@@ -1,0 +1,62 @@
+"""How a process joins a graph, and for how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from airpuck.boundary import numbers
+from airpuck.boundary.settings import Setting, Settings
+
+if TYPE_CHECKING:
+    from airpuck.recording.mapping import Topics
+
+
+@dataclass(frozen=True)
+class LiveSettings(Settings):
+    """How a process joins a graph, and for how long.
+
+    Attributes
+    ----------
+    domain : int, optional
+        DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
+    interface : str, optional
+        Network interface; by default loopback, so that nothing leaves the machine.
+    duration : float, optional
+        How long to run [s]; by default until SIGINT or SIGTERM.
+    quiet : bool, default False
+        Whether to print no events on standard error.
+    topics : Topics, optional
+        Names of the topics; by default those of the authors' table.
+
+    Raises
+    ------
+    InputError
+        If the domain or the interface does not exist, or the duration is not above 0.
+    """
+
+    HEADING: ClassVar = "ROS 2 graph"
+
+    domain: Annotated[
+        int | None, Setting("DDS domain; by default $ROS_DOMAIN_ID, or 0", numbers.DOMAIN, "N")
+    ] = None
+    interface: Annotated[
+        str | None,
+        Setting(
+            "Network interface, such as eth0; by default nothing leaves this machine.",
+            metavar="NAME",
+        ),
+    ] = None
+    duration: Annotated[
+        float | None,
+        Setting("Length; by default until Ctrl-C", numbers.LIVE_DURATION, "S"),
+    ] = None
+    quiet: Annotated[bool, Setting("Print results only.", option="--quiet/-q")] = False
+    topics: Topics | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from airpuck.live.dds import domain_config, domain_id
+
+        domain_id(self.domain)
+        domain_config(self.interface)
