@@ -72,7 +72,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.identification.fit import identifiability as identifiability, identify as identify
     from airpuck.identification.fit_result import Fit as Fit
     from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
-    from airpuck.identification.problem import Loss as Loss, Preparation as Preparation
+    from airpuck.identification.settings import Loss as Loss, Preparation as Preparation
     from airpuck.identification.puck import identify_puck as identify_puck
     from airpuck.identification.selection import (
         Selection as Selection,
@@ -151,7 +151,7 @@ _NAMES = {
     "identification.fit": "identifiability identify",
     "identification.fit_result": "Fit",
     "identification.levenberg_marquardt": "LevenbergMarquardt",
-    "identification.problem": "Loss Preparation",
+    "identification.settings": "Loss Preparation",
     "identification.puck": "identify_puck",
     "identification.selection": "Selection select_model",
     "model.model_file": "Model read_model",

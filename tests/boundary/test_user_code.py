@@ -11,7 +11,7 @@ from airpuck.boundary.user_code import UserCode
 from airpuck.campaigns.match import match
 from airpuck.flight.pilot import pilot_maker
 from airpuck.hockey.rules import Rules
-from tests import command_line
+from tests.apparatus import commands as command_line
 
 #: What code can do instead of its work.
 MISDEEDS = {

@@ -16,7 +16,7 @@ from airpuck.experiment_design.forecast import (
     information_of,
     joined,
 )
-from airpuck.identification.objective import PUBLISHED_WEIGHTS
+from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import named_rung
 from airpuck.model.uncertainty import Uncertainty

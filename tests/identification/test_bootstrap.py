@@ -10,7 +10,7 @@ from airpuck.identification.adam import Adam
 from airpuck.identification.bootstrap import bootstrap, resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.problem import Preparation
+from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import read_model
 from airpuck.model.uncertainty import DelayJitter
 

@@ -9,7 +9,7 @@ from airpuck.data.trajectory import Span
 from airpuck.identification import fault_exclusion
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
-from airpuck.identification.problem import Loss, Preparation
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import read_model
 from airpuck.physics.rollout import rollout
 

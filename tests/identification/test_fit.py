@@ -9,7 +9,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
-from airpuck.identification.problem import Loss, Preparation, Problem
+from airpuck.identification.problem import Problem
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import is_monotone

@@ -12,7 +12,8 @@ from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt, SlopeConstraints
-from airpuck.identification.objective import PUBLISHED_WEIGHTS, PredictionLoss
+from airpuck.identification.objective import PredictionLoss
+from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.physics.rollout import rollout

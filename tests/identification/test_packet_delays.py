@@ -7,8 +7,8 @@ import pytest
 
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import delay_response, packet_delays
-from airpuck.identification.problem import Preparation
 from airpuck.identification.retiming import modelled_acceleration, retimed
+from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.read import read_recording

@@ -8,13 +8,13 @@ import pytest
 from airpuck.identification import retiming
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.problem import Preparation
 from airpuck.identification.retiming import (
     error_growth,
     retime_packets,
     score_derivatives,
     variance_of_mean,
 )
+from airpuck.identification.settings import Preparation
 from airpuck.identification.uncertainty import grown, sandwich, shared_at_borders, varying, widened
 
 from ..apparatus.excited_flights import TRUTH, flown

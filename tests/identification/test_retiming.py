@@ -12,13 +12,13 @@ from airpuck.campaigns.items import thrust_error
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.problem import Preparation
 from airpuck.identification.retiming import (
     delay_jitter,
     retimed,
     smoothed_along,
     variance_of_mean,
 )
+from airpuck.identification.settings import Preparation
 from airpuck.preprocessing.derivative import velocity
 
 from ..apparatus.excited_flights import TRUTH, fit_of_flown, flown

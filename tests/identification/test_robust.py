@@ -19,7 +19,7 @@ from airpuck.identification.method import (
     window_weights,
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.problem import Loss, Preparation
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.uncertainty import grown, information_growth, sandwich, subspace
 from airpuck.model.rungs import named_rung
 from airpuck.recording.torch_archive import read_authors_experiment

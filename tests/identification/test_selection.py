@@ -8,10 +8,10 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.data.windows import make_windows
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.problem import Loss
 
 # Which windows are held out is seen in no result, and must be known to see that none is learned.
 from airpuck.identification.selection import Candidate, _HeldOut, select_model
+from airpuck.identification.settings import Loss
 from airpuck.model.model_file import published_model, read_model
 from airpuck.model.rungs import named_rung
 from airpuck.preprocessing.pipeline import preprocess

@@ -15,7 +15,7 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.problem import Loss, Preparation
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.rollout import rollout

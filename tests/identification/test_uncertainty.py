@@ -10,7 +10,7 @@ from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.gauge import physical_thrust
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import Quadratic
-from airpuck.identification.problem import Loss
+from airpuck.identification.settings import Loss
 from airpuck.identification.uncertainty import (
     binding_constraints,
     grown,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from typer.exceptions import TyperException
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import write_toml
@@ -22,41 +23,47 @@ def run(*arguments: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("fly",), "--model: needs a model; without one only --excite can fly"),
-        ((*MODEL, "--setpoint", "1", "0.3"), "--setpoint: give three numbers"),
-        ((*MODEL, "--setpoint", "1", "0.3", "north"), "--setpoint: give three numbers"),
-        ((*MODEL, "--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
-        ((*MODEL, "--setpoint", "0", "0", "0", "--topic"), "fly: give one of --setpoint"),
-        (
-            (*MODEL, "--setpoint", "0", "0", "0", "--dwell", "0"),
-            "--dwell: must be from 0.1 to 1000 s",
-        ),
-        ((*MODEL, "--dwell", "2"), "--dwell: is the time at each --setpoint; none is given"),
-        ((*MODEL, "--seed", "1"), "--seed: is for --excite, which is not given"),
-        ((*MODEL, "--amplitude", "0.5"), "--amplitude: is for --excite, which is not given"),
-        (("--excite", "--hold", "0.001"), "hold: must be at least the controller's period"),
-        (("--excite", "--amplitude", "2"), "amplitude"),
-        (("--excite", "--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
-        (("--excite", "--pilot", "mine.py:Mine"), "--pilot: is for a flight to set points"),
-        (("--excite", "--regulator", "mpc"), "--regulator: is for a flight to set points"),
-        ((*MODEL, "--pilot", "a.py:A", "--regulator", "mpc"), "--regulator: is for our controller"),
-        ((*MODEL, "--plan", "p.toml", "--topic"), "fly: give one of .*--plan"),
-        ((*MODEL, "--plan", "p.toml", "--pilot", "a.py:A"), "--pilot: .* --plan has its own"),
-        ((*MODEL, "--pilot", "nowhere.py:Mine"), "nowhere.py: --pilot: there is no such file"),
-        ((*MODEL, "--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
-        ((*MODEL, "--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
-        ((*MODEL, "--geofence", "inf", "1"), "--geofence: must be above 0, at most 100 m"),
-        ((*MODEL, "--setpoint", "0", "0", "1e308"), "--setpoint: must be from -100 to 100"),
-        ((*MODEL, "--setpoint", "0", "nan", "0"), "--setpoint: must be from -100 to 100"),
-        ((*MODEL, "--duration", "-3"), "--duration: must be from 0.01 to 604800 s"),
-        ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model has its vehicle in it"),
-        ((*MODEL, "--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
-        ((*MODEL, "--domain", "500"), "--domain: must be from 0 to 232"),
+        (("--setpoint", "1", "0.3"), "--setpoint: give three numbers"),
+        (("--setpoint", "1", "0.3", "north"), "--setpoint: give three numbers"),
+        (("--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
+        (("--setpoint", "0", "0", "0", "--dwell", "0"), "--dwell: must be from 0.1 to 1000 s"),
+        (("--setpoint", "0", "0", "0", "--setpoints", "p.toml"), "--setpoint: give set points or"),
+        (("--pilot", "a.py:A", "--regulator", "mpc"), "--regulator: chooses a law of our"),
+        (("--pilot", "nowhere.py:Mine"), "nowhere.py: --pilot: there is no such file"),
+        (("--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
+        (("--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
+        (("--geofence", "inf", "1"), "--geofence: must be above 0, at most 100 m"),
+        (("--setpoint", "0", "0", "1e308"), "--setpoint: must be from -100 to 100"),
+        (("--setpoint", "0", "nan", "0"), "--setpoint: must be from -100 to 100"),
+        (("--duration", "-3"), "--duration: must be from 0.01 to 604800 s"),
+        (("--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
+        (("--domain", "500"), "--domain: must be from 0 to 232"),
     ],
 )
 def test_fly_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
-        run("fly", *(arguments if arguments != ("fly",) else ()))
+        run("fly", *MODEL, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("--hold", "0.001"), "hold: must be at least the controller's period"),
+        (("--amplitude", "2"), "--amplitude: must be from 0 to 1"),
+        (("--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
+        ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model has its vehicle in it"),
+        (("--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
+    ],
+)
+def test_fly_excitation_refuses_in_one_line(arguments, problem):
+    with pytest.raises(InputError, match=problem):
+        run("fly-excitation", *arguments)
+
+
+@pytest.mark.parametrize("verb", ["fly", "fly-topic", "fly-plan"])
+def test_a_verb_has_only_its_own_options(verb):
+    with pytest.raises(TyperException, match="No such option: --amplitude"):
+        run(verb, *MODEL, "--amplitude", "0.5")
 
 
 def a_plan(path, **changes):
@@ -79,22 +86,30 @@ def test_plans_of_the_wrong_kind_are_refused(tmp_path):
     optimal, excitation = a_plan(tmp_path / "plan.toml"), tmp_path / "excitation.toml"
     ExcitationPlan().save(excitation)
     with pytest.raises(InputError, match=r"excitation.toml: is a plan of an excitation; another"):
-        run("fly", *MODEL, "--plan", str(excitation))
+        run("fly-plan", *MODEL, "--plan", str(excitation))
     with pytest.raises(InputError, match=r"plan.toml: is a time-optimal plan; another"):
-        run("fly", "--excite", "--plan", str(optimal))
+        run("fly-excitation", "--plan", str(optimal))
     model = tmp_path / "model.toml"
     published_model("M3").save(model)
     with pytest.raises(InputError, match=r"model.toml: is a model; another"):
-        run("fly", *MODEL, "--plan", str(model))
+        run("fly-plan", *MODEL, "--plan", str(model))
 
 
 def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"plan.toml: leaves the geofence, ±0.4 m by ±1 m"):
-        run("fly", *MODEL, "--plan", str(a_plan(tmp_path / "plan.toml")), "--geofence", "0.4", "1")
+        run(
+            "fly-plan",
+            *MODEL,
+            "--plan",
+            str(a_plan(tmp_path / "plan.toml")),
+            "--geofence",
+            "0.4",
+            "1",
+        )
     moving = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, *[0.03] * 6]
     path = a_plan(tmp_path / "moving.toml", states=[moving, moving])
     with pytest.raises(InputError, match=r"moving.toml: begins in motion"):
-        run("fly", *MODEL, "--plan", str(path))
+        run("fly-plan", *MODEL, "--plan", str(path))
 
 
 def test_the_predictive_law_stays_within_the_geofence_or_the_rails():

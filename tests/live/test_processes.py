@@ -49,10 +49,10 @@ class Table:
     def fly(self, *arguments: object) -> Process:
         """A flight, that of before where it goes on; by default to where the graph says."""
         if self.pilot is None or not self.pilot.alive:
-            how = arguments or ("--topic",)
             self.watch.forget()
+            verb = "fly-plan" if "--plan" in arguments else "fly" if arguments else "fly-topic"
             self.pilot = Process(
-                "fly", "--model", "paper:M3", *how, domain=self.domain, terminal=True
+                verb, "--model", "paper:M3", *arguments, domain=self.domain, terminal=True
             )
             self.until_flying(60.0)
         return self.pilot
@@ -361,7 +361,7 @@ def test_half_a_minute_of_excitation_gives_the_twins_parameters_back(table, tmp_
     try:
         watch.run(1.0)
         arguments = ("--duration", 30, "--json", tmp_path / "flight.json", "-q")
-        flight = Process("fly", "--excite", "--seed", 3, *arguments, domain=table.domain)
+        flight = Process("fly-excitation", "--seed", 3, *arguments, domain=table.domain)
         try:
             for _ in range(60):
                 watch.run(1.0)

@@ -50,7 +50,7 @@ def flight(domain, chromium) -> Iterator[tuple[Watch, int, Process]]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    commands = [["twin"], ["fly", "--topic"], ["view", "--port", port]]
+    commands = [["twin"], ["fly-topic"], ["view", "--port", port]]
     processes = [Process(*words, "--model", "paper:M3", domain=domain) for words in commands]
     try:
         watch.until(lambda: "flying" in watch.events("fly"), timeout=90)

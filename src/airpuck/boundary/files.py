@@ -69,7 +69,7 @@ def read_packaged(name: str, schema: type[Schema]) -> Schema:
 
 
 @cache
-def _adapter(schema: type[Schema]) -> pydantic.TypeAdapter[Schema]:
+def _adapter(schema: type) -> Any:
     """Return what checks values against a schema."""
     return pydantic.TypeAdapter(schema)
 

@@ -30,6 +30,8 @@ class Setting:
     metavar: str | None = None
     #: Its spelling as an option, where that is not the field's name.
     option: str | None = None
+    #: The heading of its option, where that is not the settings object's.
+    heading: str | None = None
 
     def check(self, value: Any, field: str) -> None:
         """Raise InputError if a number, or one of several, is out of range."""

@@ -29,7 +29,8 @@ from airpuck.hockey.contestant import PLAYERS
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
-from airpuck.identification.problem import Loss, mean_delay
+from airpuck.identification.problem import mean_delay
+from airpuck.identification.settings import Loss
 from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung

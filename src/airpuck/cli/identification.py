@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,9 +14,10 @@ from typer import Argument, Option
 import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.inputs import load, mapping_in, read_craft, refuse_others
+from airpuck.cli.inputs import load, mapping_in, read_craft
 from airpuck.cli.output import (
     error_table,
     is_stdout,
@@ -27,6 +29,7 @@ from airpuck.cli.output import (
     table,
     warn,
 )
+from airpuck.identification.settings import Degree, Loss, Preparation, Stride, YawWeight
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,19 +45,19 @@ if TYPE_CHECKING:
     from airpuck.model.model_file import Model
     from airpuck.model.rungs import Rung
 
-MODEL_FILE = Path("model.toml")
-#: Options that go with --puck.
-_OF_PUCK = [
-    "recordings",
-    "output",
-    "vehicle",
-    "mapping",
-    "puck",
-    "table_file",
-    "json_file",
-    "quiet",
-]
 PANEL = "From a recording to a validated model"
+_OPTIMISER = "Optimiser"
+
+Recordings = Annotated[
+    list[Path], Argument(metavar="RECORDING...", help="One or more, of one craft.")
+]
+ComFrame = Annotated[
+    Literal["body", "world"],
+    Setting(
+        "Centre of mass fixed to the body, or as in the paper to the world.",
+        heading="Structure of the model",
+    ),
+]
 
 
 @app.command(rich_help_panel=PANEL)
@@ -105,9 +108,9 @@ def _rung_names() -> list[str]:
 
 @app.command(rich_help_panel=PANEL)
 def identify(
-    recordings: Annotated[
-        list[Path], Argument(metavar="RECORDING...", help="One or more, of one craft.")
-    ],
+    recordings: Recordings,
+    loss: Loss,
+    preparation: Preparation,
     model: Annotated[
         str,
         Option(
@@ -116,38 +119,7 @@ def identify(
             "that predicts held-out parts of the recordings as well as any.",
         ),
     ] = "M3",
-    output: Annotated[Path, options.output("FILE", "Model file to write.")] = MODEL_FILE,
-    span: options.Span = None,
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
-    method: Annotated[
-        Literal["lm", "adam"], Option(help="lm (Levenberg-Marquardt) or adam.")
-    ] = "lm",
-    epochs: Annotated[int | None, options.number("N", "Epochs of Adam.", numbers.EPOCHS)] = None,
-    stride: Annotated[
-        int | None,
-        options.number(
-            "N",
-            "Samples between windows; by default 29 ms (7 at 240 Hz), for adam 1.",
-            numbers.STRIDE,
-        ),
-    ] = None,
-    encoder_time: Annotated[
-        float | None, options.number("S", "What the encoder looks at; 0.167 s.", numbers.WINDOW)
-    ] = None,
-    prediction_time: Annotated[
-        float | None, options.number("S", "How far predictions reach; 0.208 s.", numbers.WINDOW)
-    ] = None,
-    degree: Annotated[
-        int | None, options.number("N", "Degree of the thrust polynomials.", numbers.DEGREE)
-    ] = None,
-    yaw_weight: Annotated[
-        float, options.number("W", r"Weight of yaw errors in the loss \[1/rad].", numbers.WEIGHT)
-    ] = 0.1,
-    com_frame: Annotated[
-        Literal["body", "world"],
-        Option(help="Centre of mass fixed to the body, or as in the paper to the world."),
-    ] = "body",
+    output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
     report_folder: Annotated[
         Path | None, options.output("DIR", "Write a page with figures, too.", "--report")
     ] = None,
@@ -155,48 +127,38 @@ def identify(
         Path | None,
         Option(metavar="RECORDING", help="Another recording, to judge the model on."),
     ] = None,
-    delay: Annotated[
-        Literal["fit", "fixed"] | None,
-        Option(
-            help="Transport delay: fit it, or take each recording's (fixed); by default fit, where "
-            "a motor lag is modelled, with lm, unless others have prepared the recording (data.pt)."
-        ),
-    ] = None,
-    robust: Annotated[
-        bool, Option("--robust", help="Let windows that are predicted badly count less.")
-    ] = False,
-    faults: Annotated[
-        Literal["exclude", "keep"] | None,
-        Option(
-            help="exclude: where motors or radio failed, nothing is learned; or keep. By default "
-            "exclude, unless others have prepared the recording (data.pt)."
-        ),
+    vehicle: options.VehicleFile = None,
+    mapping: options.MappingFile = None,
+    span: options.Span = None,
+    json_file: options.Json = None,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+    degree: Degree = None,
+    com_frame: ComFrame = "body",
+    stride: Stride = None,
+    yaw_weight: YawWeight = 0.1,
+    method: Annotated[
+        Literal["lm", "adam"],
+        Setting("lm (Levenberg-Marquardt) or adam.", heading=_OPTIMISER),
+    ] = "lm",
+    epochs: Annotated[
+        int | None, Setting("Epochs of Adam", numbers.EPOCHS, "N", heading=_OPTIMISER)
     ] = None,
     bootstrap: Annotated[
         int | None,
-        options.number("N", "Fit to N resamplings, too, for their intervals.", numbers.REPLICATES),
+        Setting(
+            "Fit to N resamplings, too, for their intervals",
+            numbers.REPLICATES,
+            "N",
+            heading="Uncertainty",
+        ),
     ] = None,
-    seed: options.Seed = 0,
-    puck: Annotated[
-        bool,
-        Option("--puck", help="Identify the puck instead: drag, bounces; writes a table file."),
-    ] = False,
-    table_file: options.TableFile = None,
-    verbose: options.Verbose = False,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
+    seed: Annotated[
+        int, Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty")
+    ] = 0,
 ) -> None:
-    """Identify a model, or a puck, from recordings and write it as TOML."""
-    if puck:
-        others = {name: value for name, value in locals().items() if name not in _OF_PUCK}
-        refuse_others(identify, "--puck", others)
-        written = None if output == MODEL_FILE else output
-        _identify_puck(recordings, written, vehicle, mapping, table_file, json_file, quiet)
-        return
-    if table_file is not None:
-        raise InputError("is of the puck only; add --puck", field="--table")
+    """Identify a model from recordings and write it as TOML."""
     from airpuck.identification.bootstrap import bootstrap as resample
-    from airpuck.identification.problem import Loss, Preparation
     from airpuck.identification.selection import LADDER
     from airpuck.model.rungs import named_rung
 
@@ -204,30 +166,16 @@ def identify(
     rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
     if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
-    automatic, resampled = model == "auto", bootstrap is not None
-    of_lm = (("--model auto", automatic), ("--robust", robust), ("--bootstrap", resampled))
-    _check_method(method, epochs, delay, of_lm)
-    if seed and not resampled:
-        raise InputError("is of the resampling only; add --bootstrap N", field="--seed")
+    optimiser = _optimiser(method, epochs, {"--model": model == "auto", "--bootstrap": bootstrap})
+    if seed and bootstrap is None:
+        raise InputError("is the seed of resamplings; add --bootstrap N", field="--seed")
     craft = read_craft(vehicle)
     trajectories = [load(path, craft, mapping, span=span, quiet=quiet) for path in recordings]
     other = None if validation is None else load(validation, craft, mapping, quiet=quiet)
-    adam = airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
-    times = {
-        "encoder_time": encoder_time,
-        "prediction_time": prediction_time,
-        "spacing": stride and stride * trajectories[0].sample_period,
-    }
-    if method == "adam":
-        times["spacing"] = times["spacing"] or 0.0
-    loss = Loss(
-        weights=(1.0, 1.0, yaw_weight),
-        robust=robust,
-        **{name: time for name, time in times.items() if time is not None},
-    )
-    preparation = Preparation(faults=faults, delay=delay)
+    loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
+    if stride is not None or method == "adam":
+        loss = replace(loss, spacing=(stride or 0) * trajectories[0].sample_period)
     settings: Any = {"vehicle": craft, "loss": loss, "preparation": preparation}
-    optimiser = airpuck.LevenbergMarquardt() if method == "lm" else adam
     fit, selection = _fitted(trajectories, rungs, optimiser, settings, quiet)
     if bootstrap is not None:
         words = "" if quiet else "resampled {} of {}"
@@ -250,31 +198,29 @@ def identify(
     report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
 
 
-def _check_method(
-    method: str, epochs: int | None, delay: str | None, of_lm: Sequence[tuple[str, bool]]
-) -> None:
-    """Refuse what only the other method can do."""
+def _optimiser(method: str, epochs: int | None, of_lm: dict[str, Any]) -> Method:
+    """Return the optimiser; raise InputError for options that need the other one."""
     if method == "lm":
         if epochs is not None:
-            raise InputError("is of adam only; add --method adam", field="--epochs")
-        return
-    if delay == "fit":
-        raise InputError("fit is of lm only", field="--delay")
-    for option, given in of_lm:
+            raise InputError("counts the epochs of Adam; add --method adam", field="--epochs")
+        return airpuck.LevenbergMarquardt()
+    for option, given in of_lm.items():
         if given:
-            raise InputError("is of lm only", field=option)
+            raise InputError("needs --method lm", field=option)
+    return airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
 
 
-def _identify_puck(
-    recordings: list[Path],
-    output: Path | None,
-    vehicle: Path | None,
-    mapping: Path | None,
-    table_file: Path | None,
-    json_file: Path | None,
-    quiet: bool,
+@app.command("identify-puck", rich_help_panel=PANEL)
+def identify_puck(
+    recordings: Recordings,
+    table_file: options.TableFile = None,
+    output: Annotated[Path | None, options.output("FILE", "Table file to write.")] = None,
+    vehicle: options.VehicleFile = None,
+    mapping: options.MappingFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
-    """Identify a puck and write it into a table file."""
+    """Identify drag and bounces of a puck from recordings of it."""
     from airpuck.craft.table import read_table
     from airpuck.identification.puck import identify_puck, value_of
 

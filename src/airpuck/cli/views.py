@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass, is_dataclass, replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, is_dataclass, replace
 from inspect import Parameter
 from pathlib import Path
 from types import NoneType, UnionType
@@ -46,7 +47,8 @@ def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def run(**given: Any) -> Any:
-        return command(**{view.name: view.value(given) for view in views})
+        with _as_typed(views):
+            return command(**{view.name: view.value(given) for view in views})
 
     parameters = [parameter for view in views for parameter in view.parameters]
     run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore
@@ -62,6 +64,8 @@ class _View:
     parameters: tuple[Parameter, ...]
     #: Makes the value of the first from the values of the others.
     value: Callable[[dict[str, Any]], Any]
+    #: How fields are spelt as options.
+    spelling: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, parameter: Parameter) -> _View:
@@ -75,7 +79,8 @@ class _View:
             annotation = Annotated[_typed(kind), option(setting, parameter.name)]
             parameter = parameter.replace(annotation=annotation)
         name = parameter.name
-        return cls(name, (_keyword(parameter),), lambda given: given[name])
+        spelling = {} if setting is None else {name: _spelling(setting, name)}
+        return cls(name, (_keyword(parameter),), lambda given: given[name], spelling)
 
     @classmethod
     def _settings(cls, name: str, kind: Any, marks: tuple[Any, ...]) -> _View:
@@ -93,15 +98,16 @@ class _View:
             fields = {one.name: given[one.name] for one in shown}
             path = given[f"{name}_file"] if file else None
             if file is None:
-                return _made(kind, fields, shown)
+                return kind(**fields)
             base = kind() if path is None else file.read(path)
             return replace(base, **{key: v for key, v in fields.items() if v is not None})
 
-        return cls(name, tuple(parameters), value)
+        spelling = {one.name: _spelling(one.setting, one.name) for one in shown}
+        return cls(name, tuple(parameters), value, spelling)
 
 
-def option(setting: Setting, name: str, heading: str | None = None) -> Any:
-    """Return the option of a setting."""
+def option(setting: Setting, name: str, heading: str | None = None, default: Any = None) -> Any:
+    """Return the option of a setting; `default` is for the help alone."""
 
     def check(context: Any, parameter: Any, value: Any) -> Any:
         if not context.resilient_parsing:
@@ -116,7 +122,8 @@ def option(setting: Setting, name: str, heading: str | None = None) -> Any:
         metavar=setting.metavar,
         help=words,
         callback=check,
-        rich_help_panel=heading,
+        rich_help_panel=setting.heading or heading,
+        show_default=f"{default:.3g}" if isinstance(default, float) else True,
     )
 
 
@@ -124,11 +131,11 @@ def _field(one: Declared, heading: str, *, given: bool) -> Parameter:
     """Return the option of a field; with its default, or with none where a file may give it."""
     setting, kind = one.setting, _typed(one.annotation.__origin__)
     if not given:
-        default = f"by default {one.default:g}" if isinstance(one.default, float) else ""
-        setting = replace(setting, help="; ".join(filter(None, (setting.help, default))))
+        setting = replace(setting, help=f"{setting.help}; by default {one.default:g}")
         kind = kind | None
-    annotation = Annotated[kind, option(setting, one.name, heading)]
-    return _option(one.name, annotation, one.default if given else None)
+    default = one.default if given else None
+    annotation = Annotated[kind, option(setting, one.name, heading, default)]
+    return _option(one.name, annotation, default)
 
 
 def _option(name: str, annotation: Any, default: Any) -> Parameter:
@@ -152,11 +159,14 @@ def _spelling(setting: Setting, name: str) -> str:
     return setting.option or f"--{name.replace('_', '-')}"
 
 
-def _made(kind: Any, given: dict[str, Any], shown: list[Declared]) -> Any:
-    """Make a settings object; an error names the field as the command line spells it."""
+@contextmanager
+def _as_typed(views: list[_View]) -> Iterator[None]:
+    """Name fields of settings objects in errors as the command line spells them."""
     try:
-        return kind(**given)
+        yield
     except InputError as error:
-        spelt = {one.name: _spelling(one.setting, one.name).split("/")[0] for one in shown}
-        field = spelt.get(error.field or "", error.field)
-        raise InputError(error.problem, file=error.file, field=field) from error
+        spelling = {name: text for view in views for name, text in view.spelling.items()}
+        if error.file is not None or error.field not in spelling:
+            raise
+        field = spelling[error.field].split("/")[0]
+        raise InputError(error.problem, field=field) from error

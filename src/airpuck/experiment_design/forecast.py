@@ -26,10 +26,9 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
-from airpuck.identification.objective import PUBLISHED_WEIGHTS
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.problem import Loss
 from airpuck.identification.retiming import spread_of, variance_of_mean
+from airpuck.identification.settings import PUBLISHED_WEIGHTS, Loss
 from airpuck.identification.uncertainty import (
     UNDETERMINED,
     binding_constraints,

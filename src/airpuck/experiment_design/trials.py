@@ -28,8 +28,8 @@ from airpuck.experiment_design.forecast import (
     loss_of,
 )
 from airpuck.identification.fit import identify
-from airpuck.identification.problem import Preparation
 from airpuck.identification.retiming import retime_packets
+from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
 from airpuck.preprocessing.pipeline import preprocess

@@ -26,7 +26,7 @@ from airpuck.identification.method import (
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.problem import Loss, Preparation, Problem
+from airpuck.identification.problem import Problem
 from airpuck.identification.retiming import (
     delay_jitter,
     error_growth,
@@ -34,6 +34,7 @@ from airpuck.identification.retiming import (
     score_derivatives,
     variance_of_mean,
 )
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.uncertainty import (
     Identifiability,
     grown,

@@ -21,12 +21,10 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.windows import Windows
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.normal_equations import compiled_normal_equations
+from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.parameters import Parameters
 from airpuck.physics.effects import IdleLag
 from airpuck.physics.rigid_body import CenterOfMassFrame, register_pytrees
-
-#: Weights of the x, y and yaw errors before squaring, as in the published fits.
-PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
 #: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).

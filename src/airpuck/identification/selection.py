@@ -33,7 +33,8 @@ from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.problem import Loss, Preparation, Problem
+from airpuck.identification.problem import Problem
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import Rung, named_rung
 

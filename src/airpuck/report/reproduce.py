@@ -18,7 +18,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
 from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.identification.fit import identify
-from airpuck.identification.problem import Preparation
+from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
 from airpuck.report.error_figures import WORST, squares_held, worst_windows
 from airpuck.report.fit_sections import FitStudy, craft_section, sources_section, study_sections

@@ -18,14 +18,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.flight.clock import Every
 from airpuck.live.plan import NAME as PLAN
-<<<<<<< HEAD:src/airpuck/web/view.py
-from airpuck.live.process import LiveSettings, Outbox, Process
-=======
 from airpuck.live.process import Outbox, Process
-from airpuck.live.same_origin import same_origin_only
-from airpuck.live.scene import Scene
 from airpuck.live.settings import LiveSettings
->>>>>>> 5724428 (Declare settings once: options of commands are views of settings objects; fly has a verb for each kind of reference):src/airpuck/live/view.py
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
 from airpuck.web.panel import Panel
@@ -43,7 +37,7 @@ _PLANNED_LAST = 0.5
 _NICE = 5
 #: How to move the set point, or why that has no effect.
 _FREE = "Drag the yellow ring, turn it by its knob, or enter numbers."
-_PLANNED = "The controller follows a plan of its own; airpuck fly --topic follows this one."
+_PLANNED = "The controller follows a plan of its own; airpuck fly-topic follows this one."
 
 
 def view_live(
@@ -137,7 +131,7 @@ class _Page:
         """Bring the page up to date."""
         newest = self._observer.newest
         pose = newest.get("pose")
-        planned = bool(self._process.graph.publishers(self._process.settings.topics.reference))
+        planned = bool(self._process.graph.publishers(self._process.topics.reference))
         # The user's own wish is newer than what has come back of it.
         wanted = None if planned else self._wishes.newest
         if wanted is None:
