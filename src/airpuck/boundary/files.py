@@ -26,6 +26,8 @@ NonNegative = Annotated[float, pydantic.Field(ge=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 
 
+#: What pydantic calls an unknown key, of a `Section` and of a settings class.
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 #: How pydantic names validators and the types of a union.
 _OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool)$")
 
@@ -97,7 +99,7 @@ def checked(
     except pydantic.ValidationError as error:
         # A misspelt key also leaves the right one missing: report the spelling.
         found = error.errors()
-        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
+        first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
         # Names of validator functions and of Python's types are of no use to a user.
         field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
         problem = first["msg"].removeprefix("Value error, ").rstrip(".")
@@ -112,9 +114,9 @@ def checked(
             )
         )
         kind = next((k for k in _KINDS if k in content and k not in known), None)
-        if first["type"] == "extra_forbidden" and kind:
+        if first["type"] in _UNKNOWN and kind:
             field, problem = "", f"is {_KINDS[kind]}; another kind of file is wanted"
-        elif first["type"] == "extra_forbidden":
+        elif first["type"] in _UNKNOWN:
             problem = "is not a known key; check its spelling"
         elif first["type"] == "missing":
             problem = "is required but missing"

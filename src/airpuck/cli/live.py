@@ -281,7 +281,12 @@ def preflight(
     from airpuck.live.fly import preflight_live
 
     craft = inputs.model_or_nominal(model, vehicle)
+    flown = {"level": (level, 0.25), "rounds": (rounds, 2), "domain": (live.domain, None),
+             "interface": (live.interface, None)}  # fmt: skip
     if recording is not None:
+        for name, (given, usual) in flown.items():
+            if given != usual:
+                raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
         found = judge_recording(craft, inputs.read_flight(recording, mapping))
     else:
         plan = PulsePlan(level=level, rounds=rounds)
