@@ -91,7 +91,7 @@ def completions(*words: str) -> list[str]:
 
 
 def test_the_shell_completes():
-    assert completions("airpuck", "iden") == ["identify"]
+    assert completions("airpuck", "iden") == ["identify", "identify-puck"]
     assert completions("airpuck", "identify", "--st") == ["--stride"]
     # What was typed before is not refused meanwhile.
     typed = ("identify", "x", "-o", "/nowhere/x", "--stride", "0", "--method", "")
