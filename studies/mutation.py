@@ -1,6 +1,6 @@
 """Do the tests notice? Random one-line mistakes in a package, each against the package's tests.
 
-    python studies/mutation.py hockey planning [--count 100] [--seed 0] [--out out/mutation]
+    python studies/mutation.py hockey planning [--count 100] [--seed 0] [--slow 2.5]
 
 Draws mistakes at random from all places where one can be made: a sign, a comparison, a number, a
 condition, a minimum for a maximum, a statement left out. Docstrings, messages, annotations,
@@ -391,7 +391,7 @@ def too_slow(signal: int, frame: Any) -> None:
     pytest.fail("slow")
 
 
-def watched(items: list[pytest.Item], folder: Path) -> list[dict[str, Any]]:
+def watched(items: list[pytest.Item], folder: Path, slow: float) -> list[dict[str, Any]]:
     """Run collected tests in this process; return what is known of each."""
     inside, found = f"{folder}{os.sep}", []
     calls: set[tuple[str, int]] = set()
@@ -405,7 +405,7 @@ def watched(items: list[pytest.Item], folder: Path) -> list[dict[str, Any]]:
     for item in items:
         calls.clear()
         began = sum(os.times()[:4])
-        signal.setitimer(signal.ITIMER_PROF, 2 * SLOW)
+        signal.setitimer(signal.ITIMER_PROF, 2 * slow)
         threading.settrace(call)
         sys.settrace(call)
         failed = run([item])
@@ -416,7 +416,7 @@ def watched(items: list[pytest.Item], folder: Path) -> list[dict[str, Any]]:
             {
                 "node": item.nodeid,
                 "seconds": round(seconds, 3),
-                "passed": not failed and seconds < SLOW,
+                "passed": not failed,
                 "calls": sorted(calls),
             }
         )
@@ -478,7 +478,7 @@ def tested(files: list[str], *plugins: Any) -> int:
     return int(pytest.main([*ARGUMENTS, *files], plugins=list(plugins)))
 
 
-def baseline(package: str, items: list[pytest.Item], out: Path) -> list[Test]:
+def baseline(package: str, items: list[pytest.Item], slow: float, out: Path) -> list[Test]:
     """Run the tests of a package as it is, file by file where they are not known yet."""
     kept = out / f"{package}-baseline.json"
     known = json.loads(kept.read_text()) if kept.exists() else {}
@@ -489,13 +489,15 @@ def baseline(package: str, items: list[pytest.Item], out: Path) -> list[Test]:
     found: list[Test] = []
     for path, tests in files.items():
         name, key = path.name, hashlib.sha256(sources + path.read_bytes()).hexdigest()
-        if known.get(name, {}).get("key") != key:
-            rows = in_a_child(lambda tests=tests: watched(tests, SOURCES / package), 1200.0)
-            known[name] = {"key": key, "tests": rows}
+        before = known.get(name, {"key": "", "slow": 0.0})
+        if before["key"] != key or before["slow"] < slow:
+            rows = in_a_child(lambda tests=tests: watched(tests, SOURCES / package, slow), 1200.0)
+            known[name] = {"key": key, "slow": slow, "tests": rows}
             kept.write_text(json.dumps(known))
         for row in known[name]["tests"]:
             calls = {(file, line) for file, line in row["calls"]}
-            found.append(Test(row["node"], row["seconds"], row["passed"], calls))
+            passed = row["passed"] and row["seconds"] < slow
+            found.append(Test(row["node"], row["seconds"], passed, calls))
     return found
 
 
@@ -650,7 +652,7 @@ def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], in
         if t.passed
         and (t.node in calls or (t.node.partition("::")[0] in files and t.seconds < QUICK))
     ]
-    chosen.sort(key=lambda t: (t.node not in calls, t.seconds > QUICK, t.node.partition("::")[0]))
+    chosen.sort(key=lambda t: (t.node not in calls, t.seconds))
     return [test.node for test in chosen]
 
 
@@ -672,7 +674,9 @@ def state_of_tests(package: str) -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]
 
 
-def study(package: str, count: int, seed: int, out: Path) -> list[tuple[Mutant, dict[str, Any]]]:
+def study(
+    package: str, count: int, seed: int, slow: float, out: Path
+) -> list[tuple[Mutant, dict[str, Any]]]:
     """Return what became of each mutant; keep it in a file."""
     out.mkdir(parents=True, exist_ok=True)
     file, state = out / f"{package}.jsonl", state_of_tests(package)
@@ -688,10 +692,12 @@ def study(package: str, count: int, seed: int, out: Path) -> list[tuple[Mutant, 
 
     def work(session: pytest.Session) -> None:
         began = time.monotonic()
-        tests, spans = baseline(package, session.items, out), spans_of(package)
+        tests, spans = baseline(package, session.items, slow, out), spans_of(package)
         items = {item.nodeid: item for item in session.items}
         usual = {test.node: test.seconds for test in tests}
         loaded = functions_of(SOURCES / package)
+        # What is not collected is not copied for the forks.
+        gc.freeze()
         print(
             f"{package}: {len(tests)} tests, {time.monotonic() - began:.0f} s;"
             f" {sum(not t.passed for t in tests)} of them slow or failing",
@@ -735,13 +741,14 @@ def main() -> None:
     parser.add_argument("packages", nargs="+")
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--slow", type=float, default=SLOW, help="longer tests are not run")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "mutation")
     options = parser.parse_args()
     os.chdir(ROOT)
     sys.path.insert(0, str(ROOT))
     table = []
     for package in options.packages:
-        found = study(package, options.count, options.seed, options.out)
+        found = study(package, options.count, options.seed, options.slow, options.out)
         survivors = [mutant for mutant, row in found if not row["killed"]]
         for mutant in sorted(survivors, key=str):
             print(f"survived: {mutant}")

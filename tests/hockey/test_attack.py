@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from airpuck.hockey import attack
 from airpuck.hockey.attack import Shoot
@@ -144,3 +145,52 @@ def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypat
     assert np.ptp(seen[0]) > 0.02
     assert intention.chance == 0.27
     assert intention.meet[2] > seen[0].min() + 0.01
+
+
+def test_an_opponent_goes_home_when_the_puck_is_gone(monkeypatch):
+    seen = []
+    known = attack.chances
+
+    def chances(*given):
+        seen.append(given)
+        return known(*given)
+
+    monkeypatch.setattr(attack, "chances", chances)
+    # It stops a quarter of a metre before its goal.
+    home = np.array([PITCH.goal_line - 0.25, 0.0])
+    for here in ([-0.2, 0.5], [0.8, -0.3]):
+        view = view_of((-0.45, 0.1, 0, 0, 0, 0), opponent=np.array([*here, 0.0, 0.0]))
+        intention = decided(Shoot(least=0.0), view, 2)
+        places, radius = seen[-1][-1]
+        assert radius == PITCH.opponent_radius
+        # Until then on a straight line at 1.5 m/s, from 0.2 s on.
+        length = np.hypot(*(home - here))
+        gone = min(1.5 * (intention.meet[0] - 0.01 - 0.2), length)
+        expected = here + gone * (home - here) / length
+        assert np.linalg.norm(places.reshape(-1, 2) - expected, axis=1).min() < 1e-6
+
+
+def test_a_shot_that_the_craft_is_late_for_is_given_up_until_just_before_the_contact():
+    view = view_of((-0.45, 0.1, 0, 0, 0, 0))
+    for left, given_up in ((0.3, True), (0.1, False)):
+        strategy = Shoot()
+        first = decided(strategy, view, 2)
+        begin, end = view.time + PITCH.delay, first.reference.time
+        target = first.reference.state
+        way = CubicHermiteSpline(
+            [begin, end],
+            [view.craft[:2], target[:2]],
+            [[0.0, 0.0], target[3:5]],
+        )
+        now = first.meet[0] - left
+        assert now > 0.1
+        # Nothing better turns up. It is asked all the time, so that it is not interrupted.
+        strategy.least = 1.1
+        for time in np.arange(0.03, now, 0.04):
+            moved = max(float(time), begin)
+            craft = np.array([*way(moved), 0.0, *way(moved, 1), 0.0])
+            still = replace(view, time=float(time), craft=craft)
+            assert strategy.propose(still, Outlook(still)).meet == first.meet
+        thrown = np.array([-0.9, -0.4, 0.0, -0.5, -0.5, 0.0])
+        late = replace(view, time=float(now), craft=thrown)
+        assert (strategy.propose(late, Outlook(late)) is None) == given_up

@@ -11,7 +11,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
 from airpuck.flight.pilot import Pilot
 from airpuck.hockey.contestant import Contestant, contestant
-from airpuck.hockey.game import Game
+from airpuck.hockey.game import Game, serve
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import PuckState
@@ -182,19 +182,45 @@ def test_who_turns_a_puck_into_the_own_goal_is_told():
 
 
 def test_who_stops_a_shot_and_then_pushes_it_in_is_told():
-    game = served_puck(0.30, 0.0)
+    game = served_puck(0.0, -2.0)
 
-    class Backwards:
+    class Keeper:
+        """Stops a shot, lets the puck lie, and then pushes it into its own goal."""
+
         def target(self, time, own, puck, opponent):
-            before = (-0.35, 0.49) if time < 1.5 else (-1.05, -0.05)
-            return before if time < 3.0 else (-1.0, 0.45)
+            if time < began + 1.0:
+                return -0.95, 0.0
+            if time < began + 1.8:
+                return -0.35, -0.2
+            around = (-0.35, 0.49) if time < began + 2.8 else (-1.05, -0.05)
+            return around if time < began + 4.3 else (-1.0, 0.45)
 
-    game.sides[0].hand = Backwards()
-    # A second ago the same side stopped what would have been a goal.
-    game._touched, game._last_touch = (-1, True), game.time
-    while game.phase == "play" and game.time < 5.0:
+    began = game.time
+    game.sides[0].hand = Keeper()
+    for _ in range(40):
+        game.step()
+    stopped = [e for e in game.events if e.kind == "hit"]
+    assert [e.side for e in stopped] == [-1]
+    assert game.score == (0, 0)
+    # It lies where it can be pushed from before.
+    game.world.puck.place(PuckState(-0.6, 0.30))
+    while game.phase == "play" and game.time < began + 5.0:
         game.step()
     assert [(e.kind, e.side) for e in game.events if "goal" in e.kind][1:] == [("own_goal", -1)]
+
+
+def test_who_only_stops_a_shot_that_goes_in_anyway_made_no_own_goal():
+    game = served_puck(0.0, -6.0)
+
+    class Late:
+        def target(self, time, own, puck, opponent):
+            return -0.95, 0.12
+
+    game.sides[0].hand = Late()
+    while game.phase == "play" and game.time < 3.0:
+        game.step()
+    goals = [(e.kind, e.side) for e in game.events if "goal" in e.kind]
+    assert goals in ([], [("goal", 1)])
 
 
 def test_a_seed_too_large_for_two_sides_is_told():
@@ -219,3 +245,42 @@ def test_figures_sum_up_the_events():
 def test_a_hand_reaches_no_farther_than_the_centre_line():
     game = played(9, rules=Rules(limit_s=20.0))
     assert not [e for e in game.events if e.kind == "crossed"]
+
+
+def test_a_game_begins_with_discs_before_their_goals_and_a_puck_in_a_half():
+    for seed in range(4):
+        game = Game(HARD, pusher(), seed=seed)
+        line = game.settings.table.length_m / 2
+        np.testing.assert_allclose(game.sides[0].state[:2], (0.25 - line, 0.0))
+        np.testing.assert_allclose(game.sides[1].state[:3], (line - 0.25, 0.0, math.pi))
+        assert game.puck is not None
+        assert game.puck.x == 0.3 * game.referee.server
+        assert abs(game.puck.y) <= 0.15
+    assert Game(HARD, HARD).seed == 0
+
+
+def test_a_craft_that_leaves_its_half_is_noted_once_on_each_way():
+    game = Game(pusher(), HARD, seed=1)
+    craft = game.sides[0].body
+    found = []
+    for x in (-0.3, -0.01, 0.02, 0.03, -0.05, -0.2, 0.01):
+        disc = craft.disc()
+        disc.x, disc.y, disc.vx, disc.vy = x, 0.45, 0.0, 0.0
+        craft.take(disc)
+        found.append([(e.kind, e.side) for e in game.step() if e.kind == "crossed"])
+    assert found == [[], [], [("crossed", -1)], [], [], [], [("crossed", -1)]]
+
+
+def test_a_served_puck_lies_free_of_all_discs():
+    game = Game(HARD, HARD, seed=3)
+    for side in (-1, 1):
+        mallet = game.sides[side > 0].body
+        for y in (-0.14, 0.0, 0.14):
+            mallet.x, mallet.y = side * 0.3, y
+            for seed in range(5):
+                serve(game.world, side, np.random.default_rng(seed))
+                place = game.world.puck.state[:2]
+                assert place[0] == side * 0.3
+                apart = math.dist(place, (mallet.x, mallet.y))
+                assert apart > mallet.radius + game.settings.puck.radius_m - 1e-9
+                assert abs(place[1]) < game.settings.table.width_m / 2

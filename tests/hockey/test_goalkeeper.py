@@ -62,7 +62,10 @@ def test_a_block_stands_on_the_way_of_the_puck_and_moves_against_it():
         aside = abs(ahead[0] * motion[1] - ahead[1] * motion[0]) / np.hypot(*motion)
         assert aside < PITCH.contact_distance
         assert velocity @ motion < 0
-        np.testing.assert_allclose(np.cross(velocity, motion), 0.0, atol=1e-9)
+        np.testing.assert_allclose(velocity[0] * motion[1], velocity[1] * motion[0], atol=1e-9)
+        # It does not turn.
+        assert intention.reference.state[2] == view.craft[2]
+        assert intention.reference.state[5] == 0.0
         # And then it stays there.
         after = intention.reference.then
         np.testing.assert_allclose([after.x, after.y], stands)

@@ -104,3 +104,56 @@ def test_a_guided_hand_waits_where_it_is_until_it_is_moved():
     assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (0.1, 0.2)
     hand.wanted = (0.5, -0.25)
     assert hand.target(0.0, (0.1, 0.2), None, (0.0, 0.0)) == (-0.5, 0.25)
+
+
+def wanted(puck, own=(-0.85, 0.0), skill=EXACT):
+    """Where a hand wants its mallet after it has seen a puck for a while."""
+    hand = ScriptedHand(PLAY, skill)
+    for k in range(40):
+        motion = puck._replace(
+            x=puck.x + puck.vx * (k - 39) / 100, y=puck.y + puck.vy * (k - 39) / 100
+        )
+        found = hand.target(k / 100, own, motion, (0.9, 0.0))
+    return np.array(found)
+
+
+def test_it_waits_before_its_goal_on_the_side_of_the_puck():
+    # A quarter of a metre from its line, within the goal; the leash is longer than the way.
+    half, home = PLAY.table.goal_width_m / 2, 0.25 - PLAY.table.length_m / 2
+    for y, waits in ((0.2, 0.1), (-0.1, -0.05), (0.5, half), (-0.5, -half)):
+        found = wanted(PuckState(0.5, y))
+        np.testing.assert_allclose(found, (home, np.clip(waits, -half, half)))
+
+
+@pytest.mark.parametrize(
+    "puck",
+    [
+        PuckState(0.5, 0.3),
+        PuckState(0.3, 0.1, 0.0, -3.0, -0.2),
+        PuckState(-0.45, 0.2),
+        PuckState(-0.6, 0.4, 0.0, 0.2, -0.1),
+        PuckState(-0.95, 0.3),
+    ],
+)
+def test_a_mirrored_hand_goes_to_the_mirrored_place(puck):
+    other = puck._replace(y=-puck.y, vy=-puck.vy)
+    np.testing.assert_allclose(wanted(puck, (-0.8, 0.1)) * [1, -1], wanted(other, (-0.8, -0.1)))
+
+
+def test_it_covers_the_place_where_a_fast_puck_will_pass():
+    for y, vy in ((0.1, 0.0), (0.0, 0.2), (0.3, -0.7)):
+        puck = PuckState(0.3, y, 0.0, -3.0, vy)
+        found = wanted(puck)
+        # Straight on from where it is now, at the line of the mallet.
+        at = y + vy * (0.3 - found[0]) / 3.0
+        assert found[1] == pytest.approx(at, abs=0.03)
+        assert -PLAY.table.length_m / 2 < found[0] <= -PLAY.table.length_m / 2 + 0.25
+
+
+def test_it_goes_round_a_puck_that_lies_behind_it():
+    # Between the hand and its goal: sideways first, and back.
+    for y in (0.02, -0.02):
+        found = wanted(PuckState(-0.8, 0.0), own=(-0.6, y))
+        assert found[0] < -0.6
+        assert abs(found[1]) > PLAY.mallet.radius_m
+        assert found[1] * y > 0

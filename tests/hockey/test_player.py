@@ -237,3 +237,47 @@ def test_the_tactic_of_the_documentation_plays(plant):
         pass
     assert player.intention.kind == "defend"
     assert twin.play.puck.goal == 0
+
+
+def test_what_was_really_sent_moves_the_estimate():
+    """Two players see the same poses; only one is told that its propellers run."""
+    found = []
+    for command in (None, np.full(6, MODEL.vehicle.command_max) * [1, 0, 0, 0, 0, 1]):
+        player = Player(MODEL, PLAY, tactic := Noted())
+        for k in range(30):
+            player.pose(0.01 * k, np.array([*player.pitch.home, 0.0]))
+            player.step(0.01 * (k + 1))
+            if command is not None:
+                player.sent(0.01 * (k + 1), command)
+        found.append(tactic.views[-1].craft[3:5])
+    assert np.linalg.norm(found[1] - found[0]) > 0.02
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_puck_is_seen_all_over_the_table_and_not_beyond(side):
+    x, y = PLAY.table.length_m / 2, PLAY.table.width_m / 2
+    for place, seen in (
+        ((x, 0.0), True),
+        ((-x, y), True),
+        ((x + 0.09, -y - 0.09), True),
+        ((x + 0.11, 0.0), False),
+        ((0.0, -y - 0.11), False),
+    ):
+        player = Player(MODEL, PLAY, tactic := Noted(), side=side)
+        stepped(player, lambda p, stamp, at=place: p.puck(stamp, np.array([*at, 0.0])), 3)
+        assert (tactic.views[-1].puck is not None) == seen
+
+
+def test_the_opponents_velocity_is_learned_in_some_frames():
+    player = Player(MODEL, PLAY, tactic := Noted())
+
+    def passing(player, stamp):
+        player.mallet(stamp, np.array([0.8, 0.5 - stamp, 0.0]))
+
+    stepped(player, passing, 20)
+    np.testing.assert_allclose(tactic.views[-1].opponent[2:], [0.0, -1.0], atol=0.02)
+    np.testing.assert_allclose(tactic.views[-1].opponent[:2], [0.8, 0.3], atol=0.02)
+    # Old poses are left out.
+    player.mallet(0.1, np.array([0.0, 0.0, 0.0]))
+    stepped(player, passing, 1, start=0.2)
+    assert tactic.views[-1].opponent[0] == 0.8

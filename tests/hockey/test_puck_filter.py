@@ -11,6 +11,7 @@ from airpuck.hockey.prediction import (
     PuckBelief,
     PuckModel,
     predict_crossing,
+    predict_path,
     predict_puck,
 )
 from airpuck.hockey.puck_filter import GATE, PuckFilter, PuckNoise
@@ -213,3 +214,41 @@ def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():
     # One bounce is on the way.
     assert found.state.vy < 0
     np.testing.assert_allclose(found.covariance, np.cov(np.transpose(drawn)), rtol=0.3, atol=1e-6)
+
+
+def test_what_does_not_cross_in_time_has_no_crossing():
+    nothing = np.zeros((6, 6))
+    for mean in ((0, 0.1, 0, 0, 0, 0), (0, 0.1, 0, 0, 1.0, 0), (0, 0.1, 0, -0.2, 0, 0)):
+        belief = PuckBelief(0.0, np.array(mean, dtype=float), nothing)
+        assert predict_crossing(KNOWN, belief, 0.4, 1.0) is None
+    # 0.5 m at 0.25 m/s with the drag take 2.55 s: beyond two seconds, but not three.
+    belief = PuckBelief(0.0, np.array([0, 0.1, 0, 0.25, 0, 0]), nothing)
+    assert predict_crossing(KNOWN, belief, 0.5) is None
+    found = predict_crossing(KNOWN, belief, 0.5, 3.0)
+    assert found is not None
+    assert found.time == pytest.approx(-math.log(1 - 0.2 * 0.5 / 0.25) / 0.2)
+
+
+def test_the_spin_of_a_puck_says_nothing_about_where_it_goes():
+    found = []
+    for spin in (0.0, 30.0):
+        one = PuckFilter(PLAY)
+        for k in range(30):
+            one.pose(k / 240, np.array([0.1 + 0.5 * k / 240, 0.0, spin * k / 240]))
+        assert one.belief is not None
+        assert one.belief.mean[5] == pytest.approx(spin, abs=0.5)
+        found.append(one.belief.covariance[:2, :2])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
+
+
+def test_paths_are_those_of_the_twins_puck_into_the_goal_too():
+    rng = np.random.default_rng(9)
+    times = np.linspace(0.0, 2.0, 41)
+    for play in (PLAY, AirHockey(puck=Puck(drag_1_s=0.0, spin_drag_1_s=0.0))):
+        for _ in range(6):
+            start = shot(rng, 3.0)
+            puck = PuckOnTable(play, start, 5.0)
+            found = predict_path(play, PuckBelief(5.0, np.array(start), np.eye(6)), 5.0 + times)
+            for time, state in zip(times, found, strict=True):
+                puck.run(5.0 + float(time))
+                np.testing.assert_allclose(state[:5], puck.state[:5], atol=1e-6)

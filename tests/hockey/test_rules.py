@@ -85,3 +85,40 @@ def test_a_puck_that_is_moved_is_not_stuck():
 def test_somebody_can_win(goals):
     with pytest.raises(ValidationError, match="goals"):
         Rules(goals=goals)
+
+
+def test_a_puck_exactly_on_the_line_is_on_nobodys_side():
+    judge = referee(first=1)
+    assert judge.judge(0.1, 0.0, 1.0, 0) == []
+    assert judge.judge(16.0, 0.0, 1.0, 0) == []
+    # Whose half it comes to next has fifteen seconds again.
+    assert judge.judge(20.0, 0.2, 1.0, 0) == []
+    assert judge.judge(34.9, 0.2, 1.0, 0) == []
+    assert judge.judge(35.0, 0.2, 1.0, 0) == [("foul", 1), ("serve", -1)]
+
+
+def test_a_puck_as_far_from_the_line_as_its_radius_can_be_stuck_and_no_farther():
+    radius = AirHockey().puck.radius_m
+    for x, speed, stuck in ((0.99, 0.04, True), (1.01, 0.04, False), (0.5, 0.06, False)):
+        judge = referee(first=1)
+        assert judge.judge(1.0, x * radius, speed, 0) == []
+        assert bool(judge.judge(4.01, x * radius, speed, 0)) == stuck
+
+
+def test_a_game_lasts_five_minutes_and_goals_are_followed_by_a_pause_of_a_second():
+    judge = referee()
+    assert judge.judge(1.0, 1.13, 3.0, 1) == [("goal", -1)]
+    assert judge.judge(1.99, 1.13, 3.0, 1) == []
+    assert judge.judge(2.0, 1.13, 3.0, 1) == [("serve", 1)]
+    # By turns, so that there is no foul.
+    for k in range(3, 300):
+        assert judge.judge(float(k), 0.5 * (-1) ** k, 1.0, 0) == []
+    assert judge.judge(299.9, 0.5, 1.0, 0) == []
+    assert judge.judge(300.0, 0.5, 1.0, 0) == [("over", -1)]
+
+
+def test_who_put_the_puck_into_play_has_fifteen_seconds():
+    judge = referee(first=-1)
+    judge.resume(10.0, 1)
+    assert judge.judge(24.9, 0.5, 1.0, 0) == []
+    assert judge.judge(25.0, 0.5, 1.0, 0) == [("foul", 1), ("serve", -1)]

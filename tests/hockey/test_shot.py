@@ -216,3 +216,28 @@ def test_a_person_lets_past_what_is_expected():
     # They tell a good shot from a poor one.
     good = chance > np.median(chance)
     assert goal[good].mean() > 3 * goal[~good].mean()
+
+
+@pytest.mark.parametrize("x", [0.0, 0.4, 0.9])
+@pytest.mark.parametrize("aside", [0.15, 0.3, 0.45])
+def test_the_probability_to_get_past_by_hand(x, aside):
+    # Without drag the puck passes a defender at a known time, and does not meet a rail before.
+    start, speed, size = np.array([[-0.3, 0.0]]), 3.0, 0.048
+    opponent = np.array([x, aside]), size
+    found = flown(MIRRORS, start, np.array([[speed, 0.0, 0.0]]), opponent).passes[0]
+    time = (x + 0.3) / speed
+    reaches = min(15.0 * time**2 / 2, 0.9 * time)
+    room = aside - size - RADIUS - reaches
+    assert found == pytest.approx(0.5 * (1 + math.erf(room / 0.1 / math.sqrt(2))), abs=1e-9)
+
+
+def test_a_bank_shot_is_read_by_halves():
+    # A defender in the mouth of the goal: it reads a way over two rails half of the time.
+    start, reach = np.array([-0.4, 0.1]), PLAY.table.width_m / 2 - RADIUS
+    for bounces, low, high in ((1, 0.0, 0.25), (2, 0.5, 0.65)):
+        angle = math.atan2(2 * reach * bounces - start[1], PITCH.goal_line - start[0])
+        motion = np.array([[*(12.0 * unit(angle)), 0.0]])
+        before_the_goal = np.array([PITCH.goal_line - 0.06, 0.0]), 0.048
+        found = flown(MIRRORS, start[None], motion, before_the_goal)
+        assert found.bounces[0] == bounces
+        assert low < found.passes[0] < high

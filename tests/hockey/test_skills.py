@@ -61,6 +61,8 @@ def test_starts_are_the_challenges_on_this_table(name):
         room = 1.1 / 2 - PLAY.puck.radius_m - 2 * 0.07
         if name == "hit":
             assert (np.abs(y) < room).all() and (speed < 0.5 + 1e-9).all() and np.ptp(speed) > 0.3
+            # In nearly all directions, but more towards the craft.
+            assert vy.min() < -0.1 and vy.max() > 0.1 and vx.min() < -0.3
         else:
             near_rail = np.abs(y) > room - 1e-9
             assert (near_rail | (x < -0.8 * along + 1e-9)).all() and not speed.any()
