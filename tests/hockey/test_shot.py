@@ -236,7 +236,7 @@ def test_a_bank_shot_is_read_by_halves():
     start, reach = np.array([-0.4, 0.1]), PLAY.table.width_m / 2 - RADIUS
     for bounces, low, high in ((1, 0.0, 0.25), (2, 0.5, 0.65)):
         angle = math.atan2(2 * reach * bounces - start[1], PITCH.goal_line - start[0])
-        motion = np.array([[*(12.0 * unit(angle)), 0.0]])
+        motion = np.array([[*(6.0 * unit(angle)), 0.0]])
         before_the_goal = np.array([PITCH.goal_line - 0.06, 0.0]), 0.048
         found = flown(MIRRORS, start[None], motion, before_the_goal)
         assert found.bounces[0] == bounces
