@@ -10,6 +10,7 @@ Public names are imported where they are used, so that ``import airpuck`` is qui
 from __future__ import annotations
 
 import importlib
+import inspect
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -188,7 +189,13 @@ def __getattr__(name: str) -> Any:
     if name == "plot":  # a module, and so no attribute of its package before it is imported
         return importlib.import_module("airpuck.report.plot")
     if name in _HOME:
-        return getattr(importlib.import_module(_HOME[name]), name)
+        public = getattr(importlib.import_module(_HOME[name]), name)
+        if inspect.isfunction(public):
+            from airpuck.boundary.arguments import checked
+
+            public = checked(public)
+        globals()[name] = public
+        return public
     raise AttributeError(f"module 'airpuck' has no attribute {name!r}")
 
 

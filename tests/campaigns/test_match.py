@@ -1,12 +1,18 @@
 """Games of two players, several of them; kept, and not played twice."""
 
+import contextlib
 import json
+import os
+import pty
 import shutil
+import subprocess
+import sys
+from functools import partial
 
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.campaigns import match_item
+from airpuck.campaigns import items, match_item
 from airpuck.campaigns.match import match
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import read_spec
@@ -106,9 +112,75 @@ def test_from_the_command_line(tmp_path):
     watched = airpuck("match", *who, "--limit", "1", "--watch", cwd=tmp_path)
     assert "over" in watched.stdout
     refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "nobody is called so")
-    refused(airpuck("match", "--watch", "--games", "2", cwd=tmp_path), "--watch")
+    for more in (("--games", "2"), ("--workers", "2"), ("-o", "games")):
+        refused(airpuck("match", "--watch", *more, cwd=tmp_path), "does not go with --watch")
 
 
 def test_the_last_seed_of_a_match_has_a_limit():
     with pytest.raises(InputError, match=r"4\.61e18: either side has a seed of its own"):
         match("human", "human", 2, seed=2**62 - 1, workers=1)
+
+
+def test_a_module_that_a_tactic_imports_belongs_to_its_key(tmp_path):
+    (tmp_path / "mine.py").write_text("import numpy\nfrom beside import far\nclass Mine: ...\n")
+    (tmp_path / "beside").mkdir()
+    (tmp_path / "beside" / "__init__.py").write_text("")
+    (tmp_path / "beside" / "far.py").write_text("import farther\n")
+    (tmp_path / "farther.py").write_text("number = 1\n")
+    item = Match(left=f"{tmp_path / 'mine.py'}:Mine")
+    before = item.key()
+    (tmp_path / "unrelated.py").write_text("number = 1\n")
+    assert item.key() == before
+    (tmp_path / "farther.py").write_text("number = 2\n")
+    assert item.key() != before
+
+
+def test_our_code_belongs_to_every_key(monkeypatch):
+    before = Match().key()
+    monkeypatch.setattr(items, "program", lambda: "another")
+    assert Match().key() != before
+
+
+def test_a_folder_is_no_model_and_the_root_no_place_for_games(tmp_path):
+    with pytest.raises(InputError, match="/: is a folder, and a file is wanted"):
+        Match(model="/").key()
+    with pytest.raises(InputError, match="/: output: is the root of all folders"):
+        match("human", "human", rules=SHORT, output="/")
+    (tmp_path / "spec.toml").write_text('kind = "fit"\nbase.recordings = ["/"]\n')
+    with pytest.raises(InputError, match="/: holds too many files"):
+        read_spec(tmp_path / "spec.toml")
+
+
+def test_a_damaged_bag_is_written_again(tmp_path):
+    play = partial(match, "human", "human", rules=Rules(limit_s=0.1), workers=1, output=tmp_path)
+    play()
+    (bag,) = (tmp_path / "games").glob("*/*.mcap")
+    content = bag.read_bytes()
+    bag.write_bytes(content[:-100])
+    play()
+    assert bag.read_bytes() == content
+
+
+def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
+    def shown(*arguments):
+        """What a terminal gets."""
+        ours, theirs = pty.openpty()
+        command = "from airpuck.cli import main; main()"
+        words = ("--left", "human", "--right", "human", *arguments)
+        process = subprocess.Popen(
+            [sys.executable, "-c", command, "match", *words],
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+        )
+        os.close(theirs)
+        text = b""
+        with contextlib.suppress(OSError):  # the end, on Linux
+            while part := os.read(ours, 4096):
+                text += part
+        os.close(ours)
+        assert process.wait() == 0, text
+        return text.decode()
+
+    assert "LLL" in shown("--limit", "0.3", "--watch")
+    assert "%" in shown("--limit", "5")

@@ -155,7 +155,7 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
             "allocation.slack_weight",
             "less than or equal to 10000000000",
         ),
-        ("position_m = 1e-4", "position_m = 0.0", "estimation.position_m", "greater than 0"),
+        ("position_m = 1e-4", "position_m = 0.0", "estimation.position_m", "greater than"),
         (
             "[estimation]",
             '[allocation]\nsolver = "osqp"\n[estimation]',

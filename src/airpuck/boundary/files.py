@@ -14,13 +14,15 @@ from typing import Annotated, Any, TypeVar
 import pydantic
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import check_size
 from airpuck.boundary.outputs import replacing
 from airpuck.boundary.parsing import load_toml
 
 #: A `Section`, or a settings class.
 Schema = TypeVar("Schema")
 
-Positive = Annotated[float, pydantic.Field(gt=0)]
+#: Smaller ones are nothing that is measured, and their squares and inverses leave the arithmetic.
+Positive = Annotated[float, pydantic.Field(ge=1e-9)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
 #: Between 0 and 1.
 Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
@@ -52,6 +54,12 @@ class Section(pydantic.BaseModel):
     """Base of every table in our TOML files: immutable, and an unknown key is an error."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @pydantic.model_validator(mode="after")
+    def _of_this_world(self) -> Section:
+        for name, value in self:
+            check_size(name, value)
+        return self
 
 
 def read_toml(

@@ -49,6 +49,37 @@ def _text(number: float) -> str:
     return f"{float(mantissa):g}e{int(exponent)}"
 
 
+#: By the unit at the end of its name, no number in a file is larger: far beyond any craft, table,
+#: motor or flight, and far from where squares overflow. Stamps count from 1970.
+_LARGEST = {
+    "_kg_m2": 1e6,
+    "_m_s2": 1e5,
+    "_rad_s": 1e5,
+    "_1_s": 1e5,
+    "_m_s": 1e5,
+    "_deg": 1e5,
+    "_rad": 1e5,
+    "_kg": 1e4,
+    "_hz": 1e5,
+    "_ns": 2.0**64,
+    "_m": 1e4,
+    "_N": 1e5,
+    "_s": 1e10,
+}
+_LARGEST_OF_ALL = 1e15
+
+
+def check_size(name: str, value: object) -> None:
+    """Raise ValueError for a number, or one in a list, that is too large for its unit."""
+    if isinstance(value, tuple | list):
+        for one in value:
+            check_size(name, one)
+    elif isinstance(value, int | float):
+        most = next((m for unit, m in _LARGEST.items() if name.endswith(unit)), _LARGEST_OF_ALL)
+        if abs(value) > most:
+            raise ValueError(f"{name} = {value:g} must be within ±{_text(most)}")
+
+
 # What flights and recordings are made of.
 FLIGHT_DURATION = Range(
     0.01, 3600, "at least one command, at most an hour, which is a million poses", "s"

@@ -159,9 +159,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         from dask import config
         from distributed import Client
     except ImportError:
-        raise InputError(
-            "campaigns need Dask: install airpuck with its extra, pip install 'airpuck[campaign]'"
-        ) from None
+        raise InputError("campaigns need Dask: pip install distributed") from None
     local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     local |= {"dashboard_address": None, "silence_logs": logging.CRITICAL}
     with config.set(_SETTINGS):

@@ -159,8 +159,9 @@ def track(
     controls = inputs.read_controls(tuning)
     if estimator is not None:
         controls = controls.with_estimator(estimator)
-    if pilot is not None and regulators:
-        raise InputError("is for our controller; --pilot flies yours", field="--regulator")
+    if pilot is not None:
+        ours = {"regulators": regulators, "controller": controller, "estimator": estimator}
+        inputs.refuse_others(track, "--pilot, which flies yours", ours)
     laws = [str(law) for law in dict.fromkeys(regulators or [controls.regulator.kind])]
     predicts = "mpc" in laws and pilot is None
     names = models or ["paper:M0", "paper:M4"][predicts:]
@@ -230,6 +231,8 @@ def animate(
 
     if twin is not None:
         inputs.refuse_others(animate, "--twin", {"table": table})
+    if output.suffix != ".gif":
+        inputs.refuse_others(animate, "a page, which the browser draws", {"fps": fps})
     written = airpuck.animate(
         inputs.read_flight(recording, mapping),
         output,

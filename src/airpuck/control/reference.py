@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,6 +16,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
 from airpuck.boundary.user_code import UserCode
 
+#: Three turns and a little; no craft is asked for more at once [rad].
+_MOST_YAW = 20.0
 #: What callers may give for an array of one dimension.
 Numbers = Sequence[float] | np.ndarray
 
@@ -81,11 +85,22 @@ class SetPoint:
         Position [m].
     yaw : float
         Orientation [rad].
+
+    Raises
+    ------
+    InputError
+        If one is no finite number.
     """
 
     x: float
     y: float
     yaw: float
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "yaw"):
+            value = getattr(self, name)
+            if not isinstance(value, Real) or not math.isfinite(value):
+                raise InputError(f"must be a finite number, not {value!r}", field=name)
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the pose, at rest; see `Reference.at`."""
@@ -356,12 +371,18 @@ def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
 
 
 def check_inside(
-    points: SetPoints, reach: tuple[float, float], border: str = "the geofence"
+    reference: Reference, reach: tuple[float, float], border: str = "the geofence"
 ) -> None:
-    """Refuse set points beyond a border at ±x, ±y [m]."""
-    for x, y, _ in points.poses.tolist():
+    """Refuse set points beyond a border at ±x, ±y [m], or turned by what can only be degrees."""
+    poses = reference.poses.tolist() if isinstance(reference, SetPoints) else []
+    if isinstance(reference, SetPoint):
+        poses = [(reference.x, reference.y, reference.yaw)]
+    for x, y, yaw in poses:
         if abs(x) > reach[0] or abs(y) > reach[1]:
             raise InputError(
                 f"({x:g}, {y:g}) is outside {border}, ±{reach[0]:g} m by ±{reach[1]:g} m",
                 field="setpoint",
             )
+        if abs(yaw) > _MOST_YAW:
+            words = f"yaw = {yaw:g} rad is {abs(yaw) / math.tau:.0f} turns; is it in degrees?"
+            raise InputError(words, field="setpoint")

@@ -96,6 +96,21 @@ class Trajectory:
     warnings: tuple[str, ...] = ()
     vehicle: Vehicle | None = None
 
+    def __post_init__(self) -> None:
+        samples, commands, motors = len(self.time), len(self.command_time), len(self.propellers)
+        shapes = {
+            "state": (samples, 6),
+            "acceleration": (samples, 3),
+            "command": (commands, motors),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise InputError(f"must have the shape {shape}", file=self.source, field=name)
+        if (np.diff(self.time) <= 0).any():
+            raise InputError("must increase", file=self.source, field="time")
+        if (np.diff(self.command_time) < 0).any():
+            raise InputError("must not decrease", file=self.source, field="command_time")
+
     def __len__(self) -> int:
         return len(self.time)
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.notebook import html_table
 from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
@@ -71,17 +72,17 @@ PROTOCOLS = {
     "paper-long": Protocol("paper-long", longest_past=40 / 240),
     "causal": Protocol("causal", longest_past=40 / 240, causal=True),
 }
-ENCODERS = ("paper", "actuation")
+#: Their names.
+ProtocolName = Literal["paper", "paper-long", "causal"]
 
 
 def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
     """Build an encoder by its name."""
-    if name == "paper":
-        return PaperEncoder(model.indexing)
-    if name == "actuation":
-        velocity = "causal" if protocol.causal else "smoothed"
-        return ActuationEncoder(velocity)
-    raise InputError(f"{name!r} is none of {', '.join(ENCODERS)}", field="encoder")
+    encoders = {
+        "paper": lambda: PaperEncoder(model.indexing),
+        "actuation": lambda: ActuationEncoder("causal" if protocol.causal else "smoothed"),
+    }
+    return chosen(name, encoders, "encoder")()
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +221,7 @@ def evaluate(
     model: Model,
     trajectory: Trajectory,
     *,
-    protocol: Protocol = PROTOCOLS["paper"],
+    protocol: Protocol | ProtocolName = "paper",
     encoder: Encoder | str = "paper",
 ) -> Evaluation:
     """Measure how well a model predicts a trajectory.
@@ -235,7 +236,7 @@ def evaluate(
         The model.
     trajectory : Trajectory
         Data that it was not learned from.
-    protocol : Protocol, optional
+    protocol : Protocol or {"paper", "paper-long", "causal"}, default "paper"
         By default the paper's: E = 20 and T = 50 samples at 240 Hz, judged after 0.2 s.
     encoder : Encoder or {"paper", "actuation"}, default "paper"
         Where predictions start from. The paper's has the indexing that the model was learned with.
@@ -253,6 +254,8 @@ def evaluate(
     """
     [trajectory] = as_trajectories(trajectory)
     check_propellers(model.vehicle, trajectory)
+    if not isinstance(protocol, Protocol):
+        protocol = chosen(protocol, PROTOCOLS, "protocol")
     if isinstance(encoder, str):
         encoder = make_encoder(encoder, model, protocol)
     if protocol.causal and not encoder.causal:
@@ -303,7 +306,7 @@ def compare(
     models: Sequence[Model],
     trajectory: Trajectory,
     *,
-    protocol: Protocol = PROTOCOLS["paper"],
+    protocol: Protocol | ProtocolName = "paper",
     encoder: str = "paper",
 ) -> list[Evaluation]:
     """Evaluate several models on the same windows.
@@ -314,7 +317,7 @@ def compare(
         The models.
     trajectory : Trajectory
         Data that none of them was learned from.
-    protocol : Protocol, optional
+    protocol : Protocol or {"paper", "paper-long", "causal"}, default "paper"
         As for `evaluate`.
     encoder : {"paper", "actuation"}, default "paper"
         As for `evaluate`.

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
-from airpuck.control.reference import asked
+from airpuck.control.reference import asked, check_inside
 from airpuck.flight.link import Link, Measurement
 from airpuck.flight.pilot import Pilot, called, check_pilot, checked_step
 
@@ -83,8 +83,13 @@ def fly(
     Raises
     ------
     InputError
-        If the pilot lacks a method, or its command is not one finite number for each motor.
+        If the pilot lacks a method, its command is not one finite number for each motor, or its set
+        point is beyond the rails of a link that has some.
     """
+    check_pilot(pilot)
+    border = getattr(link, "border", None)
+    if border is not None:
+        check_inside(pilot.reference, border, "the table")
     start = link.now
     actions = list(control(pilot, link, duration, period, on_board=on_board))
     link.wait_until(start + duration)

@@ -6,13 +6,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from airpuck import __version__
+from airpuck.boundary.arguments import chosen
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
+from airpuck.identification.adam import Adam
 from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
@@ -59,7 +61,7 @@ def identify(
     vehicle: Vehicle | None = None,
     initial: Parameters | None = None,
     loss: Loss | None = None,
-    method: Method | None = None,
+    method: Method | Literal["lm", "adam"] | None = None,
     preparation: Preparation | None = None,
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Fit:
@@ -77,8 +79,8 @@ def identify(
         Where to start; by default the vehicle's nominal values.
     loss : Loss, optional
         Which prediction errors count, and how much.
-    method : Method, optional
-        `LevenbergMarquardt()` by default, or `Adam()`.
+    method : Method or {"lm", "adam"}, optional
+        `LevenbergMarquardt()` or "lm", the default; `Adam()` or "adam".
     preparation : Preparation, optional
         Whether faults are left out, the delay is learned and packets are retimed.
     progress : callable, optional
@@ -95,6 +97,8 @@ def identify(
         If the data do not fit the vehicle, are too short, or the model does not exist.
     """
     began = time.perf_counter()
+    if isinstance(method, str):
+        method = chosen(method, {"lm": LevenbergMarquardt, "adam": Adam}, "method")()
     problem = Problem.of(
         trajectories,
         model,

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: x, y, γ and their rates.
 _POSE_AND_RATES = 6
+#: Commands may be beyond their limits by this.
+_ROUNDING = 1e-6
 #: A distribution of which fewer draws than this are a craft's is not worth drawing from.
 _LEAST_SHARE = 0.01
 
@@ -50,6 +52,8 @@ def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
         xp = namespace(state, commands, period, dynamics.thrust)
         if commands.ndim < 2 or commands.shape[1] != n:
             raise InputError(f"must have {n} columns, one for each motor", field="commands")
+        if isinstance(commands, np.ndarray) and commands.dtype != object:
+            _check_commands(model, commands)
         if state.shape[0] == _POSE_AND_RATES:
             state = xp.concatenate([state, commands[0]])
         _check(state, _POSE_AND_RATES + n, "state")
@@ -57,6 +61,17 @@ def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
         return rollout(xp, dynamics, state, commands, durations)
 
     return with_symbols(states, state, commands)
+
+
+def _check_commands(model: Model, commands: Float[np.ndarray, "T n *batch"]) -> None:
+    """Refuse commands that no motor takes, such as widths of pulses."""
+    low, high = min(0.0, model.vehicle.command_min), max(1.0, model.vehicle.command_max)
+    if not ((commands >= low - _ROUNDING) & (commands <= high + _ROUNDING)).all():
+        raise InputError(
+            f"go from {commands.min():g} to {commands.max():g}, and motors take {low:g} to "
+            f"{high:g}; are they widths of pulses, or percent?",
+            field="commands",
+        )
 
 
 def sample(model: Model, count: int, key: Any) -> list[Model]:

@@ -23,7 +23,7 @@ def statespace(
     try:
         import control
     except ImportError:
-        raise InputError("to_statespace needs python-control; install airpuck[control]") from None
+        raise InputError("to_statespace needs python-control: pip install control") from None
     names = model.vehicle.propeller_names
     command = trim(model.dynamics, yaw=yaw) if command is None else np.asarray(command, dtype=float)
     if command.shape != (len(names),):

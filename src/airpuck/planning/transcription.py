@@ -249,7 +249,5 @@ def _casadi() -> Any:
     try:
         import casadi
     except ImportError:
-        raise InputError(
-            "planning needs CasADi: install airpuck with its extra, pip install 'airpuck[plan]'"
-        ) from None
+        raise InputError("planning needs CasADi: pip install casadi") from None
     return casadi

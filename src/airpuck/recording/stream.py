@@ -66,7 +66,7 @@ class Stream:
     def __post_init__(self) -> None:
         n, k = self.values.shape
         if len(self.columns) != k or len(self.stamp_ns) != n or len(self.received_ns) != n:
-            raise ValueError("stamps, values and columns of a stream do not fit together")
+            raise InputError("stamps, values and columns of a stream do not fit together")
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -166,6 +166,9 @@ class Recording:
         known = {"propellers": tuple(propellers)} if propellers else {}
         stamps, pose, lost = _table("poses", time, poses, source)
         command_stamps, command, gone = _table("commands", command_time, commands, source)
+        for name, times in {"time": stamps, "command_time": command_stamps}.items():
+            if (np.diff(times) < 0).any():
+                raise InputError("must not decrease; sort the rows", file=source, field=name)
         if pose.shape[1] not in (3, 7):
             problem = f"has {pose.shape[1]} columns; give x, y, yaw or x, y, z and a quaternion"
             raise InputError(problem, file=source, field="poses")

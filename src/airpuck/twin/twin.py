@@ -121,6 +121,11 @@ class Twin:
         return self.craft.state
 
     @property
+    def border(self) -> tuple[float, float]:
+        """Where the table ends: ±x, ±y [m]."""
+        return self.settings.table.reach(0.0)
+
+    @property
     def contacts(self) -> list[float]:
         """When the craft met a rail [s]."""
         return [time for time, _ in self.craft.contacts]

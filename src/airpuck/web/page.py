@@ -137,7 +137,7 @@ def served(arena: ArenaSettings, hello: dict[str, Any], *, waits: bool = True) -
     """Serve pages, in a process of their own; `hello` is what they are told at first."""
     if find_spec("websockets") is None:
         without = "" if waits else ", or give --no-page"
-        raise InputError(f"the page needs websockets: pip install 'airpuck[play]'{without}")
+        raise InputError(f"the page needs websockets: pip install websockets{without}")
     with listen(arena.interface, arena.port) as listening:
         host, port = listening.getsockname()[:2]
         context = multiprocessing.get_context("spawn")

@@ -74,7 +74,7 @@ def view_live(
         If viser is not installed, the address is not free, or the graph cannot be joined.
     """
     if find_spec("viser") is None:
-        raise InputError("the live view needs viser: pip install 'airpuck[view]'")
+        raise InputError("the live view needs viser: pip install viser")
     _check_free(host, port)
     with Process(NAME, settings or LiveSettings()) as process:
         os.nice(_NICE)

@@ -1,0 +1,157 @@
+"""Arguments of public functions: names of options, and values of the right kind."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+import os
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from numbers import Integral, Real
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from airpuck.boundary.errors import InputError
+
+Chosen = TypeVar("Chosen")
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Kinds of values that stand for others: a NumPy number is a number, too.
+_KINDS: dict[Any, tuple[type | tuple[type, ...], str]] = {
+    float: (Real, "a number"),
+    int: (Integral, "a whole number"),
+    bool: ((bool, np.bool_), "True or False"),
+    str: (str, "a text"),
+    os.PathLike: (os.PathLike, "a path"),
+    Callable: (Callable, "a function"),
+    Sequence: ((Sequence, np.ndarray), "a sequence"),
+    tuple: ((Sequence, np.ndarray), "a sequence"),
+    Iterable: (Iterable, "a sequence"),
+    Mapping: (Mapping, "a mapping"),
+}
+
+
+def chosen(name: object, options: Mapping[str, Chosen], field: str) -> Chosen:
+    """Return the option of a name; InputError names all of them, and the nearest."""
+    if isinstance(name, str) and name in options:
+        return options[name]
+    raise InputError(_unknown(name, options), field=field)
+
+
+def _unknown(name: object, options: Iterable[str]) -> str:
+    """Say which names there are, and which is the nearest."""
+    names = list(options)
+    near = difflib.get_close_matches(name, names, 1) if isinstance(name, str) else []
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"must be {' or '.join(map(repr, names))}, not {_shown(name)}{hint}"
+
+
+def checked(function: Function) -> Function:
+    """Return a function that refuses arguments of another kind than it is annotated with."""
+    signature = inspect.signature(function)
+    hints = _hints(function, signature)
+
+    @functools.wraps(function)
+    def boundary(*args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(*args, **kwargs).arguments
+        for name, hint in hints.items():
+            if name in given and not _fits(given[name], hint):
+                raise InputError(_problem(given[name], hint), field=name)
+        return function(*args, **kwargs)
+
+    return typing.cast(Function, boundary)
+
+
+def _hints(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:
+    """Return the annotations of arguments; without those that only a type checker knows."""
+    hints = {}
+    for name, parameter in signature.parameters.items():
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        hint = parameter.annotation
+        try:
+            names = function.__globals__  # pyright: ignore[reportFunctionMemberAccess]
+            hints[name] = eval(hint, names) if isinstance(hint, str) else hint
+        except NameError:
+            continue
+    return hints
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Return whether a value is of a kind; what cannot be told counts as fitting."""
+    origin, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if origin is typing.Annotated:
+        return _fits(value, inner[0])
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, one) for one in inner)
+    if origin is Literal:
+        return isinstance(value, str | int) and value in inner
+    if origin in (None, type(None)):
+        return value is None
+    if origin in _KINDS:
+        kind, _ = _KINDS[origin]
+        if not isinstance(value, kind) or (isinstance(value, bool) and origin in (int, float)):
+            return False
+        if origin in (Sequence, tuple):
+            return _elements_fit(value, inner)
+        return True
+    if not isinstance(origin, type) or hasattr(origin, "array_type"):
+        return True  # anything, and arrays, which are converted and checked by their shape
+    if getattr(origin, "_is_protocol", False) and not getattr(origin, "_is_runtime_protocol", 0):
+        return True
+    return isinstance(value, origin)
+
+
+def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
+    """Return whether the elements of a sequence are of a kind; a text is no sequence."""
+    if isinstance(value, str | bytes):
+        return False
+    if isinstance(value, np.ndarray) or not inner:
+        return True
+    if len(inner) == 1 or inner[-1] is ...:
+        return all(_fits(one, inner[0]) for one in value)
+    pairs = zip(value, inner, strict=False)
+    return len(value) == len(inner) and all(_fits(one, kind) for one, kind in pairs)
+
+
+def _problem(value: Any, hint: Any) -> str:
+    """Say what an argument takes."""
+    names = [name for one in _alternatives(hint) for name in _names(one)]
+    if names and isinstance(value, str):
+        return _unknown(value, names)
+    words = dict.fromkeys(_words(one) for one in _alternatives(hint))
+    return f"must be {' or '.join(words)}, not {_shown(value)}"
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """Return the kinds that an annotation allows."""
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    return typing.get_args(hint) if union else (hint,)
+
+
+def _names(hint: Any) -> tuple[str, ...]:
+    return typing.get_args(hint) if typing.get_origin(hint) is Literal else ()
+
+
+def _words(hint: Any) -> str:
+    """Describe a kind."""
+    origin, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if origin is Literal:
+        return " or ".join(map(repr, inner))
+    if origin in (None, type(None)):
+        return "None"
+    if origin in (Sequence, tuple) and inner:
+        count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} values: "
+        return f"a sequence of {count}{_words(inner[0])}"
+    if origin in _KINDS:
+        return _KINDS[origin][1]
+    return getattr(origin, "__name__", str(origin))
+
+
+def _shown(value: object) -> str:
+    """Show a short value; of others the type."""
+    simple = value is None or isinstance(value, str | bool | Real)
+    return repr(value) if simple and len(repr(value)) < 40 else f"a {type(value).__name__}"

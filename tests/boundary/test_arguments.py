@@ -1,0 +1,79 @@
+"""Public functions refuse arguments of another kind by name, and suggest what was meant."""
+
+import inspect
+from functools import partial
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+
+M3 = airpuck.read_model("paper:M3")
+FUNCTIONS = {
+    name: getattr(airpuck, name)
+    for name in airpuck.__all__
+    if inspect.isfunction(getattr(airpuck, name))
+}
+#: What no argument takes.
+STRANGE = (object(), 1j, {1, 2}, NotImplemented)
+
+
+@pytest.mark.parametrize("strange", STRANGE, ids=str)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_what_is_no_argument_is_named(name, strange):
+    function = FUNCTIONS[name]
+    for parameter in inspect.signature(function).parameters.values():
+        required = [
+            p.name
+            for p in inspect.signature(function).parameters.values()
+            if p.default is p.empty and p.name != parameter.name
+        ]
+        with pytest.raises(InputError) as error:
+            function(**{parameter.name: strange}, **dict.fromkeys(required, strange))
+        assert error.value.field in {parameter.name, *required}, parameter
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (partial(airpuck.evaluate, M3, None), "trajectory: must be Trajectory, not None"),
+        (
+            partial(airpuck.identify, (), method="adan"),
+            "method: must be 'lm' or 'adam', not 'adan'; did you mean 'adam'?",
+        ),
+        (
+            partial(airpuck.compare, [M3], None, protocol="casual"),
+            "did you mean 'causal'?",
+        ),
+        (partial(airpuck.compare, [M3, "M3"], None), "models: must be a sequence of Model"),
+        (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
+        (partial(airpuck.match, "human", "human", True), "games: must be a whole number, not True"),
+        (partial(airpuck.SetPoint, "here", 0, 0), "x: must be a finite number, not 'here'"),
+        (partial(airpuck.SetPoint, 0, 0, np.nan), "yaw: must be a finite number, not nan"),
+        (
+            partial(M3.simulate, np.zeros(12), np.full((3, 6), 1500.0)),
+            "commands: go from 1500 to 1500, and motors take 0 to 1",
+        ),
+        (
+            partial(airpuck.track, M3, airpuck.SetPoint(5, 0, 0), 0.1),
+            r"setpoint: \(5, 0\) is outside the table, ±1.1 m by ±0.55 m",
+        ),
+        (
+            partial(airpuck.track, M3, airpuck.SetPoint(0, 0, 90), 0.1),
+            "setpoint: yaw = 90 rad is 14 turns; is it in degrees",
+        ),
+        (
+            partial(
+                airpuck.Recording.from_arrays, [0, 2, 1], np.zeros((3, 3)), [0, 1], np.ones((2, 6))
+            ),
+            "time: must not decrease",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said(call, words):
+    with pytest.raises(Exception, match=words) as error:
+        call()
+    # With checked signatures, as in tests, a constructor may be faster.
+    assert isinstance(error.value, InputError)
