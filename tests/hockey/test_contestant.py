@@ -70,7 +70,7 @@ def tactics(tmp_path):
     [
         ("Raises", r"decide\(\) at 0\.0\d s: ZeroDivisionError: division by zero"),
         ("SaysUp", r"must return an Intention, not str"),
-        ("GoesNowhere", r"as reference something else than 6 finite numbers"),
+        ("GoesNowhere", r"x: must be a finite number, not nan"),
         # With checked signatures it is `Intention` that refuses some.
         ("HasNoReference", "reference"),
         ("AvoidsAWord", "avoid"),
