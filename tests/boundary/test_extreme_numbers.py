@@ -6,16 +6,15 @@ import tomllib
 import numpy as np
 import pytest
 import tomli_w
-from airpuck.twin.puck import PuckOnTable
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.control.excitation import ExcitationPlan, read_excitation_plan
 from airpuck.control.reference import read_setpoints
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import nominal_model
+from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.play import HandMallet
 from airpuck.twin.settings import default_twin_settings
 
@@ -53,10 +52,6 @@ READERS = {
     "tuning": (
         default_tuning().model_dump(mode="json", exclude_none=True),
         lambda path: list(airpuck.read_tuning(path).weights.errors),
-    ),
-    "excitation": (
-        ExcitationPlan().model_dump(mode="json"),
-        lambda path: [read_excitation_plan(path).hold_s],
     ),
     "set points": (
         {"setpoints": [{"at_s": 0.5, "x_m": 0.2, "y_m": 0.1, "yaw_rad": 0.3}]},
