@@ -47,6 +47,7 @@ def test_motors_cannot_have_other_speeds():
         assert (flown >= low[:, 1:].T - 1e-12).all()
 
 
+@pytest.mark.slow
 @example(576)  # these are so short that the steps of time are coarse
 @example(321)
 @example(355)

@@ -63,6 +63,7 @@ def integrated(plan):
     return np.asarray(solution.ys[-1])
 
 
+@pytest.mark.slow
 def test_a_double_integrator_takes_two_root_d_over_a():
     for distance in (0.3, 1.0):
         found = airpuck.plan(one_axis(), at_rest(0), at_rest(distance))
@@ -79,6 +80,7 @@ def test_without_lag_one_axis_switches_once_from_full_ahead_to_full_back():
     np.testing.assert_allclose(back, np.arange(len(back)) >= half, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_lag_costs_time_and_bound_alike():
     lag = 0.05
     slow = airpuck.plan(one_axis(lag), at_rest(0), at_rest(0.5))
@@ -86,6 +88,7 @@ def test_lag_costs_time_and_bound_alike():
     assert quick < slow.lower_bound <= slow.duration < quick + 2 * lag
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "seconds"),
     # From an independent prototype of the same problem.
@@ -98,6 +101,7 @@ def test_the_papers_craft(metre, goal, seconds):
     assert 0.9 * found.duration < found.lower_bound <= found.duration
 
 
+@pytest.mark.slow
 def test_half_a_turn_takes_a_quarter_of_a_second():
     goal = Goal(0.0, 0.0, np.pi, turn="exact")
     found = airpuck.plan(M3, (0, 0, 0), goal, limits=Limits(spin=40.0))
@@ -163,6 +167,7 @@ def test_four_times_as_fine_a_grid_agrees(metre):
     assert finer.duration == pytest.approx(metre.duration, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_neighbouring_plan_is_a_start_of_its_own(metre):
     found = airpuck.plan(M3, (-0.48, 0.01, 0), (0.5, 0, 0), table=Table(), warm=metre)
     assert [start.name for start in found.starts] == ["the neighbouring plan"]
@@ -203,6 +208,7 @@ def test_an_open_goal_is_reached_sooner(metre):
     assert 0.9 * free.duration < free.lower_bound < free.duration < 0.8 * metre.duration
 
 
+@pytest.mark.slow
 def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
     flown = metre.starting(2.0)
     assert isinstance(flown, Reference)
@@ -237,6 +243,7 @@ def test_gentle_switches_cost_little_time(metre):
     assert finer.duration == pytest.approx(gentle.duration, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
     path = tmp_path / "plan.toml"
     metre.save(path)
@@ -251,6 +258,7 @@ def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
         read_plan(path, M3)
 
 
+@pytest.mark.slow
 def test_what_did_not_converge_is_refused():
     # From rail to rail there is no way past it.
     with pytest.raises(InputError, match="no plan was found"):

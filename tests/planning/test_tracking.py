@@ -44,6 +44,7 @@ def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(plan
     assert not twin.contacts
 
 
+@pytest.mark.slow
 def test_a_craft_that_does_not_rest_does_not_depart(planned):
     pilot = Departing(plan_tracker(planned, default_tuning()), planned)
     rng, start = np.random.default_rng(0), planned.states[0, :3]

@@ -63,6 +63,7 @@ def test_an_excitation_stays_inside_the_rails_and_moves_about(excited):
     assert np.abs(np.diff(np.unwrap(pose[:, 2])) * 240).max() > 3
 
 
+@pytest.mark.slow
 def test_the_same_seed_excites_the_same_and_another_one_differently(plant):
     one, same, other = (excite(TRUTH, 1.0, seed, plant=plant) for seed in (1, 1, 2))
     assert one.streams.keys() == same.streams.keys() >= {"pose", "command", "reference"}
@@ -146,6 +147,7 @@ def test_set_points_are_reached_over_a_bad_radio(plant_m4):
     assert np.isfinite(log.command).all()
 
 
+@pytest.mark.slow
 def test_a_flight_begins_where_it_is_told_to(plant_m4):
     recording, log = track(M4, SetPoint(0.3, -0.1, 2.0), 0.5, pose=(0.3, -0.1, 2.0), plant=plant_m4)
     np.testing.assert_allclose(recording["pose"].values[0], [0.3, -0.1, 2.0], atol=3e-3)

@@ -105,6 +105,7 @@ def test_each_craft_does_what_a_twin_of_its_own_would_do():
     assert bounced
 
 
+@pytest.mark.slow
 def test_a_radio_without_a_delay_has_that_of_each_model():
     settings = QUIET.model_copy(update={"radio": Radio()})
     models = [MODEL.with_delay(delay) for delay in (0.0123, 0.04)]
@@ -118,6 +119,7 @@ def test_a_radio_without_a_delay_has_that_of_each_model():
     np.testing.assert_array_equal(same.state[:, :, 0], flight.state[:, :, 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
 def test_the_number_of_craft_is_not_mistaken_for_another_axis(count, monkeypatch):
     # Axes of the coefficients have 2, 3 and 6 entries; batches of two do not always come out even.
