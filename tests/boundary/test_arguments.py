@@ -43,14 +43,9 @@ def test_what_is_no_argument_is_named(name, strange):
             partial(airpuck.identify, (), method="adan"),
             "method: must be 'lm' or 'adam', not 'adan'; did you mean 'adam'?",
         ),
-        (
-            partial(airpuck.compare, [M3], None, protocol="casual"),
-            "did you mean 'causal'?",
-        ),
         (partial(airpuck.compare, [M3, "M3"], None), "models: must be a sequence of Model"),
         (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
         (partial(airpuck.match, "human", "human", True), "games: must be a whole number, not True"),
-        (partial(airpuck.SetPoint, "here", 0, 0), "x: must be a finite number, not 'here'"),
         (partial(airpuck.SetPoint, 0, 0, np.nan), "yaw: must be a finite number, not nan"),
         (
             partial(M3.simulate, np.zeros(12), np.full((3, 6), 1500.0)),

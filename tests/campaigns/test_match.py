@@ -161,6 +161,7 @@ def test_a_damaged_bag_is_written_again(tmp_path):
     assert bag.read_bytes() == content
 
 
+@pytest.mark.slow
 def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
     def shown(*arguments):
         """What a terminal gets."""
