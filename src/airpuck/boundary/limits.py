@@ -52,7 +52,7 @@ SPANS = 100_000
 #: What one chunk of a bag may unpack to [bytes]. Recorders close chunks at 0.8 to 8 MB, but a
 #: larger message has a chunk of its own.
 CHUNK_BYTES = 256 * MIB
-#: What the chunks of a bag may unpack to [bytes]: this, and so many times the size of the file.
+#: What the chunks of a bag may unpack to: a constant [bytes] plus a multiple of the file's size.
 #: Zstandard packs poses and commands 3 to 10 times.
 UNPACKED_BYTES = 256 * MIB
 UNPACKED_RATIO = 100
@@ -69,7 +69,7 @@ TOPICS = 10_000
 DEFINITION_BYTES = 32 * 1024
 #: Fields that a definition makes code of; rosbags takes 2 ms for each.
 DEFINITION_SIZE = 2_000
-#: Fields of a message with those of the types within, each as often as it occurs.
+#: Fields of a message including nested types, each as often as it occurs.
 FIELDS = 10_000
 
 #: Columns of a CSV file. Motion capture with all markers has up to a few thousand.
@@ -136,7 +136,7 @@ def read_text(
 
 
 def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
-    """Refuse tables and arrays that are too deep or too many, and integers that are too long."""
+    """Raise InputError for too deep or too many tables and arrays, and for too long integers."""
     values = keys = 0
     level = [content]
     # Breadth first: no recursion, and what an alias repeats is counted each time.
@@ -197,7 +197,7 @@ class Archive:
         self._file.close()
 
     def read(self, name: str, most: int = ARCHIVE_BYTES) -> bytearray:
-        """Read a member, counting what it unpacks to; KeyError if there is none of that name."""
+        """Read a member, counting what it unpacks to; KeyError for an unknown name."""
         member = self._zip.getinfo(name)
         if member.flag_bits & 1:
             raise InputError("is encrypted; store it without", file=self._path, field=name)

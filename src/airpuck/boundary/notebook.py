@@ -28,7 +28,7 @@ def _cell(value: Any) -> str:
 
 
 def frame(rows: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return labelled rows as a pandas DataFrame; where pandas is not installed, as they are."""
+    """Return labelled rows as a pandas DataFrame, or unchanged where pandas is not installed."""
     found = {label: dict(row) for label, row in rows.items()}
     if importlib.util.find_spec("pandas") is None:
         return found

@@ -27,7 +27,7 @@ class Range:
         return f"{_text(self.low)} to {_text(self.high)}{unit}"
 
     def check(self, value: float, field: str) -> None:
-        """Refuse a number out of the range, or none at all (nan)."""
+        """Raise InputError for a number out of the range, or nan."""
         inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
         if not inside:
             words = str(self) if self.above else f"from {self}"
@@ -87,18 +87,18 @@ FLIGHT_DURATION = Range(
 LIVE_DURATION = Range(0.01, 604_800, "a command on the graph runs for a week at most", "s")
 DESIGN_DURATION = Range(6, 3600, "several blocks of time, and at most an hour", "s")
 DWELL = Range(0.1, 1000, "a craft needs about a second to reach a set point", "s")
-HOLD = Range(0.001, 60, "signals that change more seldom hardly excite the craft", "s")
+HOLD = Range(0.001, 60, "signals that change more rarely do not excite the craft", "s")
 AMPLITUDE = Range(0, 1, "commands go from 0 to 1", above=True)
 SIGNAL = Range(0, 1, "commands go from 0 to 1")
 COORDINATE = Range(-100, 100, "the table is some metres long, and yaw some turns at most")
 DISTANCE = Range(0, 100, "the table is some metres long", "m", above=True)
 MARGIN = Range(0, 1, "the table is about a metre wide", "m", above=True)
 DELAY = Range(0, 0.5, "radios take some 10 ms", "s")
-RESERVE = Range(0, 0.9, "with less than a tenth of its thrust a craft hardly moves")
+RESERVE = Range(0, 0.9, "with less than a tenth of its thrust a craft barely moves")
 SPIN_LIMIT = Range(0.1, 40, "slower it never turns; faster no camera follows", "rad/s")
 SPEED_LIMIT = Range(0.01, 20, "the table is some metres long", "m/s")
 CLEARANCE = Range(0, 1, "the table is about a metre wide", "m")
-SMOOTHING = Range(0, 0.01, "with more, commands hardly change in a second", "s²")
+SMOOTHING = Range(0, 0.01, "with more, commands barely change in a second", "s²")
 INTERVALS = Range(10, 400, "fewer miss switches, and more take minutes")
 PULSE_ROUNDS = Range(1, 100, "the battery lasts for some minutes")
 SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")

@@ -21,7 +21,7 @@ Output = Literal["file", "folder", "new folder"]
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary file beside `path`, which replaces it if the block succeeds.
 
-    If the block fails or is interrupted, an existing file stays as it was.
+    If the block fails or is interrupted, an existing file does not change.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def temporary_name(target: Path) -> str:
 
 
 def unwritable(path: str | os.PathLike[str], error: OSError) -> InputError:
-    """Say why something cannot be written: the disk is full, a folder is read-only."""
+    """Return the error for a failed write, such as on a full disk."""
     return InputError(f"cannot be written ({error.strerror or error})", file=path)
 
 
 def check_output(
     path: str | os.PathLike[str], kind: Output = "file", *, field: str | None = None
 ) -> None:
-    """Refuse a place that cannot be written to, before the work for it is done."""
+    """Raise InputError if a path cannot be written to, before the work is done."""
     target = Path(path).absolute()
     try:
         problem = _problem(target, kind)
@@ -80,7 +80,7 @@ def check_output(
 
 
 def _problem(target: Path, kind: Output) -> str | None:
-    """Say why something of this kind cannot be written here, if so; an OSError says it, too."""
+    """Return why this kind of output cannot be written here, or None; may raise OSError."""
     there = next(folder for folder in (target, *target.parents) if os.path.lexists(folder))
     longest = os.pathconf(there if there.is_dir() else there.parent, "PC_NAME_MAX")
     if max(len(os.fsencode(part)) for part in target.parts) > longest:

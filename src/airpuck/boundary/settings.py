@@ -18,8 +18,8 @@ from airpuck.boundary.numbers import Range
 class Setting:
     """What there is to know about a field of a settings object, beside its type and default.
 
-    It is written into the field's type, ``Annotated[float, Setting(…)]``. Pydantic checks the range
-    of such a field by itself.
+    It is written into the field's type, ``Annotated[float, Setting(…)]``. Pydantic then checks the
+    range of the field.
     """
 
     #: A sentence for the help.
@@ -120,7 +120,7 @@ def choices_of(annotation: Any) -> tuple[Any, ...]:
 
 
 def check_choice(value: Any, choices: tuple[Any, ...], field: str) -> None:
-    """Raise InputError if a value is none of those known; name the nearest."""
+    """Raise InputError if a value is unknown; suggest the nearest choice."""
     if value in choices:
         return
     near = get_close_matches(str(value), map(str, choices), n=1)

@@ -6,8 +6,8 @@ from __future__ import annotations
 def escaped(text: str) -> str:
     r"""Write control characters as \x1b: names in files and on the graph are not ours.
 
-    A terminal obeys them. The same holds for characters that reverse or hide others, for what is no
-    character, and for line breaks, since a name should not begin a line of its own.
+    A terminal obeys them. Characters that reverse or hide others, invalid characters and line
+    breaks are escaped as well, since a name should not begin a line of its own.
     """
     if text.isprintable():
         return text

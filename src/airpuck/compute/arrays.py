@@ -13,7 +13,7 @@ import numpy as np
 
 def namespace(*values: Any) -> Any:
     """Return the namespace that computes with values: JAX's where one of them is JAX's."""
-    # Whoever gives an array of JAX's has imported it.
+    # A caller with a JAX array has imported JAX.
     jax = sys.modules.get("jax")
     if jax is not None and any(isinstance(value, jax.Array) for value in values):
         return jax.numpy
@@ -133,7 +133,7 @@ def slopes(xp: Any, function: Callable[[Any], Any], point: Any) -> Any:
 
 
 def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
-    """Apply a function if a condition holds for any of a batch, else return the value as it is."""
+    """Apply a function if a condition holds for any of a batch, else return the value unchanged."""
     if xp is not np:
         import jax
 

@@ -45,7 +45,7 @@ _OPTIONS: dict[str, Any] = {
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
     "xla_cpu_prefer_vector_width": 512,
 }
-#: Programs by what they compute, the last used last: those of a dozen craft.
+#: Programs by what they compute, least recently used first; enough for a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
 #: Samples that a pass from sample to sample takes at a time.
@@ -53,7 +53,7 @@ _STRETCH = 512
 
 
 def double_precision() -> contextlib.AbstractContextManager[Any]:
-    """Compute in double precision inside the block; a user's JAX stays as it was."""
+    """Compute in double precision inside the block; the user's JAX settings do not change."""
     import jax
 
     return jax.enable_x64(True)
@@ -244,7 +244,7 @@ def _places(shapes: list[tuple[int, ...]]) -> list[tuple[slice, tuple[int, ...]]
 
 @cache
 def _cpu_options() -> dict[str, Any]:
-    """Return those of `_OPTIONS` that this version of XLA knows."""
+    """Return the entries of `_OPTIONS` that this version of XLA knows."""
     import jax
 
     with jax.default_device(jax.local_devices(backend="cpu")[0]):

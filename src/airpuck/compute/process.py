@@ -78,7 +78,7 @@ def usable_cores() -> int:
 def single_threaded_algebra() -> None:
     """Let linear algebra use one thread; it takes effect only before NumPy is imported.
 
-    Matrices here are small: its threads would wait for each other and keep those of JAX from
+    Matrices here are small: BLAS threads would wait for each other and keep JAX's threads from
     working.
     """
     for library in ("OPENBLAS", "OMP"):
@@ -90,7 +90,7 @@ def keep_compiled_programs() -> None:
 
     Only commands do so: a process that imports airpuck has its own settings of JAX.
     """
-    # It goes on without, where the disk is full; that is no news of the command's.
+    # Where the disk is full, the command continues without the cache and does not mention it.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return

@@ -58,7 +58,7 @@ def _kept() -> Any:
         if jax.dtypes.canonicalize_dtype(float) == np.float64:
             rows = polynomials(jnp, angle.astype(float)).astype(angle.dtype)
         else:
-            # Not joined: XLA would multiply each part by itself, and fuse that.
+            # Not joined: XLA would multiply each part separately, and fuse that.
             rows = jnp.where(_rows(first, angle), jnp.cos(angle), jnp.sin(angle))
         return jnp.tensordot(np.eye(2, dtype=angle.dtype), rows, 1, precision="highest")
 

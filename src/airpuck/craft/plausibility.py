@@ -27,7 +27,7 @@ _TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
 def check_sizes(
     mass: float, radius: float, positions: Float[np.ndarray, "n 2"], inertia: float
 ) -> None:
-    """Refuse sizes that do not fit each other, with a guess at the unit: a ValueError."""
+    """Raise ValueError if sizes are inconsistent, with a guess at the wrong unit."""
     distance = np.hypot(*positions.T)
     k = int(np.argmax(distance))
     farthest = float(distance[k])
@@ -58,7 +58,7 @@ def check_sizes(
 
 
 def check_nominal(mass: float, thrust: float, lag: float, delay: float) -> None:
-    """Refuse a full thrust that is no propeller's, and times that are none: a ValueError."""
+    """Raise ValueError if full thrust, lag or delay are implausible."""
     if thrust > _THRUST * mass * _GRAVITY:
         raise ValueError(
             f"nominal.thrust_N sums up to {thrust:g} at full speed, "

@@ -86,7 +86,7 @@ class Puck(Section):
     radius_m, mass_kg : float
         Of the disc.
     inertia_kg_m2 : float, optional
-        About the vertical axis through the middle; left out: that of a homogeneous disc.
+        About the vertical axis through the middle; the default is a homogeneous disc.
     drag_1_s : float
         Deceleration by speed.
     spin_drag_1_s : float
@@ -192,7 +192,7 @@ class AirHockey(Section):
 
 
 def check_play(table: Table, puck: Puck, mallet: Mallet) -> None:
-    """Refuse sizes that do not fit each other: a ValueError."""
+    """Raise ValueError if sizes are inconsistent."""
     if 2 * puck.radius_m >= min(table.goal_width_m, table.width_m):
         raise ValueError(
             f"puck.radius_m = {puck.radius_m:g} does not fit through a goal of "

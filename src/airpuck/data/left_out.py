@@ -18,7 +18,7 @@ _NOUNS = {
 
 
 def left_out_words(trajectory: Trajectory) -> str:
-    """Tell which share of a trajectory must not be used, and why, however many spans there are.
+    """Describe which share of a trajectory must not be used, and why.
 
     Parameters
     ----------

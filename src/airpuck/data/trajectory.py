@@ -223,7 +223,7 @@ class Trajectory:
         length : int
             Samples in a window.
         stride : int, default 1
-            Samples from one start to the next, counted anew after every excluded span.
+            Samples from one start to the next; the count restarts after every excluded span.
 
         Returns
         -------
@@ -359,7 +359,7 @@ def as_trajectories(given: Any) -> list[Trajectory]:
 def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:
     """Return the craft that trajectories were preprocessed for; by default the paper's.
 
-    Those of different crafts are refused.
+    Trajectories of different craft raise InputError.
     """
     found, source = None, ""
     for trajectory in trajectories:
@@ -377,7 +377,7 @@ def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:
 
 
 def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
-    """Refuse a trajectory whose propellers are not the vehicle's."""
+    """Raise InputError if a trajectory's propellers are not the vehicle's."""
     mine, theirs = vehicle.propeller_names, trajectory.propellers
     if mine != theirs:
         raise InputError(

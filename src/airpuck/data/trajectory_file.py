@@ -113,14 +113,14 @@ class _About(Section):
 def _read_archive(
     path: str | os.PathLike[str],
 ) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Return the arrays of the file, and what is said about them."""
+    """Return the arrays of the file, and its metadata."""
     with Archive(path) as archive:
         text = str(_array(archive, "about", ABOUT_BYTES))
         return {name: _array(archive, name) for name in _ARRAYS}, parse_json(text, file=path)
 
 
 def _array(archive: Archive, name: str, most: int = ARCHIVE_BYTES) -> np.ndarray:
-    """Read an array, whose size must be that of its member."""
+    """Read an array; check that its size fits the zip member."""
     content = archive.read(f"{name}.npy", most)
     stream = io.BytesIO(memoryview(content)[:_LONGEST_HEADER])
     version = np.lib.format.read_magic(stream)
@@ -134,7 +134,7 @@ def _array(archive: Archive, name: str, most: int = ARCHIVE_BYTES) -> np.ndarray
 
 
 def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Refuse content that `Trajectory.save` cannot have written."""
+    """Raise InputError for content that `Trajectory.save` cannot have written."""
     t, n, k = trajectory, trajectory.time.size, trajectory.command_time.size
     shapes = (
         ("t", t.time, (n,)),

@@ -38,8 +38,8 @@ _MARGINS = (0.05, 0.15)
 #: Then changes of the best: of its hold time, of its margin, and of single amplitudes.
 _STRETCHES = (0.8, 1.25)
 _WEAKER = 0.6
-#: The best so many are flown at full length, so often each; if none of them keeps away from the
-#: rails, the next ones.
+#: Finalists flown at full length, and flights of each. If none keeps away from the rails, the next
+#: candidates follow.
 _FINALISTS, _FLIGHTS = 3, 3
 
 
@@ -80,7 +80,7 @@ class Design:
     candidates: tuple[Candidate, ...]
     #: How errors of several quantities make one score.
     criterion: Criterion
-    #: Variance of the residuals of the model's fit, in those of the twin.
+    #: Variance of the residuals of the model's fit, relative to the twin's.
     residual_level: float
     #: Of the twin and the controller in the trials.
     settings: TwinSettings
@@ -175,7 +175,7 @@ def design(
 
     Notes
     -----
-    The residuals of a real flight are larger than those of the twin. Where the model says with what
+    The residuals of a real flight are larger than the twin's. Where the model says with what
     loss it was fitted, predictions are scaled by its ratio to the loss of the usual excitation on
     the twin; not so after a robust fit, whose loss counts faults that it does not follow. Where the
     model was fitted with a fixed delay, so is the twin's flight that its loss is compared with.
@@ -221,7 +221,7 @@ def design(
 
 @dataclass(eq=False)
 class _Search:
-    """Trial flights so far, and what they say of each plan."""
+    """Completed trial flights, and what they reveal about each plan."""
 
     model: Model
     #: The excitation of the paper.
@@ -270,7 +270,7 @@ class _Search:
             yield plan, trial
 
     def residual_level(self) -> float:
-        """Return the variance of the residuals of the model's fit, in those of the twin."""
+        """Return the variance of the residuals of the model's fit, relative to the twin's."""
         trials = self._trials[self.usual] if self.as_fitted is None else self.as_fitted
         flights = _informations(trials)
         if not (self.fit_has_loss and flights):
@@ -364,7 +364,7 @@ def _as_learned_next(model: Model) -> Model:
 def _check(
     model: Model, duration: float, criterion: str, margin: float, rehearsal: float, seed: int
 ) -> None:
-    """Refuse what cannot be flown."""
+    """Raise InputError for a request that cannot be flown."""
     check_seed(seed)
     if criterion not in ("worst", "mean"):
         raise InputError(f"must be 'worst' or 'mean', not {criterion!r}", field="criterion")
@@ -372,4 +372,4 @@ def _check(
     for name, value in (("duration", duration), ("rehearsal", rehearsal)):
         numbers.DESIGN_DURATION.check(value, name)
     if not model.free.any():
-        raise InputError("has learned no parameters; give one that was identified", file=model.name)
+        raise InputError("has no learned parameters; give an identified model", file=model.name)

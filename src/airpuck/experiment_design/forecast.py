@@ -53,8 +53,8 @@ class Information:
 
     #: Gauss-Newton Hessian H of the loss, summed over windows, at the truth [1/s].
     hessian: Float[np.ndarray, "P P"]
-    #: Covariance of the sum of scores, from those of blocks of time about their mean [1/s]: an
-    #: error that all blocks share is a bias, which no standard error shows.
+    #: Covariance of the sum of scores, from blocks of time about their mean [1/s]: an error that
+    #: all blocks share is a bias, which no standard error shows.
     scores: Float[np.ndarray, "P P"]
     #: Mean squared weighted prediction error.
     loss: float
@@ -169,7 +169,7 @@ class Forecast:
     def _less_certain(
         self, precision: Float[np.ndarray, "R R"], variance: float
     ) -> Float[np.ndarray, "R R"]:
-        """Add `variance` to that of the delay, in the inverse of `precision`."""
+        """Add `variance` to the delay's variance, in the inverse of `precision`."""
         delay = self.model.free & self.model.parameters.mask(frozenset({"transport_delay"}))
         if not delay.any() or not variance > 0:
             return precision

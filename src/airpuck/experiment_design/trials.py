@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 #: Called with what is done, and with all.
 Progress = Callable[[float, float], None]
 
-#: First seed of the flights that check a proposal; far from those of the trials.
+#: First seed of the flights that check a proposal; far from the seeds of the trials.
 _CHECK_SEED = 1_000_000
 
 
@@ -114,7 +114,7 @@ def on_processes(processes: int | None) -> Iterator[Callable[..., Iterable[Any]]
 
 @dataclass(frozen=True, eq=False)
 class CheckedFlights:
-    """Flights of one plan, each identified by itself."""
+    """Flights of one plan, each identified separately."""
 
     labels: list[str]
     #: Relative standard errors that were predicted for such a flight alone.

@@ -56,7 +56,7 @@ class AxisSigns:
         return f"axes = {mended}".replace("'", '"')
 
     def remark(self, axes: Sequence[str]) -> str:
-        """Say what is wrong, and how to mend it; nothing where nothing is."""
+        """Return what is wrong and how to mend it; empty where the axes are right."""
         what = " and ".join(self.names)
         if not what:
             return ""
@@ -87,7 +87,7 @@ def find_axis_signs(
     """Find the signs with which modelled accelerations of the body explain the measured ones best.
 
     Forces may be turned by any angle, since the rigid body may be: their complex correlation
-    counts by its size, that of moments by its value.
+    counts by its size, the correlation of moments by its value.
     """
     scores = {}
     for y, yaw in product((1, -1), repeat=2):

@@ -39,7 +39,7 @@ def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 
 
 
 def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
-    """Turn forces, and leave moments as they are."""
+    """Turn forces; moments do not change."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ effects
 
@@ -58,8 +58,8 @@ def match_effects(
 ) -> dict[int, Match]:
     """Find whose effect each measured propeller has.
 
-    One that agrees with what is expected of it stays; the others are assigned to what is left such
-    that most agree, in the same or in the opposite direction.
+    A propeller that agrees with its expected effect keeps it. The others are assigned to the
+    remaining effects so that as many as possible agree, in the same or the opposite direction.
     """
     from scipy.optimize import linear_sum_assignment
 

@@ -101,10 +101,10 @@ def _in_words(cause: str, first: int, duration: float) -> str:
 def _usual_residual(
     predicted: Predicted, usable: Bool[np.ndarray, " K"]
 ) -> Float[np.ndarray, "K 3"]:
-    """Return how large residuals usually are at each step, from medians, which faults hardly move.
+    """Return the usual size of residuals at each step, from medians, which are robust to faults.
 
-    Where the modelled acceleration hardly changes, a constant; where it changes, a share of that
-    change beside it.
+    Where the modelled acceleration is nearly constant, a constant; where it changes, a share of
+    that change in addition.
     """
     residual = np.abs(predicted.measured - predicted.normal)[usable] / 0.6745
     change = np.abs(predicted.change)[usable]

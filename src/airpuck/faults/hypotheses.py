@@ -2,8 +2,8 @@
 
 Time is cut into steps. A fault begins at a step's start, and its motor speeds follow from there on:
 speeds decay where nothing drives a motor, and tend to the last command received where the radio is
-silent. So every fault is a chain of hypotheses, one for each age of the fault in steps; standing
-motors end in one that lasts.
+silent. So every fault is a chain of hypotheses, one for each age of the fault in steps.
+The chain of a standing motor ends in a lasting state.
 """
 
 from __future__ import annotations

@@ -158,8 +158,7 @@ def check_layout(
     vehicle : Vehicle
         The vehicle file in question.
     axes : sequence of str, default ("x", "y", "z")
-        ``axes`` of the mapping with which the recording was read; what mends wrong ones is said in
-        terms of them.
+        ``axes`` of the mapping with which the recording was read; remedies refer to them.
 
     Returns
     -------

@@ -198,7 +198,7 @@ class Model:
     def sample(self, count: int, key: Any = 0) -> list[Model]:
         """Draw models from the normal distribution that the uncertainty describes.
 
-        Draws outside the parameters' bounds, or with a thrust curve that falls, are drawn anew.
+        Draws outside the parameters' bounds, or with a falling thrust curve, are redrawn.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class Model:
         Raises
         ------
         InputError
-            If the model has no uncertainty, or hardly a draw could be a craft.
+            If the model has no uncertainty, or too few draws are a possible craft.
         """
         from airpuck.model.simulation import sample
 

@@ -133,5 +133,5 @@ QUANTITIES = (
 )
 # fmt: on
 
-#: Those of the optional effects, by name.
+#: Quantities of the optional effects, by name.
 EFFECTS = {quantity.name: quantity for quantity in QUANTITIES if quantity.effect is not None}

@@ -33,7 +33,7 @@ class Rung:
     powers: tuple[int, ...] | None = None
     #: Names of the optional effects that it models.
     effects: tuple[str, ...] = ()
-    #: Degree of the thrust curves; None: that of the vehicle's nominal thrust.
+    #: Degree of the thrust curves; None: as in the vehicle's nominal thrust.
     degree: int | None = None
     #: Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
     frame: CenterOfMassFrame = "body"
@@ -115,7 +115,7 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     name : str
         A rung in `RUNGS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
     degree : int, optional
-        Degree of the thrust polynomials; by default that of the vehicle's nominal thrust.
+        Degree of the thrust polynomials; by default as in the vehicle's nominal thrust.
     frame : {"body", "world"}, default "body"
         Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
 

@@ -95,8 +95,8 @@ def sample(model: Model, count: int, key: Any) -> list[Model]:
             found.append(replace(model, parameters=parameters, uncertainty=None))
         elif drawn * _LEAST_SHARE > len(found) + 1:
             raise InputError(
-                "hardly a draw keeps to the bounds and has rising thrust curves: the parameters "
-                "are too uncertain",
+                "too few draws keep to the bounds with rising thrust curves: the parameters are "
+                "too uncertain",
                 field=f"model {model.name}",
             )
     return found
@@ -111,7 +111,7 @@ def _factor(covariance: Float[np.ndarray, "P P"]) -> Float[np.ndarray, "P P"]:
 
 
 def _check(array: Any, length: int, field: str) -> None:
-    """Refuse an array of another length."""
+    """Raise InputError if an array has another length."""
     if array.shape[:1] != (length,):
         raise InputError(
             f"must have {length} entries along its first axis, not the shape {array.shape}",

@@ -45,7 +45,7 @@ def seconds(stamp_ns: Int64[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 def align_clocks(pose: Stream, command: Stream) -> Aligned:
     """Put header stamps of poses and commands on one time axis.
 
-    Header stamps are used as they are when both senders' clocks agree. The recorder saw both: the
+    Header stamps are used unchanged when both senders' clocks agree. The recorder saw both: the
     smallest difference between its time of arrival and a sender's stamp is that clock's offset plus
     the shortest latency. Offsets more than 0.1 s apart are different clocks, and the commands are
     moved to the poses' clock.

@@ -37,7 +37,7 @@ def smooth(
 ) -> Float[np.ndarray, "N k"]:
     """Smooth by local cubic polynomials (Savitzky-Golay).
 
-    Poses so rare that a window has no more of them than a cubic has coefficients stay as they are:
+    Where a window has no more poses than a cubic has coefficients, poses are not smoothed:
     there is little noise in their differences.
     """
     period = usual_period(time)

@@ -46,7 +46,7 @@ _NO_COMMANDS = "no commands"
 #: Correlation below which there is no delay to be found, as in a flight that only hovers: 0.1
 #: there, above 0.5 between set points.
 _NO_DELAY_BELOW = 0.3
-#: Correlation below which the commands hardly explain the motion.
+#: Correlation below which the commands do not explain the motion.
 _WEAK_CORRELATION = 0.5
 
 

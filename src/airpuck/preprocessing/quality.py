@@ -16,12 +16,12 @@ from airpuck.recording.stream import Stream
 
 #: A pause longer than this many sample periods is a gap.
 GAP_PERIODS = 1.5
-#: A pose that repeats exactly for this long, and so many times, is frozen: a real measurement has
-#: noise [s].
+#: A pose that repeats exactly for this long [s] and this many times is frozen: a real measurement
+#: has noise.
 _FROZEN_TIME, _FROZEN_LEAST = 5 / 240, 3
 #: A pose jumps if its step differs from its neighbours' steps this many times as much as is usual,
-#: and if that is at least so much of a speed [m/s, m/s, rad/s]: at 240 Hz 1 mm and 0.02 rad. A blow
-#: is no jump: it changes all later steps alike.
+#: and if the difference is at least this speed [m/s, m/s, rad/s]: at 240 Hz 1 mm and 0.02 rad. A
+#: blow is not a jump: it changes all later steps alike.
 _JUMP_RATIO = 10.0
 _JUMP_SPEED = (0.24, 0.24, 4.8)
 #: Time of a step's neighbours, itself in the middle [s].
@@ -48,7 +48,7 @@ class Samples(NamedTuple):
 
 
 def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> None:
-    """Refuse poses that cannot be metres and radians."""
+    """Raise InputError if poses cannot be in metres and radians."""
     _check_finite(pose, time, "pose", source)
     position, yaw = pose.values[:, :2], pose.values[:, 2]
     if np.abs(position).max() > 50:
@@ -80,7 +80,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
 
 
 def _other_unit(period: float, stream: str) -> str:
-    """Say which unit of time would make sense of what comes so rarely or so often."""
+    """Return a hint at the unit of time that would give a plausible rate."""
     # The middle of what is possible, on a logarithmic scale.
     usual = math.sqrt(math.prod(_PERIODS))
     power = 3 * round(math.log10(usual / period) / 3)
@@ -97,7 +97,7 @@ def _other_unit(period: float, stream: str) -> str:
 
 
 def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
-    """Refuse commands outside [0, 1], and such as nobody sends so seldom or so often."""
+    """Raise InputError for commands outside [0, 1] or at an implausible rate."""
     _check_finite(command, time, "command", source)
     period = _period(time) if len(time) > _FEW else 0.0
     if period and not _COMMAND_PERIODS[0] <= period <= _COMMAND_PERIODS[1]:
@@ -125,7 +125,7 @@ def _period(time: Float[np.ndarray, " N"]) -> float:
 
 
 def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, source: str) -> None:
-    """Refuse NaN and infinity."""
+    """Raise InputError for NaN and infinity."""
     bad = ~np.isfinite(stream.values)
     if bad.any():
         row, column = np.argwhere(bad)[0]

@@ -145,7 +145,7 @@ def _missing(log: Log, metadata: Mapping[str, Any]) -> str:
 def _streams(
     log: Log, mapping: RecordingMapping, needs: Sequence[str], source: Path
 ) -> tuple[dict[str, Stream], tuple[str, ...]]:
-    """Decode the topics that are wanted and there, and say where stamps are missing."""
+    """Decode the requested topics that the bag has, and warn about missing stamps."""
     streams, warnings, missing = {}, [], []
     for stream, name in mapping.topics.by_stream.items():
         topic = log.topics.get(name)
@@ -180,7 +180,7 @@ def _quick_to_parse(log: Log) -> list[tuple[str, TopicLog]]:
 
 
 def _no_topics(missing: list[str], log: Log) -> str:
-    """Say which topics are missing, and show the mapping to write."""
+    """Return the error that names the missing topics and shows the mapping to write."""
     shown, choices = [], []
     topics = _quick_to_parse(log)
     for stream in missing:

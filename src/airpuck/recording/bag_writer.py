@@ -42,7 +42,7 @@ def write_bag(
     folder : path-like
         The folder to make; it may exist if it is empty.
     topics : Topics, optional
-        Topic names; by default those of the authors' table.
+        Topic names; the default is the authors' table.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
         or stream.received_ns.min() < 0
     ):
         raise ValueError("has time stamps that ROS cannot hold (before 1970 or after 2038)")
-    # The table's references carry no header; one that would lose its stamps needs it.
+    # The table's references carry no header, but references with stamps of their own need one.
     stamped = (stream.stamp_ns != stream.received_ns).any()
     return StreamCodec(name, stream.columns, stamped=bool(stamped))
 
@@ -148,7 +148,7 @@ class BagFile:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages so far, by topic."""
+        """Messages written, by topic."""
         return {topic["topic_metadata"]["name"]: topic["message_count"] for topic in self._topics}
 
     def flush(self) -> None:
@@ -160,7 +160,7 @@ class BagFile:
         """Write the index and ``metadata.yaml``."""
         self._writer.finish()
         self._file.close()
-        # Quoted text breaks no line, so that the profiles stay as they are.
+        # Quoted text keeps the line breaks of the profiles.
         yaml = YAML(typ="safe")
         yaml.default_flow_style = False
         yaml.width = 2**20
@@ -184,7 +184,7 @@ class BagFile:
             "storage_identifier": "mcap",
             **span(),
             "topics_with_message_count": self._topics,
-            # Of rosbag2's own compression; MCAP compresses its chunks by itself.
+            # For rosbag2's own compression. MCAP compresses its chunks without it.
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [self._name],

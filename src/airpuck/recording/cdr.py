@@ -181,7 +181,7 @@ def _decode_singly(
     try:
         store = typestore(types, msgtype)
         store.get_msgdef(msgtype)
-    # rosbags makes code of definitions, and those of a damaged file can make it fail in any way.
+    # rosbags compiles definitions to code; a damaged definition can fail there in any way.
     except Exception as error:
         raise ValueError(f"the definition of {msgtype} cannot be used") from error
     rows = []

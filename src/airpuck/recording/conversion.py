@@ -9,14 +9,14 @@ from airpuck.boundary.errors import InputError
 from airpuck.recording.mapping import CommandMapping, PoseMapping
 
 SECOND_NS = 10**9
-#: A quaternion whose squared norm is this close to one is taken as it is.
+#: A quaternion whose squared norm is this close to one is not normalised.
 _UNIT = 1e-3
 #: Numbers of a rotation matrix are exported with five digits or more.
 _ORTHOGONAL = 1e-2
-#: A third coordinate that changes by so much is no height above the table [m]; the vertical one
-#: changes by at most this share of it.
+#: A third coordinate that changes by more than the first number is not a height above the table
+#: [m]. The true height changes by at most the second number, as a share of the third coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
-#: By so much scale and offset may leave a command outside [0, 1].
+#: Rounding of scale and offset may leave a command this far outside [0, 1].
 _ROUNDING = 1e-9
 
 
@@ -78,7 +78,7 @@ def poses_of(
 
 
 def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) -> None:
-    """Refuse poses whose third coordinate moves over the table, while x or y hardly changes."""
+    """Raise InputError if the third coordinate moves while x or y is constant: axes are mixed up."""
     finite = position[np.isfinite(position).all(axis=1)]
     if position.shape[1] < 3 or len(finite) == 0:
         return
@@ -136,7 +136,7 @@ def yaw_of(
     """Return the rotation of quaternions about the vertical axis [rad]."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         square = x * x + y * y + z * z + w * w
-        # Unit up to single precision: taken as it is, as the authors' conversion does.
+        # Unit up to single precision: not normalised, as in the authors' conversion.
         double = np.where(np.abs(square - 1) < _UNIT, 2.0, 2.0 / square)
         return np.arctan2(double * (w * z + x * y), 1 - double * (y * y + z * z))
 
@@ -154,7 +154,7 @@ def commands_of(
 
 
 def propellers_of(names: tuple[str, ...], mapping: CommandMapping) -> tuple[str, ...]:
-    """Return the names of a command's columns: those of the mapping, if it names any."""
+    """Return the names of a command's columns, from the mapping if it names any."""
     if mapping.propellers and len(mapping.propellers) != len(names):
         raise InputError(
             f"names {len(mapping.propellers)} propellers for {len(names)} values",

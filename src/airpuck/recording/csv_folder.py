@@ -114,7 +114,7 @@ def read_csv(
 
 
 def _require_columns(single: Path, mapping: RecordingMapping) -> None:
-    """Refuse one file of which nothing is known."""
+    """Raise InputError for a single file whose columns are unknown."""
     if not mapping.model_fields_set - {"topics"}:
         written = " and ".join(f"{stream} = {{{keys}}}" for stream, keys in _TO_WRITE.items())
         found = listing(plain_table(read_rows(single)).columns)
@@ -245,7 +245,7 @@ def _commands(table: Table, mapping: CommandMapping) -> tuple[Stream, tuple[str,
 def _require(
     stream: str, table: Table, names: Sequence[str], mapping: PoseMapping | CommandMapping
 ) -> None:
-    """Refuse a file without the columns that are needed: name all of them, and what to write."""
+    """Raise InputError if columns are missing: name all of them, and the mapping to write."""
     times = (mapping.time,) if mapping.time else ()
     if not times and _RECEIVED not in table.columns:
         times = (_SECONDS, _NANOSECONDS)
@@ -265,7 +265,7 @@ def _require(
 def _own_times(
     table: Table, mapping: PoseMapping | CommandMapping
 ) -> tuple[Shaped[np.ndarray, " N"], Int64[np.ndarray, " N"] | None]:
-    """Return times as the mapping says, and those of arrival where the authors' recorder was."""
+    """Return the stamps that the mapping names, and the authors' arrival times if there are any."""
     if mapping.time:
         exact = mapping.size("time") == 1 / SECOND_NS
         return table.numbers(mapping.time, int if exact else float), None
@@ -301,7 +301,7 @@ def write_csv(
     folder : path-like
         The folder to make; it may exist if it is empty.
     topics : Topics, optional
-        Give the file names; by default those of the authors' table.
+        Give the file names; the default is the authors' table.
 
     Raises
     ------
@@ -334,7 +334,7 @@ def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
     n = len(stream)
     level = [0.0] * n
     table: dict[str, Sequence[object]] = {_RECEIVED: stream.received_ns.tolist()}
-    # The authors' references carry no header; one whose stamps differ needs it to keep them.
+    # The authors' references carry no header, but references with stamps of their own need one.
     if name != "reference" or not np.array_equal(stream.stamp_ns, stream.received_ns):
         seconds, nanoseconds = np.divmod(stream.stamp_ns, SECOND_NS)
         table[_FRAME] = ["body" if name in COMMANDS else ""] * n

@@ -1,4 +1,4 @@
-"""CSV files as columns of text, which become numbers when they are asked for."""
+"""CSV files as columns of text, converted to numbers on request."""
 
 from __future__ import annotations
 

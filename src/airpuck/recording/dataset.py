@@ -74,7 +74,7 @@ def fetch(
     Parameters
     ----------
     all : bool, default False
-        Every file, not only those of the paper's study (about 15 MB).
+        Every file, not only the paper's study (about 15 MB).
     folder : path-like, optional
         Where to; by default the user's cache folder.
     base_url : str

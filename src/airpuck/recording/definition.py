@@ -1,8 +1,8 @@
 """Parsing message definitions within limits.
 
-rosbags makes code of a definition: a line for each element of an array of messages or texts. Its
-parser of IDL tries every alternative anew in each pair of brackets, and computes what constants
-say. A definition of some bytes can so grow without end.
+rosbags compiles a definition to code, with a line for each element of an array of messages or
+texts. Its IDL parser tries every alternative in each pair of brackets, and evaluates constant
+expressions. A definition of a few bytes can therefore grow without bound.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ _EXPRESSION = re.compile(r"[@=(\[<,+-]")
 #: The brackets of annotations; all others, products, shifts and single bits are computations.
 _ANNOTATION = re.compile(r"@[\w:]++\s*+\(")
 _COMPUTED = re.compile(r"[(*/%|^&~]|<<")
-#: What takes as much time as so many fields: a type, an element of an array of texts or types, an
-#: expression.
+#: Cost of a type, of an element of an array of texts or types, and of an expression, in fields.
 _FIELDS_PER_TYPE, _FIELDS_PER_ELEMENT, _FIELDS_PER_EXPRESSION = 20, 2, 5
 
 
 def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
-    """Parse the definition of a message type with those of the types within."""
+    """Parse the definition of a message type and of the types that it contains."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     if len(text) > DEFINITION_BYTES:

@@ -35,7 +35,7 @@ Name = Annotated[str, pydantic.Field(min_length=1)]
 
 
 class Topics(Section):
-    """Topic names; the defaults are those of the authors' table.
+    """Topic names; the defaults are the authors' table.
 
     A stream whose topic is not in the bag is left out, unless it is needed, as a rule the pose and
     the command, or the topic was named by the user: then it is an error.
@@ -123,7 +123,7 @@ _ORIENTATION = (
 
 
 def _orientation(given: Any) -> Orientation:
-    """Tell how an orientation is written from its form in TOML."""
+    """Return how an orientation is written, from its form in TOML."""
 
     def names(found: Any, count: int) -> tuple[str, ...] | None:
         fits = isinstance(found, list | tuple) and len(found) == count
@@ -170,7 +170,7 @@ class _Times(Section):
 class PoseMapping(_Times):
     """Where poses are, in which units and axes.
 
-    Names are those of columns in a CSV file, or of fields in a bag's messages
+    Names are columns of a CSV file, or fields of a bag's messages
     (``pose.pose.position.x``). What is left out is as usual: in the fields of ROS's pose messages,
     in the columns of the authors' CSV files, or where the header of a Motive or Qualisys export
     says.
@@ -230,7 +230,7 @@ class PoseMapping(_Times):
 
 
 def completed(mapping: PoseMapping, usual: dict[str, Any]) -> PoseMapping:
-    """Fill in what a mapping leaves out; of its units each by itself."""
+    """Fill in what a mapping leaves out, each unit separately."""
     given = {name: getattr(mapping, name) for name in mapping.model_fields_set}
     kinds = {UNITS[unit][0] for unit in mapping.units}
     rest = tuple(unit for unit in usual.get("units", ()) if UNITS[unit][0] not in kinds)
@@ -250,7 +250,7 @@ class CommandMapping(_Times):
     Attributes
     ----------
     file, time, start_s, units
-        As for poses; of the units only that of time matters.
+        As for poses; only the unit of time matters.
     values : tuple of str
         A column or field for each propeller, or one field that is an array. By default all columns
         that are not times; of a message all numbers after its header.
@@ -318,7 +318,7 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
 
 
 def only_topics(mapping: RecordingMapping, path: str | os.PathLike[str]) -> Topics:
-    """Return the topics of a mapping; refuse one that also changes what messages say."""
+    """Return the topics of a mapping; raise InputError if it also changes fields or units."""
     others = sorted(mapping.model_fields_set - {"topics"})
     if others:
         raise InputError(

@@ -73,11 +73,11 @@ class _Sink:
         self.path, self._wanted = path, wanted
         self._budget = Unpacking(path, path.stat().st_size)
         self._schemas: dict[int, Schema] = {}
-        #: Topic of each channel; None for one that is passed over.
+        #: Topic of each channel; None if the channel is skipped.
         self._channels: dict[int, TopicLog | None] = {}
 
     def wants(self, channels: Collection[int]) -> bool:
-        """Return whether a message of one of the channels is wanted, as far as is known."""
+        """Return whether one of the channels is read, or still unknown."""
         return any(self._channels.get(channel, True) is not None for channel in channels)
 
     def describe(self, code: int, content: bytes) -> None:
@@ -120,7 +120,7 @@ class _Sink:
                     found.append((topic, time, content[start + _MESSAGE.size : end]))
             elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
                 self.describe(code, content[start:end])
-        # One that is left is one too many.
+        # A record that is left over exceeds the limit.
         self._budget.spend(len(content), len(content) if any(records) else len(times))
         for topic, time, message in found:
             topic.received_ns.append(time)

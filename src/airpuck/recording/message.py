@@ -59,7 +59,7 @@ _OF_POSES = {
 }
 
 #: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, z, quaternion.
-#: The first type is the one that is written. Commands may be of any type.
+#: Bags are written with the first type. Commands may have any type.
 PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         **dict.fromkeys(POSES, _OF_POSES),
@@ -86,7 +86,7 @@ _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Types:
-    """Parse the definitions in `text`; without one, return those of ROS 2 and of the authors."""
+    """Parse the definitions in `text`; without a text, return ROS 2's and the authors' own."""
     return parse_definition(msgtype, text, idl=idl) if text else _known_types()
 
 

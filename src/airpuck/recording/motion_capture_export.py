@@ -114,7 +114,7 @@ def _header(rows: Rows) -> int:
 
 
 def _choose(bodies: Sequence[str], body: str, path: Path) -> str:
-    """Return the rigid body to read: the only one, or the one that the mapping names."""
+    """Return the rigid body to read: the only one, or the one named in the mapping."""
     names = list(dict.fromkeys(bodies))
     if body in names:
         return body

@@ -24,7 +24,7 @@ def read_recording(
     topics: Topics | None = None,
     needs: Sequence[str] = ("pose", "command"),
 ) -> Recording:
-    """Read a recording as it was logged.
+    """Read the raw recording, before any preprocessing.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def read_recording(
         folder that holds one such folder stands for it. Where a folder holds a bag and CSV files,
         the bag is read, because the CSV files were made from it.
     mapping : RecordingMapping, optional
-        Topics, files, columns, units and axes (`read_mapping`); by default those of the authors'
+        Topics, files, columns, units and axes (`read_mapping`); the default is the authors'
         table.
     topics : Topics, optional
         Short for a mapping that only names topics.
@@ -52,7 +52,7 @@ def read_recording(
     Raises
     ------
     InputError
-        If there is no recording, several, or one that cannot be read.
+        If there is no recording, more than one, or the recording cannot be read.
 
     Examples
     --------

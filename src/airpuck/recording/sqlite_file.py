@@ -21,7 +21,7 @@ _STEPS_AT_ONCE = 10**5
 _IDL = "ros2idl"
 #: Characters of a topic's name and type.
 _LONGEST_NAME = 1000
-#: Characters of all definitions; those of wanted topics come first.
+#: Characters of all definitions; requested topics come first.
 _DEFINITIONS = MIB
 
 
@@ -61,7 +61,7 @@ def _limit_steps(database: sqlite3.Connection, size: int) -> None:
 def _topics(
     database: sqlite3.Connection, path: Path, wanted: Collection[str]
 ) -> tuple[Log, dict[int, TopicLog]]:
-    """Read the list of topics; return it, and those that are wanted by number."""
+    """Read the list of topics; return it, and the requested topics by number."""
     tables = "SELECT name FROM sqlite_master WHERE type = 'table' AND sql LIKE 'CREATE TABLE%'"
     there = {name for (name,) in database.execute(tables)}
     if not there >= {"messages", "topics"}:

@@ -35,9 +35,9 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "game": ("left", "right", "event", "side", "value"),
     }
 )
-#: Streams of poses: the craft's, the puck's, the human's mallet's, and where that is wanted.
+#: Streams of poses: craft, puck, the human's mallet, and the mallet's target.
 POSES = ("pose", "puck", "mallet", "mallet_target")
-#: Streams of commands: the craft's, and those of a craft that it plays against.
+#: Streams of commands: the craft's and its opponent's.
 COMMANDS = ("command", "opponent_command")
 
 
@@ -252,5 +252,5 @@ def command_stream(
 
 
 def left_out(name: str, missing: int) -> tuple[str, ...]:
-    """Say how many rows held nothing: where tracking is lost, exports have blank cells."""
+    """Return a warning about blank rows: exports have blank cells where tracking is lost."""
     return (f"{missing} blank {name} are left out",) if missing else ()

@@ -291,7 +291,7 @@ def _tensor(
 
 
 def _check(file: Path, tensors: Mapping[str, Float[np.ndarray, "..."]]) -> None:
-    """Refuse tensors that cannot be a flight."""
+    """Raise InputError if the tensors cannot be a flight."""
     time, command = tensors["T"], tensors["U"]
     if time.ndim != 1 or len(time) < 2:
         raise InputError(f"has the shape {time.shape}, not (N,)", file=file, field="T")

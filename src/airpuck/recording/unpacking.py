@@ -39,7 +39,7 @@ def unpacked(data: bytes, compression: str, size: int) -> bytes:
 
 
 def unpacked_message(data: bytes) -> bytes:
-    """Unpack a message that rosbag2 compressed by itself."""
+    """Unpack a message that rosbag2 compressed on its own."""
     import zstandard
 
     try:
