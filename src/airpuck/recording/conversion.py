@@ -78,7 +78,7 @@ def poses_of(
 
 
 def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) -> None:
-    """Raise InputError if the third coordinate moves while x or y is constant: axes are mixed up."""
+    """Raise InputError if the third coordinate moves while x or y is constant."""
     finite = position[np.isfinite(position).all(axis=1)]
     if position.shape[1] < 3 or len(finite) == 0:
         return
