@@ -138,6 +138,7 @@ def test_craft_that_share_everything_but_the_pose_move_alike():
     np.testing.assert_allclose(moved[:, 2:], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_every_so_many_frames_are_those_of_all_frames():
     whole, part = (
         fly_fleet(MODEL, COMMAND, seeds=(1, 2), settings=BAD_DAY, every=k) for k in (1, 24)

@@ -111,6 +111,7 @@ def test_without_thrust_the_center_of_mass_goes_straight_and_the_spin_stays(plan
     assert state[2] == pytest.approx(0.4 + 5.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_elastic_rails_without_friction_conserve_energy():
     r, table = (3e-3, -2e-3), Table(restitution=1.0, friction=0.0)
     state = crafts(np.random.default_rng(1), 20)
@@ -236,6 +237,7 @@ def test_rails_never_give_energy_to_an_off_center_disc(motion, position, restitu
     assert gained(motion, position, restitution, friction, (r, 0.0)) <= 1e-9
 
 
+@pytest.mark.slow
 def test_elastic_rails_with_friction_never_give_energy_to_an_off_center_disc():
     # Kane and Levinson, "Dynamics: Theory and Applications", 1985, section 5.10.
     motion = np.array([4.70093807, 1.28510586, 0.05205187, -4.08070582]) / [3, 2, 2, 20]
@@ -258,6 +260,7 @@ def test_after_a_hit_the_craft_leaves_the_rail_and_friction_does_not_reverse_the
     assert abs(after) <= abs(before) + 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", [0.0, 0.7, 1.0])
 def test_a_craft_at_full_power_stays_on_the_table(plant_with_effects, restitution):
     rng = np.random.default_rng(3)
@@ -274,6 +277,7 @@ def test_a_craft_at_full_power_stays_on_the_table(plant_with_effects, restitutio
     assert touched > 100
 
 
+@pytest.mark.slow
 def test_a_craft_on_a_tilted_table_comes_to_rest_in_its_lowest_corner():
     plant = build_plant(MODEL, TILTED)
     state = crafts(np.random.default_rng(4), 5)
