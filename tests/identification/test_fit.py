@@ -122,7 +122,7 @@ def test_a_motor_that_idles_in_the_span_that_is_used_is_named():
     command[flight.command_time > 3.0, 2] = 0.3
     part = replace(flight, command=command).slice(0.6, 1.0)
     name = flight.propellers[2]
-    assert any(f"command of {name} hardly changes" in w for w in identify(part).warnings)
+    assert any(f"command of {name} barely changes" in w for w in identify(part).warnings)
 
 
 def test_the_fit_names_its_loss():

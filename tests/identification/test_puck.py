@@ -172,9 +172,9 @@ def test_flights_end_where_the_puck_bounces():
 def test_what_holds_no_moving_puck_is_refused():
     time = np.arange(500) / 240
     still = np.zeros((500, 3)) + NOISE * np.random.default_rng(0).normal(size=(500, 3))
-    with pytest.raises(InputError, match="hardly moves"):
+    with pytest.raises(InputError, match="barely moves"):
         identify_puck(Recording({"puck": stream(time, still)}, "still"))
-    with pytest.raises(InputError, match="hardly moves"):
+    with pytest.raises(InputError, match="barely moves"):
         identify_puck(Recording({"puck": stream(time[:5], still[:5])}, "short"))
     with pytest.raises(InputError, match="no puck stream"):
         identify_puck(Recording({"pose": stream(time, still)}, "none"))

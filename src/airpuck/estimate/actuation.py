@@ -143,8 +143,8 @@ class ActuationEncoder:
             p_k = p + v (t_k - t) + ∬ a + Σ_i e_i ∬ a_i + noise,
 
         a the modelled accelerations along the measured yaw, a_i those of motor i, both integrated
-        backwards from the present; the noise is that of the poses plus twice integrated white
-        accelerations. p and v have no prior.
+        backwards from the present; the noise is the poses' noise plus twice integrated
+        white accelerations. p and v have no prior.
         """
         speed = _motor_speeds(dynamics, past)
         by_motor, rest = accelerations_by_motor(dynamics, _motion(past, self.causal), speed)
@@ -247,8 +247,8 @@ def _whitening(
 ) -> Float[np.ndarray, "E E"]:
     """Return the matrix that makes the residuals of an axis white, of variance one.
 
-    The noise is that of the poses, the density of the accelerations, and how far these may be off
-    at first.
+    `noise` holds the poses' noise, the density of the accelerations, and the initial uncertainty of
+    the accelerations.
     """
     pose, density, first = noise
     integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))

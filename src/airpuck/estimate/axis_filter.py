@@ -98,7 +98,7 @@ def propagate(
 ) -> tuple[Any, Any]:
     """Move mean and motor speeds through pieces of time with one command each.
 
-    In each piece the acceleration is that of its middle, so that the error is of second order.
+    Each piece has the acceleration of its middle, so that the error is of second order.
     """
     tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
     for k in range(len(durations)):

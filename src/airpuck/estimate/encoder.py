@@ -34,7 +34,7 @@ class Encoder(Protocol):
 
 @runtime_checkable
 class StateEncoder(Encoder, Protocol):
-    """An encoder that leaves the model as it is: what a model can be learned with."""
+    """An encoder that does not change the model, so that a model can be learned with it."""
 
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
         """Estimate the state."""

@@ -14,7 +14,7 @@ class ActuationEstimate:
 
     #: Share of the modelled thrust that each motor gives, 1: all.
     effectiveness: Float[np.ndarray, " n"]
-    #: Its standard deviation; for an idling motor, which shows nothing, that of the prior.
+    #: Its standard deviation; for an idling motor, which reveals nothing, the prior's.
     deviation: Float[np.ndarray, " n"]
     #: Of each state of the craft by its name (`airpuck.estimate.actuation.PRIORS`).
     probability: dict[str, float] = field(default_factory=dict)

@@ -28,7 +28,7 @@ class HeldCommands:
         self._begun.append((begins, np.array(command, dtype=float)))
 
     def drop(self, time: float) -> None:
-        """Let go of commands from before the one that acts at a time."""
+        """Drop commands older than the command that acts at a time."""
         while len(self._begun) > 1 and self._begun[1][0] <= time:
             self._begun.popleft()
 

@@ -1,7 +1,7 @@
 """State estimation in closed loop, from one measurement to the next.
 
-The accelerations of x, y and γ are those of the model under the commands that act at the time,
-plus a disturbance d that wanders slowly; the equations are in `airpuck.estimate.axis_filter`, and
+The accelerations of x, y and γ are the model's under the commands in force, plus a disturbance d
+that varies slowly; the equations are in `airpuck.estimate.axis_filter`, and
 with unknown motors in `airpuck.estimate.multiple_models`.
 Commands act a transport delay after they were sent, measurements come at any time and may come
 late ("out of sequence").
@@ -85,7 +85,7 @@ class KalmanFilter:
         self._motor_speed = self._idle
         #: From the command that acts at the oldest remembered time on.
         self._commands = HeldCommands(self._idle)
-        #: Time of the motor speeds where it is later than that of the belief.
+        #: Time of the motor speeds, where later than the belief's.
         self._motors_at: float | None = None
         #: Measurements and the filter before each: stamp, state, method, arguments.
         self._history: deque[tuple[float, _State, str, tuple[Any, ...]]] = deque()
@@ -113,7 +113,7 @@ class KalmanFilter:
         """Run the motors alone up to the last command that begins to act before a time.
 
         Where that is later than the last measurement, the rest of the state is lost: the next pose
-        begins anew.
+        restarts the filter.
 
         Parameters
         ----------
@@ -157,8 +157,8 @@ class KalmanFilter:
         Returns
         -------
         bool
-            Whether it was used; otherwise the filter is as it was. A pose from before what is
-            remembered is not used.
+            Whether it was used; otherwise the filter does not change. A pose older than the stored
+            history is not used.
         """
         if self._time is None or self._motors_at is not None:
             self.restart(time, pose)
@@ -219,7 +219,7 @@ class KalmanFilter:
             self._belief = self._equations.use_mouse(self._belief, *given[1:])
 
     def predict(self, time: float) -> Estimate:
-        """Predict with the commands so far, without changing anything.
+        """Predict with the commands reported to the filter, without changing its state.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class KalmanFilter:
         return Estimate(time, state, speed, disturbance, actuation), following
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Begin anew at a pose, at rest; commands and motor speeds are kept.
+        """Restart at a pose, at rest; commands and motor speeds are kept.
 
         Parameters
         ----------
@@ -311,7 +311,7 @@ class KalmanFilter:
         self._belief = self._equations.begin(pose, before, elapsed)
 
     def _advance(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
-        """Advance to a measurement of a sensor on board; return whether it is to be used now.
+        """Advance to a measurement of an on-board sensor; return whether to use it now.
 
         Not before the first pose; and a late one is put in its place.
         """
@@ -328,7 +328,7 @@ class KalmanFilter:
         return True
 
     def _settle(self, time: float, belief: Belief, speed: Float[np.ndarray, " n"]) -> None:
-        """Take over a state, and let go of commands that no remembered one needs."""
+        """Store a state and drop commands older than every snapshot."""
         self._time, self._belief, self._motor_speed = time, belief, speed
         self._commands.drop(self._history[0][1][0] if self._history else time)
 

@@ -47,8 +47,8 @@ Belief = tuple[Any, Any, Any]
 class States:
     """States of the craft that compete, and how they follow each other.
 
-    A state lasts for some time; then another one, or the same, is drawn by the weights, and e
-    anew from its prior.
+    A state lasts for some time. Then another state, or the same one, is drawn by the weights, and e
+    is drawn again from its prior.
     """
 
     #: What each is called.
@@ -90,12 +90,12 @@ class MultipleModels:
         return means, covariances, weights
 
     def renewed(self, xp: Any, belief: Belief, duration: Any) -> Belief:
-        """Let some time pass in which the state of the craft may have been drawn anew."""
+        """Let some time pass in which the state of the craft may have been redrawn."""
         means, covariances, weights = belief
         states = self.states
         same = xp.exp(-duration / states.lasting)
         mean, covariance = mixed(xp, belief)
-        # Where it was drawn anew, nothing is known of the actuation any more.
+        # After a redraw nothing is known of the actuation.
         known = np.concatenate([np.ones(9), np.zeros(means.shape[1] - 9)])
         fresh = covariance * known[:, None] * known + _padded(states.covariance)
         away = means - mean * known
@@ -213,7 +213,7 @@ def drift(
 ) -> tuple[Any, Any, Any]:
     """Integrate the accelerations over pieces of time with one command each.
 
-    In each piece they are those of its middle, so that the error is of second order. Returns the
+    Each piece has the values of its middle, so that the error is of second order. Returns the
     matrix and the offset that move any x, and the motor speeds.
     """
     tau, idle = dynamics.motor_time_constant, dynamics.idle_lag

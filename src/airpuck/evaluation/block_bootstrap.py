@@ -81,7 +81,7 @@ def rmse_ratio(
     Returns
     -------
     tuple of array, shape (C,), array, shape (2, C), and array, shape (C,)
-        RMSE of the second over that of the first, its 95 % interval, and the p-value of equality;
+        Ratio of the second RMSE to the first, its 95 % interval, and the p-value of equality;
         NaN where the predictions are too few.
     """
     from scipy.stats import t
@@ -101,7 +101,7 @@ def rmse_ratio(
 
 
 def _log(mean_squares: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Take logarithms; an exact prediction counts as an error that nobody can measure."""
+    """Take logarithms; an exact prediction counts as an immeasurably small error."""
     return np.log(np.maximum(mean_squares, 1e-30))
 
 

@@ -37,7 +37,7 @@ class CrossCorrelation:
     motor: str
     #: Of the innovation at t with the command in force at t − k, for lags k = −M … M.
     correlation: Float[np.ndarray, " K"]
-    #: 99 % lie within ±band, each by itself, where the command explains nothing; from the
+    #: 99 % lie within ±band, pointwise, where the command explains nothing; from the
     #: autocorrelations of both.
     band: float
     #: Wald's, that the coefficients of the command at lags 1 … M in a regression on all motors'

@@ -97,8 +97,8 @@ class Drift:
             return ["nothing can be judged: constraints hold all quantities that both learned"]
         widest = max(judged, key=lambda change: abs(change.z))
         return [
-            f"nothing moved: of {len(judged)} quantities the largest difference is that of "
-            f"{widest.words}, {abs(widest.z):.1f} standard errors"
+            f"nothing moved: of {len(judged)} quantities {widest.words} changed most, "
+            f"by {abs(widest.z):.1f} standard errors"
         ]
 
     def to_json(self) -> dict[str, Any]:
@@ -168,9 +168,9 @@ def drift(earlier: Model, later: Model) -> Drift:
 
 
 def _holds(model: Model, other: Model, quantity: MainQuantity) -> bool:
-    """Tell whether a constraint of `model` holds a quantity, or what it trades off against.
+    """Return whether a constraint of `model` holds a quantity, or a parameter correlated with it.
 
-    How much it trades off, the other model tells, in which the same parameter is not at its bound.
+    The correlation comes from the other model, where the same parameter is not at its bound.
     """
     if quantity.motor is not None:
         slopes, _ = lowest_slope(model.parameters.thrust)
@@ -188,7 +188,7 @@ def _at_bounds(model: Model) -> set[str]:
 
 
 def _correlation(model: Model, quantity: MainQuantity, label: str) -> float:
-    """Return that of the estimates of a quantity and a parameter; 0 where there is none."""
+    """Return the correlation of the estimates of a quantity and a parameter, or 0."""
     labels = model.parameters.labels(model.vehicle.propeller_names)
     if label not in labels:
         return 0.0
@@ -204,7 +204,7 @@ def _correlation(model: Model, quantity: MainQuantity, label: str) -> float:
 
 
 def _held_notes(changes: Sequence[Change]) -> list[str]:
-    """Tell of differences that constraints may make."""
+    """Return notes on differences that constraints may cause."""
     held = [f"{change.words} (z = {change.z:.1f})" for change in changes if change.held]
     if not any(change.held and change.differs for change in changes):
         return []

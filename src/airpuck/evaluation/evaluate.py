@@ -28,8 +28,8 @@ from airpuck.physics.rollout import rollout
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")
 #: Starts in the time predicted, where every start counts: twelve in 0.2 s, every fourth sample at
-#: 240 Hz. Neighbours nearly repeat each other; root mean squares differ from those of all starts
-#: by less than 1 %, intervals by less than their own error.
+#: 240 Hz. Neighbours nearly repeat each other; root mean squares differ by less than 1 %
+#: from a count of all starts, intervals by less than their own error.
 _STARTS_PER_HORIZON = 12
 #: Windows predicted at once, which bounds the memory.
 _BATCH = 1024
@@ -53,7 +53,7 @@ class Protocol:
     #: When errors are reported [s]; the nearest step counts.
     horizon: float = 0.2
     #: Longest time up to the present that an encoder may look at, where it is usable [s]; by
-    #: default that of the window.
+    #: default the window's.
     longest_past: float | None = None
     #: Whether an encoder must not use anything that was measured after the present.
     causal: bool = False
@@ -361,7 +361,7 @@ def prediction_errors(
     encoder : Encoder
         Where predictions start from.
     past : array of int, shape (W,), optional
-        Samples up to the present that the encoder may look at; by default those of the window.
+        Samples up to the present that the encoder may look at; by default the window's.
 
     Returns
     -------

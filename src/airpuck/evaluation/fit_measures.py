@@ -17,7 +17,7 @@ from airpuck.evaluation.evaluate import by_channel
 from airpuck.evaluation.innovations import Innovations, free_run, innovations
 from airpuck.model.model_file import Model
 
-#: Length of the simulations that start anew [s].
+#: Length of restarted simulations [s].
 RESTART = 2.0
 
 
@@ -29,7 +29,7 @@ class FitMeasures:
     steps: int
     #: Fit of x, y, γ, predicted k steps ahead by the filter's estimate [%].
     k_step: Float[np.ndarray, " 3"]
-    #: Fit of simulations that start anew every `restart` seconds [%].
+    #: Fit of simulations restarted every `restart` seconds [%].
     free_run: Float[np.ndarray, " 3"]
     #: Fit of one simulation over the whole trajectory [%].
     whole: Float[np.ndarray, " 3"]
@@ -39,7 +39,7 @@ class FitMeasures:
     log_likelihood: float
     #: Innovations of three channels each.
     samples: int
-    #: Parameters that were fitted: those of the model that the data determine, and of the noise.
+    #: Number of fitted parameters: the model's, as far as the data determine them, and the noise's.
     parameters: int
 
     @property
@@ -95,7 +95,7 @@ def measure_fit(
     trajectory : Trajectory
         Measured poses and commands.
     filtered : Innovations, optional
-        Those of the same model on the same trajectory, if they were computed before.
+        Innovations of the same model on the same trajectory, if known.
     horizon : float, default 0.2
         Time of the k-step prediction [s].
     restart : float, default 2

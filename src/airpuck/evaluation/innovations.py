@@ -47,7 +47,7 @@ class Innovations:
     #: False in excluded spans, and at the first two samples of every stretch, which only determine
     #: where the craft is and how fast it moves.
     used: Bool[np.ndarray, " N"]
-    #: Samples at which the filter begins anew.
+    #: Samples at which the filter restarts.
     restart: Bool[np.ndarray, " N"]
     #: What the model adds to position and velocity of each axis, from the sample before.
     added: Float[np.ndarray, "N 3 2"]
@@ -98,7 +98,7 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
     trajectory : Trajectory
         Measured poses, and commands that act after the trajectory's delay.
     noise : Noise, optional
-        By default that of the largest likelihood.
+        By default the noise of largest likelihood.
 
     Returns
     -------

@@ -64,7 +64,7 @@ class LatePackets:
 def late_packets(
     model: Model, trajectory: Trajectory, found: Innovations, others: Float[np.ndarray, "N 3 s"]
 ) -> LatePackets:
-    """Filter a trajectory anew, along the motion already found; see `LatePackets` for `others`."""
+    """Filter a trajectory again, along the motion already found; see `LatePackets` for `others`."""
     time, period = trajectory.time, trajectory.sample_period
     kicks = _kicks(model, trajectory)
     steps = np.diff(time, prepend=time[0])
@@ -149,8 +149,8 @@ def _most_likely(
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
     """Find the noises with the largest likelihood, and the pose's variance.
 
-    A search like that of `most_likely_noise`, from the noises without jitter; those that do not pay
-    for themselves are none, and disturbances are none unless they may wander.
+    The search is like `most_likely_noise`, from the noises without jitter. Noises that do not
+    improve the likelihood enough are zero, as are disturbances unless they may wander.
     """
     count, axis = given[-1].sum(), np.arange(3)
     pose = np.square(found.noise.pose)
@@ -166,7 +166,7 @@ def _most_likely(
     point = np.zeros((3, 3))
     point[:, :2] = np.log10(densities / units[:, :2] + 1e-300)
     point, least = np.clip(point, _LOWEST + _COARSEST, _HIGHEST), np.full(3, np.inf)
-    # Each noise by itself, and accelerations against delays, which stand in for each other.
+    # Each noise alone, and accelerations against delays, which can replace each other.
     alone = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     around = np.concatenate([alone, [[-1, 0, 1], [1, 0, -1]]])[:, None]
     step = np.full((3, 3), _COARSEST)

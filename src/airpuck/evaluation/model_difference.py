@@ -20,14 +20,14 @@ LEVEL = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ModelDifference:
-    """Errors of a second model against those of a first, on the same predictions."""
+    """Errors of a second model relative to a first, on the same predictions."""
 
     #: Names of the models.
     first: str
     second: str
-    #: RMSE of x, y, γ of the second over that of the first.
+    #: Ratio of the RMSE of x, y, γ: the second model's to the first's.
     ratio: Float[np.ndarray, " 3"]
-    #: 95 % intervals of the ratios, each by itself; NaN where the recording is too short.
+    #: 95 % intervals of the ratios, pointwise; NaN where the recording is too short.
     interval: Float[np.ndarray, "2 3"]
     #: That both are equal, adjusted for the number of pairs and channels (Holm); NaN likewise.
     p_value: Float[np.ndarray, " 3"]
@@ -72,7 +72,7 @@ class ModelDifference:
 
 
 def _change(ratio: float) -> str:
-    """Say how much smaller or larger an error is."""
+    """Write how much smaller or larger an error is."""
     return f"{100 * abs(ratio - 1):.1f} % {'better' if ratio < 1 else 'worse'}"
 
 

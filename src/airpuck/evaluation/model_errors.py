@@ -1,8 +1,8 @@
 """Which error of a model would explain its innovations: a motor, mass, delay, lag; how large.
 
 One regression of the innovations on what each error would do to them. An error is reported only if
-it is surely larger than what hardly matters, and only tested if the commands would have shown one
-that does. Standard errors come from blocks of time, since late packets leave traces that last.
+it is significantly larger than a negligible one, and only tested if the commands would have shown
+an error that matters. Standard errors come from blocks of time, since late packets leave traces that last.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jaxtyping import Bool
 from airpuck.evaluation.late_packets import LatePackets
 from airpuck.evaluation.statistical_tests import BAND, LEVEL, block_regression, holm
 
-#: Errors that hardly matter, and those that a test must be able to show: shares, and seconds.
+#: Negligible errors, and errors that a test must be able to detect: shares, and seconds.
 _SHARE, _SHARE_SHOWN = 0.05, 0.2
 _DELAY, _DELAY_SHOWN = 0.005, 0.01
 #: Errors that are times.
@@ -109,7 +109,7 @@ def model_errors(
     least = np.where(timing, _DELAY, _SHARE)
     shown = np.where(timing, _DELAY_SHOWN, _SHARE_SHOWN)
     least[0], shown[0] = least[0] + delay_known, shown[0] + delay_known
-    # In units of what hardly matters, so that all columns are alike.
+    # In units of negligible errors, so that all columns have similar sizes.
     given = regressors * least, late.steady[used], period, _BLOCK_S
     values, covariance, blocks = block_regression(*given)
     deviations = np.sqrt(np.diag(covariance))
@@ -125,7 +125,7 @@ def model_errors(
 
 
 def verdicts(errors: Sequence[ModelError]) -> list[str]:
-    """Say which errors are shown, which were not tested, and that the others were not found."""
+    """Return sentences on the errors found, those not tested, and those ruled out."""
     shown = sorted((e for e in errors if not e.passed), key=lambda e: e.p_value)
     motors = [e for e in errors if e.name not in (*_TIMES, "mass")]
     failed = [e for e in motors if not e.passed]

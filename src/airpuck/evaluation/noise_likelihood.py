@@ -24,8 +24,8 @@ _LOWEST, _HIGHEST = np.array([-14.0, -22.0]), np.array([3.0, 3.0])
 _GRID, _FINEST = 9, 0.02
 #: A better likelihood is better by at least this much.
 _GAIN = 1e-3
-#: Standard deviation of the speed at the first pose of a stretch, in those of the pose per sample
-#: period: as good as unknown.
+#: Standard deviation of the speed at the first pose of a stretch, in pose noise per sample period:
+#: practically unknown.
 _UNSURE = 1e3
 
 

@@ -127,8 +127,8 @@ def prediction_bands(
 
     Predictions start from the estimates of the filter behind the one-step innovations, which uses
     every pose up to the start. After it, only the commands are used. Errors are propagated
-    linearly: where the band of yaw is wider than about a radian, those of x and y are right in
-    their order of magnitude only.
+    linearly: where the band of yaw is wider than about a radian, the bands of x and y are right
+    in their order of magnitude only.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def prediction_bands(
         Samples to start from; by default one after the other without overlap, wherever poses are
         usable for a quarter of a second before, and all poses to be predicted are usable.
     known : Innovations, optional
-        Those of the same model, if they were computed before; with the noise of another recording,
-        for example.
+        Innovations of the same model, if known; for example with the noise of another
+        recording.
 
     Returns
     -------

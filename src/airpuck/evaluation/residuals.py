@@ -56,7 +56,7 @@ class ResidualTests:
     innovations : Innovations
         Of the filter that does not know of late packets.
     late : LatePackets
-        Innovations of the one that does: what was tested.
+        Innovations of the filter that allows for late packets: what was tested.
     """
 
     model: str
@@ -160,7 +160,7 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     Raises
     ------
     InputError
-        If the trajectory is of another craft, or too short for so many lags.
+        If the trajectory is of another craft, or too short for this number of lags.
     """
     n, usable = len(trajectory.propellers), int(trajectory.usable.sum())
     if lags < 5 or usable < 4 * lags * n:
@@ -174,12 +174,12 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     others = missing_accelerations(bins, trajectory.state[:, 2])
     late = late_packets(model, trajectory, found, others)
     motors, used = trajectory.propellers, found.used
-    # A delay that the model did not learn is that of the recording, found in whole samples.
+    # A delay that the model did not learn is the recording's, found in whole samples.
     period = trajectory.sample_period
     known = 0.0 if model.delay_learned else period
     errors = model_errors(motors, late, used, period, known)
     told = {error.name for error in errors if error.tested}
-    # The mean delay of the packets is judged by itself.
+    # The mean delay of the packets is judged separately.
     late_by = errors[0].value
     structure = find_structure(model, trajectory, found, late, bins, late_by)
     body = to_body(late.values, trajectory.state[:, 2])

@@ -1,7 +1,7 @@
 """Whiteness by the test of Ljung and Box (1978), and several tests at once by Holm (1979).
 
-With enough samples any model is wrong. So effects are tested against a smallest one that counts, a
-share of the variance, and not against none at all (Murphy and Myors 1999).
+With enough samples any model is wrong. So effects are tested against the smallest relevant effect, a
+share of the variance, and not against zero (Murphy and Myors 1999).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Whiteness:
     channel: str
     #: r(1) … r(M).
     autocorrelation: Float[np.ndarray, " M"]
-    #: 99 % of white noise's lie within ±band, each by itself.
+    #: 99 % of white noise's correlations lie within ±band, pointwise.
     band: float
     #: Q = N(N + 2) Σ r(k)²/(N − k) of Ljung and Box.
     statistic: float

@@ -55,7 +55,7 @@ class Structure:
     #: Borders of the bins, and their middles (medians).
     edges: Float[np.ndarray, " B1"]
     middle: Float[np.ndarray, " B"]
-    #: Acceleration that the model lacks [m/s² or rad/s²], and half its 99 % band, each by itself.
+    #: Acceleration that the model lacks [m/s² or rad/s²], and half its 99 % band, pointwise.
     mean: Float[np.ndarray, " B"]
     half_band: Float[np.ndarray, " B"]
     #: Root mean square of the means about their mean, less what chance adds.

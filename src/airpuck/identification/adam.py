@@ -56,7 +56,7 @@ class Adam:
     seed: int = 42
 
     def __post_init__(self) -> None:
-        """Refuse what would never end."""
+        """Check the number of epochs."""
         numbers.EPOCHS.check(self.epochs, "epochs")
 
     def minimize(

@@ -35,7 +35,7 @@ def bootstrap(
     seed: int = 0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Fit:
-    """Add intervals from fits to resampled data, beside those of the standard errors.
+    """Add intervals from fits to resampled data, beside the intervals from standard errors.
 
     Parameters
     ----------
@@ -121,5 +121,5 @@ def resampled_estimates(
                 found.append(vector)
             progress(number)
     if len(found) < 2:
-        raise InputError("hardly any fit to resampled data came to an end", field="bootstrap")
+        raise InputError("fewer than two fits to resampled data converged", field="bootstrap")
     return np.array(found)

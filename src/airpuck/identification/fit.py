@@ -74,7 +74,7 @@ def identify(
     model : str or Rung, default "M3"
         The rung of the model ladder; see `airpuck.named_rung` for degrees and frames.
     vehicle : Vehicle, optional
-        The craft; by default the one that the trajectories were preprocessed for, or the paper's.
+        The craft; by default the craft that the trajectories were preprocessed for, or the paper's.
     initial : Parameters, optional
         Where to start; by default the vehicle's nominal values.
     loss : Loss, optional
@@ -124,7 +124,7 @@ def identifiability(
     loss: Loss | None = None,
     preparation: Preparation | None = None,
 ) -> Identifiability:
-    """Tell before a fit what data can determine, by the information at its start.
+    """Return what data can determine, before any fit, from the information at its start.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def identifiability(
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """How far a fit has come: the data as they are prepared by now, and what was learned."""
+    """State of a fit: the data in their current preparation, and the latest outcome."""
 
     problem: Problem
     #: As preprocessed, without the spans that are left out.
@@ -174,11 +174,11 @@ class Solution:
 
     @property
     def loss(self) -> PredictionLoss:
-        """The loss on all windows of the data as they are prepared by now."""
+        """The loss on all windows of the data in their current preparation."""
         return self.problem.loss_on(self.retimed or self.trajectories)
 
     def fit(self, method: Method, loss: PredictionLoss) -> Solution:
-        """Minimise a loss; Levenberg-Marquardt goes on where the last fit ended."""
+        """Minimise a loss; Levenberg-Marquardt starts where the last fit ended."""
         start, free, progress = self.problem.start, self.problem.free, self.problem.progress
         if self.fitted is None or not isinstance(method, LevenbergMarquardt):
             outcome = method.minimize(loss, start, free, progress)
@@ -207,7 +207,7 @@ def leave_out_faults(solution: Solution) -> Solution:
 
 
 def retime(solution: Solution) -> Solution:
-    """Move packets to when they arrived by the model of a first fit; then by that of a second."""
+    """Move packets to their arrival times by a first fit's model; then again by a second fit's."""
     for _ in range(solution.problem.retimings):
         solution = solution.prefit()
         _, _, model = solution.result
@@ -217,7 +217,7 @@ def retime(solution: Solution) -> Solution:
 
 
 def minimize(solution: Solution) -> Solution:
-    """Fit to all windows of the prepared data; again with weights, where it is to be robust."""
+    """Fit to all windows of the prepared data; for a robust fit, again with weights."""
     problem = solution.problem
     solution = solution.fit(problem.method, solution.loss)
     if not problem.loss.robust:

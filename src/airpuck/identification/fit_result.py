@@ -24,8 +24,8 @@ from airpuck.physics.thrust import lowest_slope
 
 #: A motor whose command stays within this range says nothing about its thrust.
 _IDLE_RANGE = 0.02
-#: A recording whose own delay is so far off the fitted one, and by more than a sample, has other
-#: clocks or radio: three samples at 240 Hz [s].
+#: A recording whose own delay differs this much from the fitted one, and by more than a sample, has
+#: other clocks or another radio: three samples at 240 Hz [s].
 _FAR = 3 / 240
 
 
@@ -166,7 +166,7 @@ def fit_warnings(
     outcome: Outcome,
     exclusion: Exclusion | None,
 ) -> tuple[str, ...]:
-    """Tell what to look at before trusting a model."""
+    """Return warnings to read before trusting a model."""
     return (
         *_idle_motors(trajectories),
         *(exclusion.warnings if exclusion else ()),
@@ -181,7 +181,7 @@ def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
     """Name the motors whose thrust the data cannot determine."""
     ranges = np.max([np.ptp(t.input[t.usable], axis=0) for t in trajectories], axis=0)
     return [
-        f"the command of {name} hardly changes: these data do not determine its thrust"
+        f"the command of {name} barely changes: these data do not determine its thrust"
         for name, extent in zip(trajectories[0].propellers, ranges, strict=True)
         if extent < _IDLE_RANGE
     ]
@@ -207,7 +207,7 @@ def _implausible_values(model: Model) -> list[str]:
 
 
 def _other_delays(model: Model, trajectories: Sequence[Trajectory]) -> list[str]:
-    """Name recordings that seem to have another delay than the one that was learned."""
+    """Name recordings whose own delay differs from the learned one."""
     if not model.delay_learned:
         return []
     return [
@@ -219,7 +219,7 @@ def _other_delays(model: Model, trajectories: Sequence[Trajectory]) -> list[str]
 
 
 def outcome_words(fit: Fit) -> list[str]:
-    """Tell in sentences how a fit ended, and what it left out."""
+    """Return sentences on how a fit ended and what it left out."""
     text = [
         f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
         f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
@@ -238,7 +238,7 @@ def outcome_words(fit: Fit) -> list[str]:
 
 
 def knowledge_words(fit: Fit) -> list[str]:
-    """Tell in sentences what the data determine, and what they leave open."""
+    """Return sentences on what the data determine and what they leave open."""
     text, known, found = [], fit.uncertainty, fit.identifiability
     if fit.model.delay_jitter is not None:
         text.append(f"delay {delay_words(fit.model)}")

@@ -1,4 +1,4 @@
-"""What optimisers take and return; how a fit goes on, with other data or other weights."""
+"""What optimisers take and return; continuing a fit with other data or other weights."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.nda
 def student_weights(
     square: Float[np.ndarray, " W"], times: Float[np.ndarray, " W"] | None = None
 ) -> Float[np.ndarray, " W"]:
-    """Return how much windows of these mean squared errors count, each of them so many times."""
+    """Return the weights of windows with these mean squared errors; `times` are repetitions."""
     drawn = square if times is None else np.repeat(square, times.astype(int))
     return (_DEGREES + 1) / (_DEGREES + square / _typical(drawn))
 

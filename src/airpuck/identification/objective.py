@@ -29,8 +29,8 @@ from airpuck.physics.rigid_body import CenterOfMassFrame, register_pytrees
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
 #: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).
 BATCH = 64
-#: Recordings up to so many samples, a minute at 240 Hz, share a program: what it does not read
-#: costs nothing.
+#: Recordings up to this many samples, a minute at 240 Hz, share a program: samples that it does not
+#: read cost nothing.
 _SHORTEST = 1 << 14
 #: Of how many windows on it is twice as many: an eighth less time each, for another program.
 _LARGE = 10_000

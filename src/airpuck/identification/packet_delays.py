@@ -50,7 +50,7 @@ class PacketDelays:
 
     #: Number of each packet in ``Trajectory.command``, increasing.
     packet: Int[np.ndarray, " B"]
-    #: Arrival after the one that the model's delay predicts [s].
+    #: Arrival minus the arrival that the model's delay predicts [s].
     deviation: Float[np.ndarray, " B"]
     #: Of the deviation, from the noise of the poses and what the model does not explain [s].
     standard_error: Float[np.ndarray, " B"]
@@ -166,7 +166,7 @@ class _Surroundings:
     ) -> tuple[Float[np.ndarray, "E 3 B"], Float[np.ndarray, "E 3 m B"]]:
         """Return poses less predicted ones, up to a line, and accelerations by each unknown.
 
-        These are each δ, the share by which each motor is stronger, and that of all moments.
+        These are each δ, and the relative excess strength of each motor and of all moments.
         """
         since = self._since - late[self.packet]
         answer = self._answer(since)
@@ -262,7 +262,7 @@ class _Regression:
         #: Numbers of the D packets, increasing.
         self.packet, first = np.unique(packet.ravel()[order], return_index=True)
         self._best = row, column = np.unravel_index(order[first], spread.shape)
-        #: Of each packet: delay [s] and its variance [s²], and whether it is to be believed.
+        #: Of each packet: delay [s], its variance [s²], and whether the estimate is reliable.
         self.late, self.variance = (late + step[: self._m])[row, column], spread[row, column]
         self.usual = self.where_usual[column]
         #: What share of a delay is found; the prior takes the rest.
@@ -293,6 +293,6 @@ def _regressed(
         variance = components.variances(rest)
         return _Regression(residual, slope, variance, near.packet, late[near.packet])
 
-    # The noise hardly depends on the delays, the delays on the noise.
+    # Noise and delays barely depend on each other.
     before = before or at(residual)
     return at(before.rest[..., before.where_usual])

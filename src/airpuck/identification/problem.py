@@ -1,4 +1,4 @@
-"""What is to be identified, and how: the choices of a fit, their checks and their defaults."""
+"""An identification problem: data, model, settings, and their checks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SAME_RATE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is to be identified from what, and how."""
+    """An identification problem: data, model, loss, optimiser, preparation."""
 
     trajectories: tuple[Trajectory, ...]
     rung: Rung
@@ -54,7 +54,7 @@ class Problem:
         return cls(tuple(trajectories), rung, **given)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be fitted."""
+        """Raise InputError if the problem cannot be solved."""
         if not isinstance(self.method, LevenbergMarquardt):
             if self.loss.robust:
                 raise InputError("is of Levenberg-Marquardt only", field="robust")
@@ -108,7 +108,7 @@ class Problem:
         return self.rung.mask(self.start) | (delay & self.learns_delay)
 
     def loss_on(self, trajectories: Sequence[Trajectory]) -> PredictionLoss:
-        """Return the loss on the trajectories as they are prepared by now."""
+        """Return the loss on prepared trajectories."""
         return self.loss.on(
             trajectories, self.vehicle, frame=self.rung.frame, learns_delay=self.learns_delay
         )

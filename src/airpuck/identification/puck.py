@@ -33,11 +33,11 @@ _AROUND = 0.03
 _SLOWEST = 0.1
 #: Velocities after a bounce scatter by this share of the speed, if by nothing else.
 _SCATTER = 0.005
-#: Numbers are identified by at least so many bounces.
+#: Fewest bounces from which a number is identified.
 _FEWEST = 3
 #: Bounces that are off by more robust standard deviations than this are left out.
 _OUTLIER = 4.0
-_TOO_LITTLE = "the puck hardly moves; record some seconds of shots and bounces"
+_TOO_LITTLE = "the puck barely moves; record some seconds of shots and bounces"
 #: Which bounces tell what.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "are there"}
 #: Worst standard errors with which a number counts as identified.
@@ -139,7 +139,7 @@ def identify_puck(
     Raises
     ------
     InputError
-        If a recording has no puck, or it hardly moves.
+        If a recording has no puck, or the puck barely moves.
     """
     play = play or AirHockey()
     listed = [recordings] if isinstance(recordings, Recording) else list(recordings)
@@ -166,7 +166,7 @@ def identify_puck(
             puck = puck.model_copy(update={name: float(drag[axis])})
             errors[name] = float(error[axis])
         else:
-            notes.append(f"the puck hardly {little}: {name} is assumed")
+            notes.append(f"the puck barely {little}: {name} is assumed")
     pairs = _pairs(lines, used, parts)
     bounces = [b for b in (_rail_bounce(play, *pair) for pair, _ in pairs) if b is not None]
     rail, rail_errors, n_rail, said = _fit_rail(puck, bounces)

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float
 _LOOK_BACK, LEAST = 8, 8
 #: Poses farther apart in time belong to two flights [s].
 _GAP = 0.1
-#: In two frames a moving puck goes so far [m].
+#: Distance that a moving puck covers in two frames, at least [m].
 _MOVING = 5e-4
-#: A frame is off the flight beyond so many standard deviations.
+#: Standard deviations beyond which a frame does not belong to the flight.
 _GATE = 6.0
-#: By so much the drag may differ from the one supposed while flights are looked for [1/s].
+#: Largest error of the drag that is assumed while flights are searched for [1/s].
 _DRAG_MARGIN = 0.3
 #: Steps of Gauss and Newton to the drag.
 _ITERATIONS = 6
@@ -33,7 +33,7 @@ class Flight:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A flight as it was fitted: a straight path in σ."""
+    """A fitted flight: a straight path in σ."""
 
     #: The flight's first and last time [s].
     start: float
@@ -111,7 +111,7 @@ def _continues(
     kept: list[int],
     i: int,
 ) -> bool:
-    """Return whether a pose goes on with a flight."""
+    """Return whether a pose continues a flight."""
     if kept and time[i] - time[kept[-1]] > _GAP:
         return False
     if len(kept) < 3:
@@ -159,7 +159,7 @@ def fit_flights(
 
 
 def _standard_error(slope: Float[np.ndarray, " F"], curvature: float) -> float:
-    """Return the standard error of a drag: that of the noise, or of how flights differ."""
+    """Return the standard error of a drag, from noise or from the spread between flights."""
     n = len(slope)
     between = np.sqrt((slope @ slope) * n / max(n - 1, 1)) / curvature
     return float(max(between, 1 / np.sqrt(curvature)))

@@ -110,8 +110,8 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     The deviations of a recording are normal about their mean with variance σ² + v, v the variance
     of each estimate. σ² is the one at which Σ (δ - mean)²/(σ² + v), with the mean weighted by
     1/(σ² + v), is its expectation, the degrees of freedom (Paule and Mandel, Journal of Research
-    of the NBS 87, 1982); zero where the noise explains the spread. The standard error is that of a
-    sample variance, by the fourth moment.
+    of the NBS 87, 1982); zero where the noise explains the spread. The standard error of the
+    sample variance follows from the fourth moment.
     """
     delays = [found for found in delays if len(found)]
     degrees = sum(len(found) - 1 for found in delays)
@@ -143,7 +143,7 @@ def spread_of(delays: Sequence[PacketDelays]) -> float:
 
 
 def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
-    """Return the variance of the known packets' mean delay about that of all packets.
+    """Return the variance of the known packets' mean delay about the mean of all packets.
 
     A fit to retimed packets knows the mean delay of those B packets whose arrival it found. They
     are a sample of the radio's packets: σ²/B where all are known equally well, σ² Σ w²/(Σ w)² with
@@ -167,7 +167,7 @@ def error_growth(
     basis: Float[np.ndarray, "P R"],
     rounds: int,
 ) -> Float[np.ndarray, "P P"]:
-    """Return the factor 1 + K + K² + … of errors in data that were prepared so many times.
+    """Return the factor 1 + K + K² + … of errors in data after repeated preparation.
 
     An estimate from data that were prepared with the error e is off by K e, K = -H⁻¹ M, beside an
     error of its own. Columns of `basis` are the directions in which it can vary.

@@ -1,10 +1,10 @@
 """Which rung? The ladder is tried on blocks of the user's own recording that no fit has seen.
 
-The richest rung prepares the data for all (faults, packets): it can be any of the others. Each rung
-is fitted to all of them. For each of K blocks of time the fit then goes on without it, from its
-optimum, and predicts it from every start. Nothing that a fold learns from lies within a window's
+The richest rung, which contains all others, prepares the data (faults, packets). Each rung is
+fitted to all of them. For each of K blocks of time the fit then continues without the block,
+from its optimum, and predicts the block from every start. Nothing that a fold learns from lies within a window's
 length of what it predicts. All they share is the preparation, by parameters that saw all data; the
-block itself is predicted as it was recorded.
+block itself is predicted from the raw recording.
 
 Rungs are compared in pairs, on the same predictions, with intervals by blocks of time. The simplest
 whose error is within one standard error of the least is taken (Breiman, Friedman, Olshen and Stone,
@@ -62,11 +62,11 @@ class Candidate:
         Errors of W held-out predictions after 0.2 s: x, y [m], yaw [rad], and the root of the sum
         of their weighted squares, which is what rungs are judged by.
     change : array, shape (4,)
-        Root mean squares over those of the next simpler rung; NaN for the first.
+        Ratio of root mean squares to the next simpler rung's; NaN for the first.
     interval : array, shape (2, 4)
         95 % interval of `change`.
     excess : float
-        Logarithm of the mean weighted square over that of the best rung.
+        Logarithm of the mean weighted square relative to the best rung's.
     standard_error : float
         Of `excess`.
     """
@@ -108,7 +108,7 @@ class Selection:
     candidates : tuple of Candidate
         All rungs, the simplest first.
     fit : Fit
-        That of the chosen rung to all data; its model file says what it was chosen from.
+        Fit of the chosen rung to all data; its model file lists the other candidates.
     folds : int
         Blocks of time that were held out in turn.
     start : array, shape (W,)
@@ -199,7 +199,7 @@ def select_model(
     Raises
     ------
     InputError
-        If the data do not fit the vehicle, or are too short for so many blocks.
+        If the data do not fit the vehicle, or are too short for this number of blocks.
     """
     loss, preparation = loss or Loss(), preparation or Preparation()
     if loss.prediction_time is None:
@@ -253,7 +253,7 @@ def selection_rows(selection: Selection) -> list[list[str]]:
 
 
 def selection_title(selection: Selection) -> str:
-    """Tell what the errors of `selection_rows` are of."""
+    """Return the title of the table of `selection_rows`."""
     return (
         f"Errors after 0.2 s on {selection.folds} blocks of time held out in turn, "
         f"{len(selection.start)} predictions"
@@ -261,16 +261,16 @@ def selection_title(selection: Selection) -> str:
 
 
 def selection_words(selection: Selection) -> str:
-    """Tell in a sentence what was chosen, and why."""
+    """Return a sentence on the chosen rung, and why it was chosen."""
     name, best = selection.fit.model.name, selection.best
     if name == best.name:
         return f"{name} predicts best, and nothing simpler is within one standard error of it"
     [chosen] = [candidate for candidate in selection.candidates if candidate.name == name]
-    # Half the difference of the logarithms of mean squares is that of the roots.
+    # Logarithms of root mean squares differ by half as much as logarithms of mean squares.
     excess, error = 50 * chosen.excess, 50 * chosen.standard_error
     return (
         f"{name} is the simplest that is as good as any: its errors are {excess:.1f} ± {error:.1f} "
-        f"% above those of {best.name}, the best"
+        f"% above the errors of {best.name}, the best"
     )
 
 
@@ -332,7 +332,7 @@ class _HeldOut:
         return errors
 
     def _without(self, model: Model, loss: PredictionLoss, number: int) -> Model:
-        """Let a fit go on without a block, and without what lies within a window of it."""
+        """Continue a fit without a block, and without anything within a window of the block."""
         first, gap = loss.windows.starts, _length(loss.windows)
         apart = first + 2 * gap <= self.edges[number]
         apart |= first >= self.edges[number + 1] + gap

@@ -69,22 +69,22 @@ class Loss(Settings):
         Where predictions start from; by default the paper's, each command in force from its own
         sample on.
     encoder_time : float
-        What the encoder looks at [s]; by default that of E = 40 samples at 240 Hz. (The paper's 20
-        samples are three time constants of the motors: of what these did before, 5 % remain, and
-        bias the thrust by about 1 %.)
+        Past that the encoder looks at [s]; by default E = 40 samples at 240 Hz. (The paper's 20
+        samples are three time constants of the motors: 5 % of the earlier motor speeds remain,
+        and bias the thrust by about 1 %.)
     weights : tuple of float
-        Weights of the x, y [1/m] and γ [1/rad] errors; by default those of the published fits,
-        (1, 1, 0.1). The paper's text has (1, 1, 1).
+        Weights of the x, y [1/m] and γ [1/rad] errors; by default (1, 1, 0.1), as in the
+        published fits. The paper's text has (1, 1, 1).
     prediction_time : float or None
-        What is predicted [s]; by default that of T = 50 steps at 240 Hz. None: one window over the
+        Length of a prediction [s]; by default T = 50 steps at 240 Hz. None: one window over the
         whole trajectory (eq. loss_full).
     spacing : float
-        From one window to the next, at least one sample [s]; by default that of 7 samples at 240
+        Time from one window to the next, at least one sample [s]; by default 7 samples at 240
         Hz. Windows that begin one sample apart share all others: every seventh keeps nearly all of
         the information at a seventh of the cost.
     robust : bool
-        Whether windows that the model predicts badly count less, so that unmarked faults hardly
-        move the estimate. `LevenbergMarquardt` only.
+        Whether windows that the model predicts badly count less, so that unmarked faults have
+        little influence. `LevenbergMarquardt` only.
     """
 
     HEADING: ClassVar = "Prediction errors that are minimised"
@@ -157,7 +157,7 @@ class Loss(Settings):
         Parameters
         ----------
         trajectories : sequence of Trajectory
-            What windows are to be cut from.
+            Data to cut windows from.
 
         Returns
         -------
@@ -191,12 +191,12 @@ class Preparation(Settings):
     ----------
     faults : {"exclude", "keep"} or None
         Whether windows in which motors or radio failed are left out: a first fit finds them
-        (`airpuck.find_faults`), the next goes on without them. None: they are, unless a recording
+        (`airpuck.find_faults`), the next excludes them. None: they are, unless a recording
         was prepared by others (`Trajectory.delay_known`), so that fits to a published data set stay
         comparable. Not searched for where one window spans the whole trajectory.
     delay : {"fit", "fixed"} or None
         Whether the transport delay is learned, as a continuous parameter for all recordings; or
-        the delay of each recording is taken as it is, in whole samples. None: it is learned by
+        each recording's own delay is used, in whole samples. None: it is learned by
         `LevenbergMarquardt` on rungs with a motor lag, unless a recording was prepared by others:
         each of those was shifted by another delay.
     retimings : int

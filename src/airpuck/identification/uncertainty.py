@@ -27,7 +27,7 @@ from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
 #: below which its direction is not determined: rounding leaves about 1e-15.
 UNDETERMINED = 1e-11
-#: Largest leverage of a block: one that alone determines something would have 1.
+#: Largest leverage of a block; a block that alone determines a direction has leverage 1.
 _LEVERAGE = 0.999
 #: Length of a block [s]. Neighbouring blocks share what reaches across their border
 #: (`shared_at_borders`): shorter blocks share more, longer ones are too few in a minute of flight.
@@ -40,7 +40,7 @@ _ALIKE = 0.95
 _MAIN = 0.5
 #: Most parameters to name at once.
 _NAMED = 4
-#: Condition number of the scaled information from which a fit is said to be poorly determined: a
+#: Condition number of the scaled information above which a fit counts as poorly determined: a
 #: factor 1000 between the standard errors of its best and its worst direction.
 _POOR = 1e6
 
@@ -262,8 +262,8 @@ def _notes(space: Subspace) -> list[str]:
         )
     if len(space.undetermined):
         notes.append(
-            f"the data do not determine {len(space.undetermined)} directions: the covariance is "
-            "that of the others (pseudo-inverse)"
+            f"the data do not determine {len(space.undetermined)} directions: the covariance "
+            "covers the others (pseudo-inverse)"
         )
     return notes
 
@@ -297,7 +297,7 @@ def identifiability_of(
     free: Bool[np.ndarray, " P"],
     propellers: tuple[str, ...],
 ) -> Identifiability:
-    """Tell which combinations of the free parameters an information matrix determines.
+    """Return which combinations of the free parameters an information matrix determines.
 
     Before a fit as after one: directions without information cannot be learned from these data.
     """

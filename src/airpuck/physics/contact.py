@@ -48,8 +48,8 @@ def contact_impulse(
 
     Newton's law of restitution in the normal direction. In the tangential one an impulse that takes
     away the share `grip` of the slip if the cone of friction allows that, and otherwise lies on the
-    cone. `mobilities` are sums over both bodies; speeds are those of the body that the impulse acts
-    on, less those of the other.
+    cone. `mobilities` are sums over both bodies; speeds are of the body that the impulse acts
+    on, relative to the other.
     """
     k_nn, k_tt, k_nt = mobilities
     wanted_n, wanted_t = -(1 + restitution) * normal_speed, -grip * slip

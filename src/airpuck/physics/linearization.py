@@ -19,7 +19,7 @@ def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.n
     """Find commands under which the craft at rest stays at rest.
 
     Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`. Where
-    optional effects change that, Newton's method goes on from there by steps of least norm.
+    optional effects change that, Newton's method continues from there by steps of least norm.
     """
     configuration = np.asarray(dynamics.configuration)
     wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))

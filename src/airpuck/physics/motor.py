@@ -82,7 +82,7 @@ def motor_speeds(
     speed = _followed(command, lag_decay(np, duration, time_constant))
     if idle_lag is None:
         return speed
-    # The lag of the last pass, until it no longer changes: then each step is that of `motor_step`.
+    # The lag of the last pass, until it no longer changes: each step then equals `motor_step`.
     for _ in range(_MOST_PASSES):
         before = speed
         lag = _lag_within(np, speed[:-1], command[:-1], duration, time_constant, idle_lag)

@@ -69,7 +69,7 @@ def sigma_of(drag: float, duration: float) -> float:
 
 
 def time_of(drag: float, sigma: float) -> float:
-    """Return the time at which σ has a value; infinite for one that it never reaches."""
+    """Return the time at which σ reaches a value; infinite if it never does."""
     if drag <= _NO_DRAG:
         return sigma
     return -math.log1p(-drag * sigma) / drag if drag * sigma < 1 else math.inf
@@ -93,7 +93,7 @@ def coast(puck: Puck, state: PuckState, duration: float) -> PuckState:
 def sigma_to_circle(x: float, y: float, vx: float, vy: float, radius: float) -> float:
     """Return σ until a point meets a circle about the origin; infinite for never.
 
-    One that touches the circle or is inside meets it now, if it goes on inwards.
+    A point that touches the circle or is inside meets it now, if it moves inwards.
     """
     towards = -(x * vx + y * vy)
     if towards <= STILL * radius:
@@ -131,7 +131,7 @@ class Walls:
         if abs(vx) > STILL:
             side = math.copysign(1.0, vx)
             sigma = (side * x_reach - x) / vx
-            # One that is between the posts already has not crossed the rail.
+            # A puck already between the posts has not crossed the rail.
             if abs(y + vy * max(sigma, 0.0)) >= half and max(sigma, 0.0) < found.sigma:
                 found = Meeting(max(sigma, 0.0), "rail", -side, 0.0)
             sigma = (side * (line + self._radius) - x) / vx
@@ -148,7 +148,7 @@ class Walls:
         return found
 
     def nearest(self, x: float, y: float) -> tuple[float, float]:
-        """Return the place nearest to one (but for corners) where the middle of a puck can be."""
+        """Return the nearest place where the middle of a puck can be, corners aside."""
         x_reach, y_reach = self._reach
         y = max(-y_reach, min(y, y_reach))
         half, beside = self._half_goal, abs(y)

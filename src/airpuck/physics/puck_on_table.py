@@ -26,7 +26,7 @@ Met = Literal["rail", "post", "goal", "mallet", "craft"]
 RESTING = 0.01
 #: Discs that come nearer more slowly than this do not meet [m/s].
 _STILL = 1e-9
-#: A puck with more than so many contacts within so much time is wedged: it stops for a while [s].
+#: A puck with more contacts than this within this time [s] is wedged: it stops for a while [s].
 MOST, WITHIN, _STOPPED = 20, 1e-3, 4e-3
 #: Discs that overlap by less are not pressed together [m].
 _ROUNDING = 1e-9
@@ -88,7 +88,7 @@ class PuckOnTable:
     goal : int
         In which goal it is, by the sign of its x; 0: in play.
     touches : list of Touch
-        Its contacts so far.
+        Its contacts since the start.
     """
 
     def __init__(

@@ -29,7 +29,7 @@ def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -
     k2 = rates(motion + h / 2 * k1, middle)
     k3 = rates(motion + h / 2 * k2, middle)
     k4 = rates(motion + h * k3, end)
-    # Nothing depends on the position, so its stages are sums of those of the velocity.
+    # Nothing depends on the position, so its stages are sums of the velocity's stages.
     position = state[:2] + h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
     return xp.concatenate([position, motion + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), end])
 

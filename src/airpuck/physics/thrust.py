@@ -93,7 +93,7 @@ def slope_rows(
 ) -> Float[np.ndarray, "R entries"]:
     """Return A such that A c are slopes at points (propeller, φ), c the flat coefficients.
 
-    Slopes that no free coefficient changes, such as that of κφ² at 0, are left out.
+    Slopes that no free coefficient changes, such as the slope of κφ² at 0, are left out.
     """
     power = np.arange(1, free.shape[1] + 1)
     rows = np.zeros((len(points), *free.shape))
