@@ -1,8 +1,9 @@
 """Which error of a model would explain its innovations: a motor, mass, delay, lag; how large.
 
 One regression of the innovations on what each error would do to them. An error is reported only if
-it is significantly larger than a negligible one, and only tested if the commands would have shown
-an error that matters. Standard errors come from blocks of time, since late packets leave traces that last.
+it is significantly larger than a negligible one. It is tested only if the commands would have
+revealed a relevant error. Standard errors come from blocks of time, since the effect of a late
+packet lasts.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Whiteness by the test of Ljung and Box (1978), and several tests at once by Holm (1979).
 
-With enough samples any model is wrong. So effects are tested against the smallest relevant effect, a
-share of the variance, and not against zero (Murphy and Myors 1999).
+With enough samples any model is wrong. So effects are tested against the smallest relevant effect,
+a share of the variance, and not against zero (Murphy and Myors 1999).
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 The richest rung, which contains all others, prepares the data (faults, packets). Each rung is
 fitted to all of them. For each of K blocks of time the fit then continues without the block,
-from its optimum, and predicts the block from every start. Nothing that a fold learns from lies within a window's
-length of what it predicts. All they share is the preparation, by parameters that saw all data; the
-block itself is predicted from the raw recording.
+from its optimum, and predicts the block from every start. No training data lie within a window's
+length of the block. All folds share the preparation, by parameters that saw all data; the block
+itself is predicted from the raw recording.
 
 Rungs are compared in pairs, on the same predictions, with intervals by blocks of time. The simplest
 whose error is within one standard error of the least is taken (Breiman, Friedman, Olshen and Stone,
