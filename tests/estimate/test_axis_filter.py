@@ -1,11 +1,38 @@
 """The filter's equations against Van Loan's integral and Gaussian conditioning."""
 
+import math
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from airpuck.estimate.axis_filter import correct, spread
+from airpuck.estimate.axis_filter import (
+    INITIAL_DISTURBANCE,
+    INITIAL_VELOCITY,
+    IndependentAxes,
+    Noise,
+    correct,
+    propagate,
+    spread,
+    to_world,
+)
+from airpuck.model.model_file import read_model
+from airpuck.physics.rigid_body import acceleration
+
+DYNAMICS = read_model("paper:M3").dynamics
+NOISE = Noise((1e-4, 1e-4, 1e-3), (0.1, 0.1, 2.0), (0.2, 0.0, 3.0))
+AXES = IndependentAxes(DYNAMICS, NOISE)
+#: x, y, yaw: position, velocity, disturbance.
+MEAN = np.array([[0.1, 0.3, 0.02], [-0.2, -0.5, 0.05], [2.0, 1.5, -0.4]])
+SPEED = np.array([0.3, 0.1, 0.5, 0.2, 0.0, 0.4])
+
+
+def belief():
+    roots = np.random.default_rng(1).normal(size=(3, 3, 3))
+    return MEAN.copy(), roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(3)
 
 
 @given(st.floats(1e-4, 0.1), st.integers(0, 99))
@@ -40,3 +67,92 @@ def test_a_correction_is_the_conditional_gaussian(component, seed):
         np.testing.assert_allclose(less[i], expected, atol=1e-9)
         shift = expected @ unit * innovation[i] / variance[i]
         np.testing.assert_allclose(after[i], mean[i] + shift, atol=1e-9)
+
+
+def test_a_body_vector_is_turned_by_the_yaw():
+    for yaw in (0.0, 0.7, -2.0):
+        vector = np.array([0.6, -0.3])
+        found = complex(*to_world(vector, yaw))
+        assert found == pytest.approx(complex(*vector) * np.exp(1j * yaw))
+
+
+def test_a_belief_begins_at_rest_and_unsure():
+    pose = np.array([0.3, -0.1, 1.0])
+    mean, covariance = AXES.begin(pose, None, 0.0)
+    np.testing.assert_array_equal(mean, np.column_stack([pose, np.zeros((3, 2))]))
+    drives = np.array([1.0, 0.0, 1.0])  # the second axis has no disturbance
+    for axis in range(3):
+        deviations = (NOISE.pose[axis], INITIAL_VELOCITY[axis], INITIAL_DISTURBANCE[axis])
+        expected = np.diag(np.square(deviations) * [1, 1, drives[axis]])
+        np.testing.assert_allclose(covariance[axis], expected)
+
+
+def test_the_mean_moves_as_the_equations_of_motion():
+    command = np.array([0.5, 0.0, 0.3, 0.6, 0.2, 0.1])
+    tau = float(DYNAMICS.motor_time_constant)
+
+    def rate(t, state):
+        speeds = command + (SPEED - command) * math.exp(-t / tau)
+        yaw, vx, vy, spin = state[2:]
+        gained = np.array(acceleration(np, DYNAMICS, (yaw, vx, vy, spin), speeds)) + MEAN[:, 2]
+        return [vx, vy, spin, *gained]
+
+    start = np.concatenate([MEAN[:, 0], MEAN[:, 1]])
+    errors = []
+    for count in (4, 8, 16):
+        h = 0.1 / count
+        mean, speed = propagate(
+            np, DYNAMICS, MEAN, SPEED, np.full(count, h), np.tile(command, (count, 1))
+        )
+        exact = solve_ivp(rate, (0.0, 0.1), start, rtol=1e-11, atol=1e-12).y[:, -1]
+        errors.append(np.abs(np.concatenate([mean[:, 0], mean[:, 1]]) - exact).max())
+        np.testing.assert_allclose(speed, command + (SPEED - command) * math.exp(-0.1 / tau))
+        np.testing.assert_array_equal(mean[:, 2], MEAN[:, 2])
+    # Of second order: half the steps, four times the error.
+    assert errors[0] < 6e-3
+    assert 3.0 < errors[0] / errors[1] < 5.0
+    assert 3.0 < errors[1] / errors[2] < 5.0
+
+
+def test_an_exact_mouse_tells_the_velocity():
+    body = np.array([0.4, 0.1])
+    mean, covariance = AXES.use_mouse(belief(), body, 1e-9)
+    assert complex(*mean[:2, 1]) == pytest.approx(complex(*body) * np.exp(2j))
+    np.testing.assert_allclose(covariance[:2, 1, 1], 0.0, atol=1e-12)
+    # Nothing is said of the spin; and a bad mouse says nothing at all.
+    np.testing.assert_array_equal(mean[2], MEAN[2])
+    np.testing.assert_allclose(AXES.use_mouse(belief(), body, 1e9)[0], MEAN, atol=1e-9)
+
+
+def test_an_exact_inertial_sensor_tells_disturbance_and_spin():
+    felt, gyro = np.array([0.5, -0.2]), 1.2
+    motion = MEAN[2, 0], MEAN[0, 1], MEAN[1, 1], MEAN[2, 1]
+    modelled = acceleration(np, DYNAMICS, motion, SPEED)
+    mean, covariance = AXES.use_imu(belief(), (SPEED, SPEED), felt, gyro, (1e-9, 1e-9))
+    world = complex(*felt) * np.exp(2j)
+    # What is felt is the model's acceleration and the disturbance.
+    assert complex(*mean[:2, 2]) == pytest.approx(world - complex(*modelled[:2]))
+    assert mean[2, 1] == pytest.approx(gyro)
+    np.testing.assert_allclose(covariance[:2, 2, 2], 0.0, atol=1e-9)
+    assert covariance[2, 1, 1] == pytest.approx(0.0, abs=1e-9)
+    # A gyro alone leaves the rest of x and y alone, and the other way round.
+    mean, _ = AXES.use_imu(belief(), (SPEED, SPEED), felt, gyro, (1e9, 1e-9))
+    np.testing.assert_allclose(mean[:2], MEAN[:2], atol=1e-9)
+    mean, _ = AXES.use_imu(belief(), (SPEED, SPEED), felt, gyro, (1e-9, 1e9))
+    np.testing.assert_allclose(mean[2], MEAN[2], atol=1e-9)
+
+
+def test_a_pose_is_used_after_moving_there_by_its_shortest_difference():
+    command = np.array([0.5, 0.0, 0.3, 0.6, 0.2, 0.1])
+    pieces = np.array([0.004, 0.002]), np.stack([command, SPEED])
+    mean, covariance, speed = AXES.advance(np, *belief(), SPEED, *pieces)
+    # Two turns on is the same yaw.
+    pose = mean[:, 0] + [1e-3, -2e-3, 0.01 + 4 * math.pi]
+    after, less, same, innovation = AXES.use_pose(np, *belief(), SPEED, *pieces, pose)
+    np.testing.assert_allclose(innovation, [1e-3, -2e-3, 0.01])
+    np.testing.assert_array_equal(same, speed)
+    expected, smaller = correct(mean, covariance, 0, innovation, np.square(NOISE.pose))
+    np.testing.assert_allclose(after, expected)
+    np.testing.assert_allclose(less, smaller)
+    state, *_ = AXES.predict(np, *belief(), SPEED, *pieces)
+    np.testing.assert_allclose(state, np.concatenate([mean[:, 0], mean[:, 1]]))

@@ -1,0 +1,124 @@
+"""Competing states of the craft against Gaussian conditioning and Bayes' rule by hand."""
+
+import numpy as np
+import pytest
+
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.multiple_models import MultipleModels, States
+from airpuck.model.model_file import read_model
+
+DYNAMICS = read_model("paper:M3").dynamics
+NOISE = Noise((1e-4, 1e-4, 1e-3), (0.1, 0.1, 2.0), (0.2, 0.2, 3.0))
+SIZE = 16  # nine of the axes, six motors, the delay
+
+
+def states(count, tempering=1.0, tail=1e9):
+    """With a tail so long, innovations are normal."""
+    rng = np.random.default_rng(3)
+    roots = 0.1 * rng.normal(size=(count, 7, 7))
+    weight = rng.uniform(0.5, 1.5, count)
+    names = tuple(str(k) for k in range(count))
+    return States(names, weight / weight.sum(), roots @ roots.swapaxes(1, 2), 3.0, tail, tempering)
+
+
+def belief(count, seed=0):
+    rng = np.random.default_rng(seed)
+    roots = rng.normal(size=(count, SIZE, SIZE))
+    weights = rng.uniform(0.5, 1.5, count)
+    covariances = roots @ roots.swapaxes(1, 2) + np.eye(SIZE)
+    return 0.1 * rng.normal(size=(count, SIZE)), covariances, weights / weights.sum()
+
+
+def test_a_measurement_is_conditioning_and_bayes_rule():
+    models = MultipleModels(DYNAMICS, NOISE, states(3))
+    means, covariances, weights = belief(3)
+    rng = np.random.default_rng(5)
+    rows, variances = rng.normal(size=(2, SIZE)), np.array([0.3, 0.7])
+    reference = weights @ means
+    innovations = np.array([0.4, -0.6])
+    found, less, posterior = models.measure(
+        np, (means, covariances, weights), rows, innovations, variances
+    )
+    evidence = []
+    for k in range(3):
+        expected = rows @ covariances[k] @ rows.T + np.diag(variances)
+        gain = covariances[k] @ rows.T @ np.linalg.inv(expected)
+        surprise = innovations - rows @ (means[k] - reference)
+        np.testing.assert_allclose(found[k], means[k] + gain @ surprise)
+        np.testing.assert_allclose(less[k], covariances[k] - gain @ rows @ covariances[k])
+        normal = -surprise @ np.linalg.solve(expected, surprise) / 2
+        evidence.append(np.log(weights[k]) + normal - np.linalg.slogdet(expected)[1] / 2)
+    expected = np.exp(np.array(evidence) - max(evidence))
+    np.testing.assert_allclose(posterior, expected / expected.sum(), rtol=1e-4)
+
+
+def test_evidence_is_tempered_and_outliers_count_less():
+    given = belief(3)
+    rows, variances = np.eye(SIZE)[:1], np.array([1e-3])
+
+    def weights(innovation, **options):
+        models = MultipleModels(DYNAMICS, NOISE, states(3, **options))
+        return models.measure(np, given, rows, np.array([innovation]), variances)[2]
+
+    # The power of the likelihood: logarithms of the odds change by its share.
+    full, half = weights(1.0), weights(1.0, tempering=0.5)
+    change = [np.log(after / given[2]) for after in (full, half)]
+    np.testing.assert_allclose(
+        change[1] - change[1][0], 0.5 * (change[0] - change[0][0]), atol=1e-6
+    )
+    # With few degrees of freedom an innovation far out decides less.
+    far, robust = weights(5.0), weights(5.0, tail=3.0)
+    assert np.ptp(np.log(robust / given[2])) < np.ptp(np.log(far / given[2]))
+
+
+def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
+    models = MultipleModels(DYNAMICS, NOISE, states(2))
+    means, covariances, weights = belief(2)
+    covariances = np.repeat(np.diag([1e-6] * 9 + [1e-2] * 7)[None], 2, axis=0)
+    rows = np.eye(SIZE)[3:4]  # the velocity along x
+    found, *_ = models.measure(
+        np, (means, covariances, weights), rows, np.ones(1), np.array([1e-6])
+    )
+    expected = weights @ means[:, 3] + 1.0
+    np.testing.assert_allclose(found[:, 3], expected, atol=0.02)
+    # Six deviations are none.
+    near, *_ = models.measure(np, (means, covariances, weights), rows, np.array([6e-3]), exact)
+    assert np.abs(near[:, 3] - weights @ means[:, 3] - 6e-3).max() > 1e-3
+
+
+def test_time_mixes_states_and_keeps_the_first_two_moments_of_what_is_known():
+    models = MultipleModels(DYNAMICS, NOISE, states(3))
+    before = belief(3)
+    means, covariances, weights = models.renewed(np, before, 1.5)
+    # Each state lasts with probability exp(-t / T); the weights relax to the prior's.
+    same = np.exp(-1.5 / 3.0)
+    np.testing.assert_allclose(weights, same * before[2] + (1 - same) * models.states.weight)
+    # Of the axes, nothing is lost or gained by the mixing.
+    ours, theirs = (
+        (w @ m, np.einsum("h,hij->ij", w, c + m[:, :, None] * m[:, None, :]))
+        for m, c, w in ((means, covariances, weights), before)
+    )
+    np.testing.assert_allclose(ours[0][:9], theirs[0][:9])
+    np.testing.assert_allclose(ours[1][:9, :9], theirs[1][:9, :9])
+    # After long, nothing is left of what was known of the motors.
+    means, covariances, _ = models.renewed(np, before, 100.0)
+    np.testing.assert_allclose(means[:, 9:], 0.0, atol=1e-12)
+    np.testing.assert_allclose(covariances[:, 9:, 9:], models.states.covariance, atol=1e-9)
+
+
+def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
+    models = MultipleModels(DYNAMICS, NOISE, states(1))
+    means, covariances, weights = belief(1)
+    yaw = means[0, 2]
+    body = np.array([0.2, -0.1])
+    found, less, _ = models.use_mouse((means, covariances, weights), body, 1e-6)
+    world = complex(*body) * np.exp(1j * yaw)
+    np.testing.assert_allclose(found[0, 3:5], [world.real, world.imag], atol=1e-6)
+    np.testing.assert_allclose(np.diag(less[0])[3:5], 0.0, atol=1e-9)
+    speed = np.full(6, 0.3)
+    exact = (1e-6, 1e-6)
+    found, less, _ = models.use_imu(
+        (means, covariances, weights), (speed, speed), np.array([0.1, 0.2]), 0.7, exact
+    )
+    assert found[0, 5] == pytest.approx(0.7, abs=1e-5)
+    assert less[0, 5, 5] < 1e-9
