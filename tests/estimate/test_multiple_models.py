@@ -75,14 +75,12 @@ def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
     models = MultipleModels(DYNAMICS, NOISE, states(2))
     means, covariances, weights = belief(2)
     covariances = np.repeat(np.diag([1e-6] * 9 + [1e-2] * 7)[None], 2, axis=0)
-    rows = np.eye(SIZE)[3:4]  # the velocity along x
-    found, *_ = models.measure(
-        np, (means, covariances, weights), rows, np.ones(1), np.array([1e-6])
-    )
-    expected = weights @ means[:, 3] + 1.0
-    np.testing.assert_allclose(found[:, 3], expected, atol=0.02)
+    rows, exact = np.eye(SIZE)[3:4], np.array([1e-6])  # the velocity along x
+    before = means, covariances, weights
+    found, *_ = models.measure(np, before, rows, np.ones(1), exact)
+    np.testing.assert_allclose(found[:, 3], weights @ means[:, 3] + 1.0, atol=0.02)
     # Six deviations are none.
-    near, *_ = models.measure(np, (means, covariances, weights), rows, np.array([6e-3]), exact)
+    near, *_ = models.measure(np, before, rows, np.array([6e-3]), exact)
     assert np.abs(near[:, 3] - weights @ means[:, 3] - 6e-3).max() > 1e-3
 
 

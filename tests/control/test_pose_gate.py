@@ -1,0 +1,100 @@
+"""Which poses are believed: one frame that jumps, a jump that lasts, clocks that go back."""
+
+import math
+
+import numpy as np
+import pytest
+
+from airpuck.control.pose_gate import PoseGate
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.kalman import KalmanFilter
+from airpuck.model.model_file import read_model
+
+MODEL = read_model("paper:M3")
+NOISE = Noise((1e-4, 1e-4, 1e-3), (0.1, 0.1, 2.0), (0.2, 0.2, 3.0))
+FRAME = 1 / 240
+
+
+class Craft:
+    """A gate before a filter, and a clock."""
+
+    def __init__(self):
+        self.gate, self.filter = PoseGate(), KalmanFilter(MODEL, NOISE, compiled=False)
+        self.time = 1.0
+
+    def see(self, *pose, frames=1):
+        for _ in range(frames):
+            self.time += FRAME
+            assert self.gate.offer(self.filter, self.time, np.array(pose, dtype=float))
+        return self.gate.refusal(self.time)
+
+    def place(self):
+        return self.filter.predict(self.time).state[:3]
+
+
+@pytest.fixture
+def craft():
+    found = Craft()
+    assert found.see(0.2, 0.1, 0.3, frames=20) is None
+    return found
+
+
+def test_without_a_pose_there_is_no_control():
+    assert PoseGate().refusal(0.0) == "no pose"
+
+
+@pytest.mark.parametrize("jump", [(0.12, 0, 0), (0, -0.12, 0), (0, 0, 1.2)])
+def test_a_pose_that_jumps_is_not_believed_and_the_next_good_one_is(craft, jump):
+    assert craft.see(*(np.array([0.2, 0.1, 0.3]) + jump)) == "jumping pose"
+    np.testing.assert_allclose(craft.place(), (0.2, 0.1, 0.3), atol=0.01)
+    assert craft.see(0.2, 0.1, 0.3) is None
+
+
+@pytest.mark.parametrize("move", [(0.08, 0, 0), (0, 0, 0.8), (0, 0, 4 * math.pi)])
+def test_a_pose_that_a_craft_can_have_is_believed(craft, move):
+    assert craft.see(*(np.array([0.2, 0.1, 0.3]) + move)) is None
+
+
+def test_a_jump_that_lasts_is_believed_after_fifty_milliseconds(craft):
+    began = craft.time + FRAME
+    while craft.time < began + 0.045:
+        assert craft.see(0.6, -0.2, 2.0) == "jumping pose"
+    np.testing.assert_allclose(craft.place(), (0.2, 0.1, 0.3), atol=0.02)
+    while craft.time < began + 0.05:
+        found = craft.see(0.6, -0.2, 2.0)
+    assert found is None
+    np.testing.assert_allclose(craft.place(), (0.6, -0.2, 2.0), atol=1e-3)
+
+
+def test_poses_that_do_not_agree_with_each_other_are_never_believed(craft):
+    for k in range(40):
+        assert craft.see(0.6, 0.2 * (-1) ** k, 0.3) == "jumping pose"
+
+
+def test_poses_become_stale_after_fifty_milliseconds_and_begin_anew(craft):
+    assert craft.gate.refusal(craft.time + 0.0499) is None
+    assert craft.gate.is_recent(craft.time - 0.0499)
+    assert craft.gate.refusal(craft.time + 0.0501) == "stale pose"
+    assert not craft.gate.is_recent(craft.time - 0.0501)
+    # However far away the craft is by then.
+    craft.time += 0.06
+    assert craft.see(-0.8, 0.3, -2.0) is None
+    np.testing.assert_allclose(craft.place(), (-0.8, 0.3, -2.0), atol=1e-3)
+
+
+def test_old_stamps_are_left_out_unless_the_clock_went_back(craft):
+    gate, pose = craft.gate, np.array([0.9, 0.0, 0.0])
+    for old in (0.0, 0.01, 0.049):
+        assert not gate.offer(craft.filter, craft.time - old, pose)
+    assert gate.refusal(craft.time) is None
+    np.testing.assert_allclose(craft.place(), (0.2, 0.1, 0.3), atol=1e-3)
+    craft.time -= 0.5
+    assert craft.see(0.9, 0.0, 0.0) is None
+    np.testing.assert_allclose(craft.place(), (0.9, 0.0, 0.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("time, pose", [(math.nan, (0, 0, 0)), (1.2, (math.nan, 0, 0))])
+def test_what_is_not_a_number_is_bad_input_until_a_good_pose_comes(craft, time, pose):
+    assert not craft.gate.offer(craft.filter, time, np.array(pose, dtype=float))
+    assert craft.gate.refusal(craft.time) == "bad input"
+    assert craft.see(0.2, 0.1, 0.3) is None
