@@ -123,6 +123,8 @@ def test_it_waits_before_its_goal_on_the_side_of_the_puck():
     for y, waits in ((0.2, 0.1), (-0.1, -0.05), (0.5, half), (-0.5, -half)):
         found = wanted(PuckState(0.5, y))
         np.testing.assert_allclose(found, (home, np.clip(waits, -half, half)))
+    # So it does for one that comes, but will not have come within 0.8 s.
+    np.testing.assert_allclose(wanted(PuckState(0.5, 0.2, 0.0, -0.4, 0.0)), (home, 0.1), atol=1e-3)
 
 
 @pytest.mark.parametrize(

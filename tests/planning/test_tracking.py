@@ -98,3 +98,16 @@ def test_a_plan_may_end_in_motion_and_is_flown_until_then():
     fly(plan_tracker(moving, default_tuning()), twin, 0.1 + moving.duration, 0.01)
     error = twin.truth[1][-1, :6] - moving.samples[1][-1, :6]
     assert (np.abs(error) < (0.02, 0.02, 0.15, 0.15, 0.15, 3.0)).all()
+
+
+@pytest.mark.parametrize(("pause", "begins"), [(0.0, 1.0), (0.3, 1.9)])
+def test_a_craft_departs_after_a_second_of_rest_without_a_gap(planned, pause, begins):
+    pilot = Departing(plan_tracker(planned, default_tuning()), planned)
+    start, time = planned.states[0, :3], 0.0
+    for k in range(250):
+        time += 0.01 + (pause if k == 60 else 0.0)
+        pilot.pose(time, start)
+        pilot.sent(time, pilot.step(time).command)
+        if np.isfinite(pilot.reference.begin):
+            break
+    assert begins - 0.02 < pilot.reference.begin < begins + 0.15
