@@ -59,7 +59,7 @@ class Command(_PlainFlags, TyperCommand):
 
 
 def repeated(**counts: int) -> type[Command]:
-    """Return a kind of command with options of so many numbers each, that may be repeated.
+    """Return a kind of command whose named options take several numbers and may be repeated.
 
     Typer knows options of several numbers, and options that are repeated, but not both in one. The
     command gets texts with the numbers in them.

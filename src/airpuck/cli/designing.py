@@ -135,7 +135,7 @@ def summary(found: Design) -> list[str]:
         text.append(f"stays undetermined: {', '.join(missing)}")
     level = found.residual_level
     if level == 1.0:
-        return [*text, "residuals as on the twin; those of a real flight are larger (--after)"]
+        return [*text, "residuals as on the twin; a real flight has larger ones (--after)"]
     return [*text, f"variance of the residuals: {level:.2g} times the twin's, as in the fit"]
 
 

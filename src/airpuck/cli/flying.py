@@ -262,7 +262,7 @@ def _replay_lines(replay: Replay) -> Iterator[str]:
 
 
 def _excitation_line(excited: Excited) -> str:
-    """Say how near to the rails the craft came."""
+    """Return a line on how close the craft came to the rails."""
     contacts, met = excited.contacts, "none"
     if contacts:
         times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)

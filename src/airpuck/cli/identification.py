@@ -260,7 +260,7 @@ def _fitted(
     settings: dict[str, Any],
     quiet: bool,
 ) -> tuple[Fit, Selection | None]:
-    """Identify a rung; or of several, the one that predicts best what is held out."""
+    """Identify a rung; of several, the rung that predicts held-out data best."""
     if len(rungs) > 1:
         found = airpuck.select_model(trajectories, rungs, progress=say(quiet), **settings)
         return found.fit, found

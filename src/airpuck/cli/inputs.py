@@ -30,7 +30,7 @@ def read_craft(path: Path | None) -> Vehicle | None:
 
 
 def refuse_others(command: Callable[..., Any], option: str, values: Mapping[str, Any]) -> None:
-    """Refuse options of a command that do not go with one, if they are given."""
+    """Raise InputError for given options that another option excludes."""
     for name, parameter in signature(command, eval_str=True).parameters.items():
         if name in values and values[name] != parameter.default:
             spelt = parameter.annotation.__metadata__[-1].param_decls
@@ -49,7 +49,7 @@ def mapping_in(path: Path | None) -> RecordingMapping | None:
 
 
 def read_flight(recording: Path, mapping: Path | None) -> Recording:
-    """Read a recording as it was logged."""
+    """Read a raw recording."""
     return airpuck.read_recording(recording, mapping=mapping_in(mapping))
 
 
@@ -142,7 +142,7 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
 
 
 def check_predictive(path: Path | None, tuning: Tuning, *models: Model) -> None:
-    """Refuse a tuning file whose predictive law does not suit the models."""
+    """Raise InputError if a tuning's predictive law does not suit the models."""
     from airpuck.control.mpc import MPC
 
     if path is not None:
@@ -152,7 +152,7 @@ def check_predictive(path: Path | None, tuning: Tuning, *models: Model) -> None:
 
 
 def rows(texts: Sequence[str], count: int, option: str, words: str) -> list[tuple[float, ...]]:
-    """Read the numbers of an option that may be repeated, each time with so many of them."""
+    """Read the numbers of a repeated option, `count` each time."""
     found = []
     for text in texts:
         try:

@@ -325,7 +325,7 @@ def view(
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
 ) -> None:
-    """Show the table in the browser as it is; drag the set point of `airpuck fly-topic`."""
+    """Show the table in the browser, live; drag the set point of `airpuck fly-topic`."""
     from airpuck.web.view import view_live
 
     belief = inputs.read_belief(model)
@@ -342,7 +342,7 @@ def on_topics(live: LiveSettings, mapping: Path | None) -> LiveSettings:
 
 
 def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
-    """Read a time-optimal plan; refuse one that cannot be flown here from rest."""
+    """Read a time-optimal plan; raise InputError if it cannot be flown here from rest."""
     from airpuck.planning.plan import read_plan
 
     found = read_plan(path, craft)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from airpuck.model.model_file import Model
     from airpuck.twin.settings import TwinSettings
 
-#: Events that are told to who watches.
+#: Events that spectators are told.
 _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
 #: Columns and rows of the picture; time between two [s].
 _LETTERS = (78, 20)
@@ -41,9 +41,9 @@ def match(
     right: Annotated[str, Option("--right", metavar="PLAYER", help="The same.")] = "human",
     games: Annotated[int, options.number("N", "How many games.", numbers.GAMES)] = 1,
     seed: options.Seed = 0,
-    goals: Annotated[int, options.number("N", "Who has so many first has won.", numbers.GOALS)] = 7,
+    goals: Annotated[int, options.number("N", "Goals needed to win.", numbers.GOALS)] = 7,
     limit: Annotated[
-        float, options.number("S", "A game lasts no longer.", numbers.FLIGHT_DURATION)
+        float, options.number("S", "Time limit of a game.", numbers.FLIGHT_DURATION)
     ] = 300.0,
     model: Annotated[str, Option(metavar="MODEL", help="What a craft is.")] = "paper:M3",
     twin: options.TwinFile = None,

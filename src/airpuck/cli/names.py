@@ -18,7 +18,7 @@ _SHOWN = 40
 
 
 def check_written(context: Any, option: str, path: Path, kind: Output) -> None:
-    """Refuse a place that cannot be written to, or is another option's, before the work is done."""
+    """Reject an output that cannot be written, or that another option uses, before any work."""
     taken: dict[Path, str] = context.meta.setdefault(_OUTPUTS, {})
     whole = path.absolute()
     if whole in taken:
@@ -28,7 +28,7 @@ def check_written(context: Any, option: str, path: Path, kind: Output) -> None:
 
 
 def check_inputs(context: Any) -> None:
-    """Refuse names that the system does not allow, and to write where something is read."""
+    """Reject invalid names, and outputs that are also inputs."""
     outputs: dict[Path, str] = context.meta.get(_OUTPUTS, {})
     for parameter in context.command.params:
         written = parameter.opts[0] in outputs.values()
@@ -47,7 +47,7 @@ def check_inputs(context: Any) -> None:
 
 
 def refuse_empty(arguments: list[str]) -> None:
-    """Refuse an empty name; it would stand for the present folder."""
+    """Reject an empty name; it would mean the current folder."""
     for before, argument in zip(["", *arguments], arguments, strict=False):
         option, _, value = argument.partition("=")
         if not argument:

@@ -47,9 +47,9 @@ def number(metavar: str, help: str, limits: Range, *names: str) -> Any:
 Json = Annotated[
     Path | None, output("FILE", "Write the figures as JSON; - for standard output.", "--json")
 ]
-Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but results.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Print results only.")]
 Verbose = Annotated[
-    bool, Option("--verbose", "-v", help="Say more: conditioning, correlations, constraints.")
+    bool, Option("--verbose", "-v", help="Print more: conditioning, correlations, constraints.")
 ]
 VehicleFile = Annotated[
     Path | None,

@@ -34,7 +34,7 @@ def origin() -> Origin:
     """Return the command line that runs, and the date, for the foot of a page.
 
     The date is $SOURCE_DATE_EPOCH where that is a date, so that pages can be reproduced
-    (reproducible-builds.org). Home folders are nobody else's business.
+    (reproducible-builds.org). Home folders are replaced by ~, since they are private.
     """
     from airpuck.report.page import Origin
 
@@ -42,7 +42,7 @@ def origin() -> Origin:
     moment = float(seconds) if seconds.isdecimal() else math.inf
     moment = moment if moment <= _LATEST else time.time()
     date = datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M UTC")
-    # Path.home() raises where there is none. That of nobody in particular is the root.
+    # Path.home() raises where there is no home. A user without an account has the root.
     home = os.path.expanduser("~").rstrip("/")  # noqa: PTH111
     inside = re.compile(f"(?<![^=]){re.escape(home)}(?=/|$)") if home[:1] == "/" else None
     words = [inside.sub("~", word) if inside else word for word in sys.argv[1:]]
@@ -69,7 +69,7 @@ def warn(warnings: Any, quiet: bool = False) -> None:
 def console(error: bool = False) -> Console:
     """Return where tables are printed; where that is no terminal, rows may be longer.
 
-    Names such as [red] and :smile: stay as they are.
+    Names such as [red] and :smile: are printed literally.
     """
     from rich.console import Console
 
@@ -113,7 +113,7 @@ def table(
 
 
 def is_stdout(json_file: Path | None) -> bool:
-    """Tell whether JSON goes to standard output, where nothing else may then be printed."""
+    """Return whether JSON goes to standard output, where nothing else may then be printed."""
     return json_file is not None and str(json_file) == "-"
 
 

@@ -103,7 +103,7 @@ def _play_live(
     spectators: list[Spectator] = [score]
     with ExitStack() as stack:
         if page is not None:
-            # The loop that flies waits for nobody.
+            # The flight loop never waits for a page.
             pages = stack.enter_context(served(page, live_hello(craft, table), waits=False))
             spectators.append(LivePage(pages, score, level))
             invite(pages, page, say(on_graph.quiet))

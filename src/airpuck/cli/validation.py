@@ -329,7 +329,7 @@ def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
 
 
 def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
-    """Say what changed from one model to the other."""
+    """Return lines on what changed from one model to the other."""
     sentences = [*found.verdicts, *(f"note: {note}" for note in found.notes)]
     header = f"from {names[0]} to {names[1]}, {len(found.changes)} quantities:"
     return [header, *(f"  {sentence}" for sentence in sentences)]

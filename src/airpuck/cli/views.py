@@ -40,7 +40,7 @@ def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
     """Return a command as Typer takes it.
 
     A parameter whose type is a settings class becomes an option for each of its fields, under the
-    heading of the class; one whose type carries a `Setting` becomes that option.
+    heading of the class. A parameter whose type carries a `Setting` becomes that option.
     """
     signature = inspect.signature(command, eval_str=True)
     views = [_View.of(parameter) for parameter in signature.parameters.values()]
@@ -155,7 +155,7 @@ def _typed(kind: Any) -> Any:
 
 
 def _spelling(setting: Setting, name: str) -> str:
-    """Return an option as it is typed, with its short form behind a slash."""
+    """Return an option's spelling, with its short form behind a slash."""
     return setting.option or f"--{name.replace('_', '-')}"
 
 

@@ -34,8 +34,8 @@ _SILENT = 0.1
 _AT_RAIL = 0.01
 #: Largest difference of a pose from its prediction that is no jump [m, m, rad].
 _JUMP = (0.05, 0.05, 0.5)
-#: A deviation of a motor, or of the delay, is reported if the interval of so many standard
-#: deviations leaves out all that are smaller than this [1], or this [s].
+#: A deviation of a motor, or of the delay, is reported if its interval of this many standard
+#: deviations (first two numbers) excludes all smaller deviations than this [1], or this [s].
 _SURE_LOSS, _SURE_LATE, _LOSS, _LATE = 4.0, 3.0, 0.1, 0.004
 #: Standard deviations above these mean that it is not known [1, s]: the commands change too little.
 #: Then they follow the noise of the poses that errors are judged by, and estimates are biased.
@@ -215,7 +215,7 @@ class HealthMonitor:
             return
         blind = last is None or time - last > _SILENT or time - self._commanded > _SILENT
         if blind or (np.abs(pose[:2]) > self._free).any():
-            # Begin anew; what was found out is kept until it is too old.
+            # Restart; earlier findings are kept until they are too old.
             self._filter.restart(time, pose)
             self._since = None
             self._begun.clear()
@@ -289,7 +289,7 @@ class HealthMonitor:
         return lost @ lost.T
 
     def _forget(self, time: float) -> None:
-        """Let go of what is too old."""
+        """Drop findings that are too old."""
         while self._judged and self._judged[0].time < time - _OLD * self._memory:
             self._judged.popleft()
         self._commands.drop((self._begun[0][0] if self._begun else time) - _BEFORE)

@@ -43,7 +43,7 @@ _FRAMES = (
     ((1, -1, 1), "an axis of the position has the wrong sign, or x and y are exchanged"),
     ((1, -1, -1), "seen from below: an axis and the yaw have the wrong sign"),
 )
-#: Share of the modelled effect below which a motor is said to do nothing.
+#: Share of the modelled effect below which a motor counts as dead.
 _SILENT = 0.15
 #: A pulse that fits this many times worse than the best of its motor was disturbed.
 _DISTURBED = 5.0
@@ -345,7 +345,7 @@ def _delay_check(delays: Float[np.ndarray, " p"], modelled: float) -> Check:
     )
     differs = abs(found - modelled)
     if differs > _DELAY_WRONG:
-        return Check("transport delay", "wrong", f"{words}: identify anew, or mend the radio")
+        return Check("transport delay", "wrong", f"{words}: identify again, or mend the radio")
     if differs > _DELAY_DIFFERS:
         return Check("transport delay", "look", words)
     return Check("transport delay", "ok", words)

@@ -12,7 +12,7 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.thrust import thrust
 
-#: Poses that are looked at before a pulse begins and after it ends [s].
+#: Span of poses used before a pulse begins and after it ends [s].
 _BEFORE, _AFTER = 0.15, 0.25
 #: Transport delays that are tried [s], and the longest step of integration [s].
 _DELAYS = np.arange(0.0, 0.15, 1e-3)
@@ -54,8 +54,8 @@ def pulse_responses(
 
     with F the thrust that the model expects of the motor, a₀ and ω₀' what is always there (idling
     propellers, a tilted table), and g the effect in question. For a delay d this is a linear
-    regression; d is the one with the least residual. The poses are used as they are, nothing is
-    differentiated.
+    regression; d is the delay with the least residual. The poses are neither smoothed
+    nor differentiated.
     """
     idle = model.vehicle.command_min
     pulses = find_pulses(command_time, command, idle)

@@ -19,7 +19,7 @@ from airpuck.craft.vehicle import Vehicle
 _STALE = 0.05
 #: Distance to the rails at which the test ends [m].
 _MARGIN = 0.05
-#: After a pause this long between two steps the test begins anew [s].
+#: After a pause this long between two steps the test restarts [s].
 _PAUSE = 0.2
 
 

@@ -65,7 +65,7 @@ class Replay:
     status : tuple of str
         Outcome of each of our steps.
     reference, pose : array, shape (K, 3)
-        What was asked for, and where the craft was believed to be [m, m, rad].
+        The reference, and the estimated pose of the craft [m, m, rad].
     gains : Gains or None
         Of the LQR; None: another law.
     fitted : bool
@@ -234,7 +234,7 @@ def _fly_through(
     times: Float[np.ndarray, " K"],
     sent: Float[np.ndarray, "K n"],
 ) -> Estimates:
-    """Run the estimator through the flight; return estimates, or why there are none.
+    """Run the estimator through the flight; return estimates, or the reason for each missing one.
 
     The gains play no part in this.
     """

@@ -68,7 +68,7 @@ class Track:
     time: Float[np.ndarray, " N"]
     #: x, y [m], yaw, continuous [rad].
     pose: Float[np.ndarray, "N 3"]
-    #: What was asked for, on the same time axis.
+    #: The set points, on the same time axis.
     set_points: SetPoints
     #: [s].
     command_time: Float[np.ndarray, " K"]

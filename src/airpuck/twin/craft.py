@@ -70,7 +70,7 @@ class Craft:
         self._after, self._met = self.state, False
 
     def next_change(self, now: float) -> float:
-        """Return when its motion next changes by itself: a packet, a timeout, a motor [s]."""
+        """Return when its motion next changes: a packet, a timeout, a motor's fault [s]."""
         return min(self.radio.next_change(now), self.motors.next_change(now))
 
     def thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
@@ -97,7 +97,7 @@ class Craft:
         return self._disc(self._after, duration)
 
     def arrive(self, way: Moving, lasted: float, hit: bool = False) -> None:
-        """End the step after so much of it: where its way has led, or at a puck that it `hit`."""
+        """End the step after a duration: at the end of its path, or at a puck that it `hit`."""
         now, duration, *_ = self._step
         before = self.state
         if hit or lasted < duration:

@@ -152,7 +152,7 @@ def track(
     pose : tuple of float, default (0, 0, 0)
         Where the craft stands at first [m, m, rad].
     gain : array, shape (3, 6), optional
-        Of the LQR; by default that of the tuning's weights.
+        Of the LQR; by default from the tuning's weights.
     compensate_delay, reject_disturbance : bool, default True
         See `TrackingController`.
     on_board : bool, default False
@@ -208,7 +208,7 @@ def track(
 
 
 def _check_duration(duration: float, tuning: Tuning | None) -> None:
-    """Refuse a flight that ends before its first command does, or is far too long."""
+    """Raise InputError for a flight shorter than a control period, or far too long."""
     numbers.FLIGHT_DURATION.check(duration, "duration")
     period = (tuning or default_tuning()).period_s
     if duration < period:

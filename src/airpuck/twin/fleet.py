@@ -57,7 +57,7 @@ class FleetFlight:
     settings: TwinSettings
     #: Steps of the integration, of all craft together.
     steps: int
-    #: Of so many frames one was kept.
+    #: One in this many frames was kept.
     every: int = 1
 
     def __len__(self) -> int:
@@ -105,14 +105,14 @@ def fly_fleet(
     seeds : sequence of int, default (0,)
         Of radio and sensors, one for all or one for each craft.
     delays : array, shape (B,), optional
-        Mean delay of the radio of each craft; by default that of the settings, or where they have
-        none the transport delay of its model [s].
+        Mean delay of each craft's radio; by default the settings' delay, or where they have none
+        the transport delay of its model [s].
     poses : array, shape (3, B), optional
         Where they stand at first, by default at the origin [m, m, rad].
     settings : TwinSettings, optional
         Table, sensors, radio, effects; by default the packaged ones.
     every : int, default 1
-        Keep every so many frames of the motion capture.
+        Keep one in `every` frames of the motion capture.
     precision : {"double", "single"}, default "double"
         Of the arithmetic.
 
@@ -129,7 +129,7 @@ def fly_fleet(
 
     Notes
     -----
-    The steps are those of a `Twin` whose on-board sensors are off, and so are the states but for
+    The steps equal the steps of a `Twin` with its on-board sensors off; the states agree up to
     rounding. Runs on JAX's default device.
     """
     settings = settings or default_twin_settings()
@@ -203,7 +203,7 @@ def _common_size(**sizes: int) -> int:
 
 
 def _check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
-    """Refuse craft that no one program can fly, and motors that only `Twin` simulates."""
+    """Raise InputError for craft that cannot share a program, or faults that only `Twin` knows."""
     if not models:
         raise InputError("is empty", field="models")
     kinds = {
@@ -229,7 +229,7 @@ def _check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
 
 
 def _check_arrays(command: np.ndarray, delays: np.ndarray, poses: np.ndarray, n: int) -> None:
-    """Refuse arrays of a wrong shape, or with numbers out of range."""
+    """Raise InputError for arrays of a wrong shape, or with numbers out of range."""
     if command.ndim not in (2, 3) or command.shape[1] != n or not command.size:
         raise InputError(f"must have the shape (K, {n}) or (K, {n}, B)", field="command")
     if not ((command >= 0) & (command <= 1)).all():
@@ -241,7 +241,7 @@ def _check_arrays(command: np.ndarray, delays: np.ndarray, poses: np.ndarray, n:
 
 
 def _check_numbers(period: float, seeds: Sequence[int], every: int, precision: str) -> None:
-    """Refuse numbers out of range."""
+    """Raise InputError for numbers out of range."""
     if not len(seeds):
         raise InputError("is empty", field="seeds")
     for seed in seeds:
@@ -255,7 +255,7 @@ def _check_numbers(period: float, seeds: Sequence[int], every: int, precision: s
 
 
 def _frames(rate: float, duration: float, every: int) -> tuple[Float[np.ndarray, " F"], int]:
-    """Return times to step to, and which of them to keep: every so many."""
+    """Return times to step to, and one in how many of them to keep."""
     pieces = math.ceil(1 / (rate * LONGEST_STEP) - 1e-9)
     count = math.floor(duration * rate * (1 + 1e-12)) + 1
     frames = np.arange((count - 1) * pieces + 1) / (rate * pieces)

@@ -33,7 +33,7 @@ class MotorUnit:
         self._released = np.full(len(names), np.inf)
 
     def next_change(self, now: float) -> float:
-        """Return when something changes by itself."""
+        """Return when a motor next fails or recovers."""
         times = [t for t in (*self._edges, *self._released.tolist()) if now < t < math.inf]
         return min(times, default=math.inf)
 

@@ -24,7 +24,7 @@ LONGEST_STEP = 1 / 240
 
 
 def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
-    """Put a craft on a table, with the effects of its model and those of the settings.
+    """Put a craft on a table, with the effects of its model and of the settings.
 
     Parameters
     ----------

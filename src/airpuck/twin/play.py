@@ -67,7 +67,7 @@ class HandMallet:
         return x, max(-y_reach, min(y, y_reach))
 
     def next_change(self, now: float) -> float:
-        """Return when its motion changes by itself: a hand may move it at any time."""
+        """Return infinity: a hand's motion has no events of its own."""
         return math.inf
 
     def longest_step(self, puck: PuckOnTable) -> float:
@@ -146,9 +146,9 @@ class World:
     bodies : list of Craft or HandMallet
         The discs.
     observers : list of Observer
-        Who measures; they are told at the times that they ask for.
+        Sensors; each is called at the times that it requests.
     time : float
-        Of the last event [s]; who asks for a later time moves nothing.
+        Time of the last event [s].
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class World:
         """Return the disc on the other side."""
         found = next((each for each in self.bodies if each is not body), None)
         if found is None:
-            raise InputError("is shared, but by nobody; give it a second disc", field="world")
+            raise InputError("has one disc only; give it a second one", field="world")
         return found
 
     @property
@@ -191,7 +191,7 @@ class World:
         return np.full(3, math.nan) if self.puck.goal else np.array(self.puck.state[:3])
 
     def _advance(self, time: float) -> None:
-        """Move everything on; nothing changes by itself in between."""
+        """Move all discs to a time; no event lies in between."""
         while self.time < time:
             duration = min(time - self.time, LONGEST_STEP)
             # The last piece ends at the time itself, not a rounding error before it.

@@ -41,8 +41,8 @@ def queued_delay(
 ) -> tuple[float, float]:
     """Simulate how long packets take that do not overtake each other.
 
-    A packet waits for those before it, so that the delays are longer on average, and spread less,
-    than those of single packets: 21.7 ± 6.3 ms instead of 20.8 ± 7 ms at a hundred packets a
+    A packet waits for earlier packets, so that delays are longer on average, and spread less, than
+    delays of single packets: 21.7 ± 6.3 ms instead of 20.8 ± 7 ms at a hundred packets a
     second.
     """
     sent = period * np.arange(packets)

@@ -58,7 +58,7 @@ class Sensor:
         return self._count / self.rate
 
     def measure(self, truth: Float[np.ndarray, " k"]) -> None:
-        """Take the sample that is due; there is none of a truth of NaN."""
+        """Take the sample that is due; a truth of NaN gives none."""
         time = self.due
         self._count += 1
         # All numbers are always drawn, so that one setting does not change what another draws.
@@ -86,7 +86,7 @@ class Sensor:
         return found
 
     def stream(self) -> Stream:
-        """Return everything that was measured so far."""
+        """Return all measurements."""
         columns = COLUMNS[self.kind]
         stamps, arrivals, values = zip(*self._logged, strict=True) if self._logged else ((), (), ())
         table = np.array(values).reshape(-1, len(columns))
@@ -109,7 +109,7 @@ class SensorSet:
 
     @property
     def next_event(self) -> float:
-        """When one next measures or is heard [s]."""
+        """When a sensor next measures or a measurement arrives [s]."""
         return min(min(sensor.due, sensor.next_arrival) for sensor in self.sensors)
 
     def observe(self, time: float) -> None:
@@ -125,13 +125,13 @@ class SensorSet:
         return [measurement for _, measurement in found]
 
     def streams(self) -> dict[str, Stream]:
-        """Return everything that was measured so far, by kind."""
+        """Return all measurements, by kind."""
         streams = {sensor.kind: sensor.stream() for sensor in self.sensors}
         return {kind: stream for kind, stream in streams.items() if len(stream)}
 
 
 def _nanoseconds(times: Sequence[float]) -> Int[np.ndarray, " N"]:
-    """Convert times of the flight to those of the recorder."""
+    """Convert times of the flight to the recorder's clock."""
     return EPOCH_NS + np.rint(np.array(times, dtype=float) * 1e9).astype(np.int64)
 
 

@@ -22,7 +22,7 @@ from airpuck.model.quantities import EFFECTS, Pair
 
 
 def _forward(interval: tuple[float, float]) -> tuple[float, float]:
-    """Refuse an interval that ends before it starts."""
+    """Raise ValueError for an interval that ends before it starts."""
     if interval[0] > interval[1]:
         raise ValueError("must end after it starts")
     return interval
@@ -186,7 +186,7 @@ class TwinSettings(AirHockey):
         Parameters
         ----------
         transport_delay : float
-            That of the twin's model, for a radio without a delay of its own [s].
+            Delay of the twin's model, for a radio without a delay of its own [s].
 
         Returns
         -------

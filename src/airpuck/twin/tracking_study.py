@@ -62,7 +62,7 @@ class Tracked:
 
     @property
     def results(self) -> list[SetPointResult]:
-        """What became of the set points on the twin, that of the start left out."""
+        """Results of the set points on the twin, without the initial one."""
         return self.twin.moves()
 
     @property
@@ -265,7 +265,7 @@ def _flown(
 
 
 def _clipped(name: str, command: Float[np.ndarray, "K n"]) -> tuple[str, ...]:
-    """Say so where commands of one's own pilot lay outside of what motors take."""
+    """Return a warning if a user's pilot gave commands outside [0, 1]."""
     low, high = float(command.min(initial=np.inf)), float(command.max(initial=-np.inf))
     if low >= 0 and high <= 1:
         return ()
@@ -274,7 +274,7 @@ def _clipped(name: str, command: Float[np.ndarray, "K n"]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """What a flight of the study is to do."""
+    """The task of a flight: set points, start and duration."""
 
     set_points: SetPoints
     #: Length [s].
@@ -296,7 +296,7 @@ class _Course:
     def flown(cls, real: Track, border: tuple[float, float]) -> _Course:
         """Return a real flight's set points at its times, from where it started."""
         first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
-        # Noise, or another radius, may put one that leans on a rail beyond it.
+        # Noise, or another radius, may put a craft that touches a rail beyond it.
         reach = np.array([*border, np.inf])
         x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
         return cls(real.set_points, float(real.command_time[-1]), (x, y, yaw), real)

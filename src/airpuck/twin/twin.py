@@ -46,7 +46,7 @@ class Twin:
     mallet : tuple of float, optional
         Where the human's mallet is at first [m]; by default there is none. It needs a puck.
     logs : bool, default True
-        Whether to keep everything for `recording` and `truth`. One that runs for hours should not.
+        Whether to keep everything for `recording` and `truth`; not for runs of hours.
     world : World, optional
         The table that it shares with another disc; by default one of its own.
 
@@ -90,7 +90,7 @@ class Twin:
             world = World(settings, puck, logs=logs)
             played = _played(puck, mallet)
         elif puck is not None or mallet is not None:
-            raise InputError("are those of the world; leave them out", field="puck and mallet")
+            raise InputError("come with the world; leave them out", field="puck and mallet")
         elif world.puck is None:
             raise InputError("is shared to play; give it a puck", field="world")
         else:
@@ -176,7 +176,7 @@ class Twin:
 
     @property
     def next_event(self) -> float:
-        """When a sensor next measures or is heard; others may sleep until then [s]."""
+        """When a sensor next measures or a measurement arrives [s]."""
         return self._sensors.next_event
 
     @property
@@ -186,7 +186,7 @@ class Twin:
 
     @property
     def truth(self) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N s"]]:
-        """Times [s] and true states of all frames of the motion capture so far."""
+        """Times [s] and true states of all frames of the motion capture."""
         times, states = zip(*self._truth, strict=True)
         return np.array(times), np.array(states)
 
@@ -250,14 +250,14 @@ def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple
 
 
 def check_seed(seed: Any, field: str = "seed", limits: numbers.Range = numbers.SEED) -> None:
-    """Refuse what random numbers cannot begin with."""
+    """Raise InputError if a seed cannot start a random generator."""
     if not isinstance(seed, Integral):
         raise InputError(f"must be a whole number, not {seed!r}", field=field)
     limits.check(int(seed), field)
 
 
 def _check_pose(pose: Any, table: Table, radius: float) -> None:
-    """Refuse a pose off the table."""
+    """Raise InputError for a pose off the table."""
     if len(pose) != 3 or not all(map(math.isfinite, pose)):
         raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field="pose")
     reach = table.reach(radius)
