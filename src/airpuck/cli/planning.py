@@ -180,7 +180,7 @@ def race(
 def _race_table(found: Race) -> Table:
     """Lay out how long plan and flights took."""
     rows = [
-        ("no control takes less than", f"{found.plan.lower_bound:.3f}", ""),
+        ("no control takes less than", _known(found.plan.lower_bound), ""),
         ("planned", f"{found.plan.duration:.3f}", ""),
     ]
     for name, times in (("flown", found.flown), ("as a set point", found.set_point)):
@@ -206,9 +206,18 @@ def _goal(
     return airpuck.Goal(x, y, None if free in ("yaw", "both") else yaw, rates, turn)
 
 
+def _known(bound: float | None) -> str:
+    return "–" if bound is None else f"{bound:.3f}"
+
+
 def _sentence(found: Plan) -> str:
     """Say how fast it is, and how fast it cannot be."""
     bound, limits = found.lower_bound, "these limits of spin and speed"
+    if bound is None:
+        return (
+            f"{found.duration:.3f} s; the time has no lower bound, because an effect of the model "
+            "does not state its own"
+        )
     if bound == 0:
         return f"{found.duration:.3f} s; how much faster a craft could be is not known"
     return (

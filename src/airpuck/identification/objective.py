@@ -23,7 +23,6 @@ from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.normal_equations import compiled_normal_equations
 from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.parameters import Parameters
-from airpuck.physics.effects import IdleLag
 from airpuck.physics.rigid_body import CenterOfMassFrame, register_pytrees
 
 #: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
@@ -267,7 +266,7 @@ def _linear_basis(
     def at(vector: Any) -> tuple[Any, Any]:
         dynamics = parameters.with_vector(vector).dynamics(np, vehicle)
         # The motors' lag is no part of the accelerations.
-        effects = tuple(e for e in dynamics.effects if not isinstance(e, IdleLag))
+        effects = tuple(e for e in dynamics.effects if e.idle_lag is None)
         return dynamics.configuration, effects
 
     names = {"inertia", "angle_offset", "center_of_mass"}

@@ -2,7 +2,8 @@
 
 An effect changes the thrusts, or adds accelerations; `airpuck.physics.rigid_body.acceleration`
 applies those of `Dynamics.effects` in order. All are array operations with the batch as last axis.
-A new effect is a class here, and an entry in `airpuck.model.parameters.Parameters`.
+A new effect is a class here, and an entry in `airpuck.model.quantities`. The class also bounds what
+it does; without these bounds a plan has no lower bound on its time.
 """
 
 from __future__ import annotations
@@ -46,13 +47,37 @@ class Layout:
     xp: Any = np
 
 
+@dataclass(frozen=True)
+class Envelope:
+    """The largest velocities at which bounds of an effect must hold."""
+
+    #: Of the geometric centre, in any direction [m/s].
+    speed: float
+    #: |ω| [rad/s].
+    spin: float
+
+
 class Effect:
-    """Base of all effects: changes nothing."""
+    """Base of all effects: changes nothing.
+
+    A subclass that changes thrusts states `thrust_bounds`, one that adds accelerations states
+    `acceleration_bound`. None there means that no bound is known.
+    """
 
     @classmethod
     def of(cls, layout: Layout, value: Any) -> Effect:
         """Make the effect from its coefficients, in the order of the class's fields."""
         return cls(*value)
+
+    @property
+    def idle_lag(self) -> Any:
+        """By how much the motors' lag is longer at standstill; None: the same at any speed."""
+        return None
+
+    @property
+    def gravity(self) -> tuple[Any, Any] | None:
+        """A constant acceleration in the world frame, which accelerometers do not feel [m/s²]."""
+        return None
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Change the thrusts."""
@@ -60,7 +85,30 @@ class Effect:
 
     def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
         """Add accelerations of the centre of mass."""
-        return 0.0, 0.0, 0.0
+        if self.gravity is None:
+            return 0.0, 0.0, 0.0
+        ax, ay = self.gravity
+        return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0
+
+    def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
+        """Bound the changed thrusts, for any thrusts (n, K) from `low` to `high`."""
+        return (low, high) if type(self).thrust is Effect.thrust else None
+
+    def acceleration_bound(self, within: Envelope) -> tuple[float, float] | None:
+        """Bound the added acceleration and angular acceleration, beyond `gravity`."""
+        return (0.0, 0.0) if type(self).acceleration is Effect.acceleration else None
+
+
+def _scaled(low: Any, high: Any, least: Any, most: Any) -> tuple[Any, Any]:
+    """Bound thrusts times factors, of which each lies anywhere within its range."""
+    corners = np.stack(np.broadcast_arrays(low * least, low * most, high * least, high * most))
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _weighted(weights: Any, low: Any, high: Any) -> tuple[Any, Any]:
+    """Bound weighted sums of thrusts."""
+    up, down = np.maximum(weights, 0.0), np.minimum(weights, 0.0)
+    return up @ low + down @ high, up @ high + down @ low
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +129,13 @@ class Drag(Effect):
         rate = self.linear + self.quadratic * speed
         spin_rate = self.spin_linear + self.spin_quadratic * xp.abs(motion.spin)
         return -rate * motion.forward, -rate * motion.left, -spin_rate * motion.spin
+
+    def acceleration_bound(self, within: Envelope) -> tuple[float, float]:
+        """Take drag at the largest velocities; see `Effect.acceleration_bound`."""
+        speed = within.speed + 1e-6  # as `acceleration` smooths it
+        linear = (abs(self.linear) + abs(self.quadratic) * speed) * speed
+        spin_rate = abs(self.spin_linear) + abs(self.spin_quadratic) * within.spin
+        return float(linear), float(spin_rate * within.spin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +166,13 @@ class Inflow(Effect):
         axial = linear_map(self.axes, xp.stack([motion.forward, motion.left, motion.spin]))
         return thrust * (1 - self.coefficient * axial)
 
+    def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any]:
+        """Take the largest speeds along each thrust; see `Effect.thrust_bounds`."""
+        forward, left, turn = np.asarray(self.axes, dtype=float).T
+        axial = np.hypot(forward, left) * within.speed + np.abs(turn) * within.spin
+        change = (abs(self.coefficient) * axial)[:, None]
+        return _scaled(low, high, 1 - change, 1 + change)
+
 
 @dataclass(frozen=True, eq=False)
 class PairInteraction(Effect):
@@ -133,6 +195,12 @@ class PairInteraction(Effect):
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""
         return thrust / (1 + self.coefficient * linear_map(self.twins, thrust))
+
+    def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
+        """Take the twins' least and most; see `Effect.thrust_bounds`."""
+        ends = _weighted(self.coefficient * np.asarray(self.twins, dtype=float), low, high)
+        least, most = 1 + ends[0], 1 + ends[1]
+        return _scaled(low, high, 1 / most, 1 / least) if (least > 0).all() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +230,14 @@ class VoltageSag(Effect):
         total = linear_map(self.weights[None], thrust)[0]
         return thrust * (2 / (1 + xp.sqrt(1 + 4 * self.coefficient * total))) ** 2
 
+    def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
+        """Take the least and the most of all thrusts; see `Effect.thrust_bounds`."""
+        ends = _weighted(self.coefficient * np.asarray(self.weights, dtype=float), low, high)
+        if (1 + 4 * ends[0] < 0).any():
+            return None
+        most, least = ((2 / (1 + np.sqrt(1 + 4 * end))) ** 2 for end in ends)
+        return _scaled(low, high, least, most)
+
 
 @dataclass(frozen=True, eq=False)
 class IdleLag(Effect):
@@ -180,6 +256,11 @@ class IdleLag(Effect):
         """Take the one coefficient; see `Effect.of`."""
         return cls(value)
 
+    @property
+    def idle_lag(self) -> Any:
+        """The coefficient; see `Effect.idle_lag`."""
+        return self.coefficient
+
 
 @dataclass(frozen=True, eq=False)
 class Tilt(Effect):
@@ -189,7 +270,7 @@ class Tilt(Effect):
     x: Any = 0.0
     y: Any = 0.0
 
-    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
-        """Let the craft slide; see `Effect.acceleration`."""
-        ax, ay = GRAVITY * self.x, GRAVITY * self.y
-        return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0
+    @property
+    def gravity(self) -> tuple[Any, Any]:
+        """Pull the craft down the slope; see `Effect.gravity`."""
+        return GRAVITY * self.x, GRAVITY * self.y

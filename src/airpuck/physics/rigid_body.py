@@ -14,7 +14,7 @@ import numpy as np
 
 from airpuck.compute.arrays import linear_map, register_pytree
 from airpuck.compute.rotation import cos_sin
-from airpuck.physics.effects import BodyMotion, Effect, IdleLag
+from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.motor import lag_at
 from airpuck.physics.thrust import thrust
 
@@ -57,7 +57,7 @@ class Dynamics:
     @property
     def idle_lag(self) -> Any:
         """By how much the motors' lag is longer at standstill; None: the same at any speed."""
-        longer = [effect.coefficient for effect in self.effects if isinstance(effect, IdleLag)]
+        longer = [effect.idle_lag for effect in self.effects if effect.idle_lag is not None]
         return sum(longer) if longer else None
 
 

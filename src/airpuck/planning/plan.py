@@ -18,20 +18,19 @@ from airpuck.control.reference import Numbers, Target
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration
-from airpuck.planning.certificate import (
-    Weight,
-    lower_bound,
-    lower_bound_through,
-)
+from airpuck.planning.certificate import lower_bound, lower_bound_through
 from airpuck.planning.request import Goal, Limits, Request, checked_request
 from airpuck.planning.search import Start, further, search
 from airpuck.planning.transcription import Path, Solved
+from airpuck.planning.yaw_program import Weight
 
 _FORMAT = "airpuck plan 1"
 #: A plan whose bound is below this share of its time may not be the best: more starts are tried.
-_DOUBTFUL = 0.93
+_DOUBTFUL = 0.92
 #: Samples of a plan are this far apart [s].
 _SAMPLE = 1e-3
+#: A plan ends only nearly at its goal (`airpuck.planning.search`), so it may be faster than possible by this share.
+_INACCURATE = 1e-3
 #: Multipliers of rails that are nothing, as a share of the largest price.
 _TOUCH = 1e-3
 
@@ -50,8 +49,9 @@ class Plan:
         x, y [m], γ [rad], their rates and the motor speeds at the nodes.
     commands : array, shape (N, n)
         Commands that reach the motors between the nodes; the transport delay is not in them.
-    lower_bound : float
-        No control of these motors within the same limits of spin and speed takes less time [s].
+    lower_bound : float or None
+        No control of these motors within the same limits of spin and speed takes less time [s];
+        None where an effect of the model states no bounds.
     starts : tuple of Start
         What the search began with, and what it found there.
     reserve : float
@@ -64,7 +64,7 @@ class Plan:
     time: Float[np.ndarray, " nodes"]
     states: Float[np.ndarray, "nodes s"]
     commands: Float[np.ndarray, "intervals n"]
-    lower_bound: float
+    lower_bound: float | None
     starts: tuple[Start, ...] = ()
     reserve: float = 0.0
     begin: float = 0.0
@@ -177,7 +177,7 @@ class Plan:
         return {
             "time_s": self.duration,
             "lower_bound_s": self.lower_bound,
-            "gap": 1 - self.lower_bound / self.duration,
+            "gap": None if self.lower_bound is None else 1 - self.lower_bound / self.duration,
             "converged": True,
             "reserve": self.reserve,
             "starts": [vars(start) for start in self.starts],
@@ -195,7 +195,7 @@ class Plan:
         content = {
             "format": _FORMAT,
             "motors": list(self.model.vehicle.propeller_names),
-            "lower_bound_s": self.lower_bound,
+            **({} if self.lower_bound is None else {"lower_bound_s": self.lower_bound}),
             "reserve": self.reserve,
             "times_s": self.time.tolist(),
             "states": self.states.tolist(),
@@ -207,7 +207,7 @@ class Plan:
 class _PlanFile(Section):
     format: Literal["airpuck plan 1"]
     motors: tuple[str, ...]
-    lower_bound_s: float
+    lower_bound_s: float | None = None
     reserve: float
     times_s: tuple[float, ...]
     states: tuple[tuple[float, ...], ...]
@@ -306,26 +306,30 @@ def plan(
     near = None if warm is None else warm.path(len(request.via) + 1)
     solved, tried = search(request, intervals, near)
     bound = _bound(request, solved)
-    if warm is None and bound < _DOUBTFUL * solved.path.times[-1]:
+    if warm is None and bound is not None and bound < _DOUBTFUL * solved.path.times[-1]:
         for begun, other in further(request, intervals, solved.time):
             tried = (*tried, begun)
             if other is not None:
                 # Whatever the weight is that it comes from, a bound holds.
-                bound = max(bound, _bound(request, other))
+                bound = max(bound, _bound(request, other) or 0.0)
                 solved = min(solved, other, key=lambda one: float(one.path.times[-1]))
     path = solved.path
-    return Plan(
-        model,
-        path.times,
-        path.states,
-        path.commands,
-        min(bound, float(path.times[-1])),
-        tried,
-        request.limits.reserve,
-    )
+    _check_bound(bound, path)
+    reserve = request.limits.reserve
+    return Plan(model, path.times, path.states, path.commands, bound, tried, reserve)
 
 
-def _bound(request: Request, solved: Solved) -> float:
+def _check_bound(bound: float | None, path: Path) -> None:
+    """Raise a failure of ours if a flight is faster than what no control can undercut."""
+    duration = float(path.times[-1])
+    if bound is not None and bound > duration * (1 + _INACCURATE):
+        raise RuntimeError(
+            f"the lower bound, {bound:.6f} s, is above the time of a flight, {duration:.6f} s: "
+            "one of them is wrong; please report this request"
+        )
+
+
+def _bound(request: Request, solved: Solved) -> float | None:
     """Return a time that no control undercuts, with the help of a plan."""
     if len(request.via):
         return lower_bound_through(request, solved.path.durations)
@@ -342,6 +346,4 @@ def _weight(request: Request, solved: Solved) -> Weight:
     scale = np.abs(prices[:, :2]).max() + np.abs(solved.touching[1:-1]).max(initial=0.0)
     kinks = times[1:-1][touch > _TOUCH * max(scale, 1e-9)]
     values = prices[:, 3] + 1j * prices[:, 4]
-    yaw, spin = np.abs(prices[:, 2]).max(), np.abs(prices[:, 5]).max()
-    # A price above the true one costs nothing: what it forbids is no optimum.
-    return Weight.fitted(times[1:], values, kinks, (2 * float(yaw) + 0.1, 2 * float(spin) + 0.01))
+    return Weight.fitted(times[1:], values, kinks, yaw_price=float(prices[0, 2]))

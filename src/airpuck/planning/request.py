@@ -18,7 +18,7 @@ from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.physics.thrust import thrust
-from airpuck.planning.attainable import strongest_push
+from airpuck.planning.attainable import has_bounds, strongest_push
 
 #: A yaw beyond this is a mistake: the craft would have to turn for seconds [rad].
 _MOST_YAW = 50.0
@@ -243,6 +243,8 @@ def _check_place(request: Request, name: str, place: Float[np.ndarray, " 2"]) ->
 
 def _check_braking(request: Request, state: Float[np.ndarray, " 5"], field: str, fate: str) -> None:
     """Refuse a velocity towards a rail that the hardest braking does not stop in time."""
+    if not has_bounds(request.model, request.limits):
+        return
     times = np.arange(_STEP, 5.0, _STEP)
     push = strongest_push(request, times, motors_known=field == "start")
     lost = np.cumsum(push) * _STEP

@@ -77,6 +77,7 @@ def _draw_path(axes: Axes, plan: Plan, table: Table | None) -> None:
     axes.set_aspect("equal")
     axes.margins(0.05)
     axes.grid(visible=False)
-    bound = f"no control takes less than {plan.lower_bound:.3f} s"
+    known = plan.lower_bound
+    bound = "no lower bound" if known is None else f"no control takes less than {known:.3f} s"
     axes.set_title(f"{plan.duration:.3f} s; {bound}", loc="left")
     axes.set(xlabel="x [m]", ylabel="y [m]")

@@ -40,7 +40,8 @@ def race_figure(race: Race, table: Table) -> Figure:
         reached = [time for time in times if time is not None]
         below.plot(reached, np.full(len(reached), row), "|", color=color, ms=12)
     below.axvline(race.plan.duration, color=style.BLACK, ls=style.DASHED)
-    below.axvline(race.plan.lower_bound, color=style.GREY)
+    if race.plan.lower_bound is not None:
+        below.axvline(race.plan.lower_bound, color=style.GREY)
     below.set_yticks((0, 1), [name for name, _, _ in rows])
     below.set(ylim=(-0.6, 1.6), xlabel="time to the goal [s]")
     below.set_xlim(0, None)

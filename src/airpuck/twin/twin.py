@@ -15,7 +15,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.flight.link import Kind, Measurement
 from airpuck.model.model_file import Model
-from airpuck.physics.effects import Tilt
 from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import acceleration
 from airpuck.recording.stream import COLUMNS, Recording
@@ -83,7 +82,7 @@ class Twin:
         self.plant = plant or build_plant(model, settings)
         _check_pose(pose, settings.table, model.vehicle.radius_m)
         # An accelerometer feels what pushes the craft, but not the pull of gravity along a slope.
-        pushed = tuple(e for e in self.plant.dynamics.effects if not isinstance(e, Tilt))
+        pushed = tuple(e for e in self.plant.dynamics.effects if e.gravity is None)
         self._felt = replace(self.plant.dynamics, effects=pushed)
         shared = world is not None
         if world is None:

@@ -1,0 +1,369 @@
+"""The most that thrusts can give along a weight, over all paths of yaw and spin.
+
+A dynamic program on a grid of yaws and spins. Each of its values is an upper bound; the proof, with
+every term by which values are raised, is in docs/planning.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
+from airpuck.planning.attainable import (
+    added_accelerations,
+    largest_moment,
+    moment_range,
+    motor_range,
+    strongest_thrust,
+    thrust_range,
+)
+from airpuck.planning.request import Request
+
+#: Curvature of the penalty on other yaws at the start, as a share of the strongest push times ∫|w|.
+#: The bounds of three plans are highest between 1 and 4.
+_PENALTY = 2.0
+#: Below all that can be reached; no sum comes near.
+_IMPOSSIBLE = -1e30
+#: Lags after which motors may have any speed.
+_SETTLED = 8.0
+#: Parts of a step in which thrusts are summed.
+_PARTS = 32
+#: Roundings of a float32 in each step, of 2⁻²⁴ each: four of a turn, two of a push, and a reserve.
+_ROUNDINGS = 10 * 2.0**-24
+#: Steps after which the rounding of spins is drawn anew: its error does not add up for longer.
+_REDRAWN = 16
+#: Fewest intervals between the columns of spin.
+_FEWEST_COLUMNS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Weight:
+    """A continuous, piecewise linear weight w(t) = α + β t + Σ κⱼ (t - tⱼ)⁺, as complex numbers."""
+
+    alpha: complex
+    beta: complex
+    kink_times: Float[np.ndarray, " J"]
+    kinks: Complex[np.ndarray, " J"]
+    #: What a radian more at the start is worth: the slope of the penalty on other yaws there.
+    yaw_price: float = 0.0
+
+    @classmethod
+    def fitted(
+        cls,
+        times: Float[np.ndarray, " K"],
+        values: Complex[np.ndarray, " K"],
+        kink_times: Float[np.ndarray, " J"],
+        yaw_price: float = 0.0,
+    ) -> Weight:
+        """Fit a weight to values, by least squares."""
+        basis = [np.ones_like(times), times, *(np.maximum(times - t, 0.0) for t in kink_times)]
+        fit = np.linalg.lstsq(np.array(basis, dtype=complex).T, values, rcond=None)[0]
+        return cls(complex(fit[0]), complex(fit[1]), kink_times, fit[2:], yaw_price)
+
+    def compressed(self, share: float) -> Weight:
+        """Return the weight of a flight that takes this share of the time."""
+        return replace(
+            self,
+            beta=self.beta / share,
+            kink_times=self.kink_times * share,
+            kinks=self.kinks / share,
+        )
+
+    def snapped(self, step: float) -> Weight:
+        """Return the weight with its kinks moved to the nearest ends of steps."""
+        return replace(self, kink_times=step * np.round(self.kink_times / step))
+
+    def __call__(self, times: Float[np.ndarray, " K"]) -> Complex[np.ndarray, " K"]:
+        """Evaluate the weight."""
+        since = np.maximum(times - self.kink_times[:, None], 0.0)
+        return self.alpha + self.beta * times + self.kinks @ since
+
+    def slope(self, times: Float[np.ndarray, " K"]) -> Complex[np.ndarray, " K"]:
+        """Evaluate its derivative, just before a time."""
+        return self.beta + self.kinks @ (times > self.kink_times[:, None])
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How finely time, spin and yaw are divided; any gives a bound, a finer one a higher."""
+
+    steps: int
+    #: Columns of spin by which the largest moment moves the spin in a step, and columns at most.
+    moments: int
+    columns: int
+    yaws: int
+
+
+class YawProgram:
+    """Bounds ∫ w·a for flights that end at the goal's yaw and spin after each step, or coast there.
+
+    Yaw turns by the mean spin of a step, from one mean spin to the next push and moment are those
+    of the mean around the end of a step. Both are exact for any thrusts in between.
+
+    Attributes
+    ----------
+    step : float
+        Between the times at which flights may end [s].
+    weight : Weight
+        With its kinks at ends of steps.
+    worth : float
+        The strongest push times ∫ |w|: what a craft that need not turn could reach.
+    most : array, shape (steps, T)
+        The bound at the end of each step, for flights that have coasted for each of the times.
+    """
+
+    def __init__(
+        self,
+        request: Request,
+        weight: Weight,
+        horizon: float,
+        fineness: Fineness,
+        coasts: Float[np.ndarray, " T"],
+    ) -> None:
+        self._request, self._model = request, request.model
+        self.step = horizon / fineness.steps
+        self.weight = weight.snapped(self.step)
+        self._count = fineness.steps
+        self._values = self.weight(self.step * np.arange(self._count + 1))
+        self._size = np.abs(self._values)
+        self._added = added_accelerations(request.model, request.limits)
+        self._largest = largest_moment(request.model, request.limits)
+        self._spins = self._columns(horizon, fineness)
+        anchor = request.goal.state[2]
+        anchor = float(request.start[2] if np.isnan(anchor) else anchor)
+        self._yaws = anchor + 2 * np.pi * np.arange(fineness.yaws) / fineness.yaws
+        self._boxes = self._thrusts()
+        low, high = self._boxes[0][:, -1:], self._boxes[1][:, -1:]
+        self._strongest = float(strongest_thrust(self._model, low, high)[0])
+        self.worth = float(self.step * self._size.sum()) * (self._strongest + self._added[0])
+        self.most = self._run(coasts)
+
+    def _columns(self, horizon: float, fineness: Fineness) -> Float[np.ndarray, " S"]:
+        """Lay columns over all spins that can be reached; the ends are columns."""
+        begin, limit = float(self._request.start[5]), self._request.limits.spin
+        reach = max(self._largest * horizon, 1e-6)
+        low, high = max(-limit, begin - reach), min(limit, begin + reach)
+        wanted = (high - low) * fineness.moments / max(self._largest * self.step, 1e-9)
+        count = int(np.clip(np.ceil(wanted), _FEWEST_COLUMNS, fineness.columns))
+        return np.linspace(low, high, count + 1)
+
+    def _thrusts(self) -> tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]]:
+        """Return the thrusts between which the motors' means around the ends of steps lie.
+
+        Ranges grow with time, so the end of each part of a step stands for all of it. No thrust is
+        always among them.
+        """
+        model, step = self._model, self.step
+        settled = _SETTLED * float(model.dynamics.motor_time_constant)
+        times = step * np.arange(1, (self._count + 1) * _PARTS + 1) / _PARTS
+        times = np.where(times > settled, np.inf, times)
+        few = min(int(np.isfinite(times).sum()) + 1, len(times))
+        speeds = motor_range(model, self._request.start[6:], times[:few])
+        ranges = thrust_range(model, speeds, self._request.limits)
+        # Of a tent over two steps, half of it at the start.
+        rising = (np.arange(_PARTS) + 0.5) / _PARTS**2
+        boxes = []
+        for force, least in zip(ranges, (np.minimum, np.maximum), strict=True):
+            force = np.pad(least(force, 0.0), ((0, 0), (0, len(times) - few)), mode="edge")
+            parts = force.reshape(len(force), self._count + 1, _PARTS)
+            after, before = parts @ rising[::-1], parts @ rising
+            mean = after.copy()
+            mean[:, 1:] = (after[:, 1:] + before[:, :-1]) / 2
+            boxes.append(2 * mean)
+        return boxes[0], boxes[1]
+
+    def _run(self, coasts: Float[np.ndarray, " T"]) -> Float[np.ndarray, "K T"]:
+        """Go forwards in time: turn, read off what the goal is worth, push."""
+        step, unit = self.step, self._spins[1] - self._spins[0]
+        turn = _Turn(self._spins * step, len(self._yaws))
+        added = self._between_nodes()
+        side = int(np.ceil(self._largest * step / unit)) + 2
+        changes = np.arange(-side, side + 1)
+        worth, steepest = self._begin()
+        bends = [steepest]
+        most = np.zeros((self._count, len(coasts)))
+        for k in range(1, self._count + 1):
+            worth = turn(worth) + added[k - 1]
+            most[k - 1] = self._goal_worth(worth, k, coasts)
+            if k < self._count:
+                gains = self._gains(k, self._yaws, changes * unit / step, k % _REDRAWN == 0)
+                bends.append(_steepest(gains, self._yaws) * self._size[k] * step)
+                worth = _pushed(worth, (step * self._size[k] * gains).astype(np.float32), changes)
+        return most + self._roundings(np.array(bends), unit)[:, None]
+
+    def _penalty(self) -> tuple[Float[np.ndarray, " Y"], float]:
+        """Return what other yaws at the start cost, at each yaw of the grid, and its curvature."""
+        curvature = _PENALTY * self.worth + abs(self.weight.yaw_price)
+        away = wrapped(np, self._yaws - self._request.start[2])
+        turns = away + 2 * np.pi * np.array([-1.0, 0.0, 1.0])[:, None]
+        cost = -self.weight.yaw_price * turns - curvature / 2 * turns**2
+        return cost.max(axis=0), curvature
+
+    def _begin(self) -> tuple[Float[np.ndarray, "Y S"], float]:
+        """Return the worth after the first half of a push, and how steep its gain is."""
+        moments = (self._spins - self._request.start[5]) * 2 / self.step
+        gains = self._gains(0, self._yaws, moments)
+        first = self._size[0] * self.step / 2
+        worth = self._penalty()[0][:, None] + first * gains
+        return worth.astype(np.float32), _steepest(gains, self._yaws) * first
+
+    def _between_nodes(self) -> Float[np.ndarray, "K S"]:
+        """Return what chords between the ends of steps may miss of w turned by the yaw."""
+        step, spins, largest = self.step, self._spins, self._largest
+        size = np.maximum(self._size[1:], self._size[:-1])[:, None]
+        slope = (np.abs(np.diff(self._values)) / step)[:, None]
+        bent = size * (spins**2 + largest) + 2 * slope * np.abs(spins)
+        missed = self._strongest * step**3 / 12 * bent
+        if self._model.dynamics.frame == "world":
+            # Of the acceleration r ω² that an offset gives; the rest is in `certificate`.
+            offset = float(np.hypot(*self._model.dynamics.center_of_mass))
+            missed = missed + step * offset * size * (spins**2 + (largest * step) ** 2 / 12)
+        return missed.astype(np.float32)
+
+    def _roundings(self, bends: Float[np.ndarray, " K"], unit: float) -> Float[np.ndarray, " K"]:
+        """Return what rounding of yaw and spin to the grid may cost, for flights of each length."""
+        passed = np.arange(self._count + 1)
+        spacing = self._yaws[1] - self._yaws[0]
+        shift = self.step * unit
+        variance = (passed + 1) * spacing**2 / 4 + _REDRAWN * passed * shift**2 / 4
+        curved = self.step * self._size * self._strongest / 2
+        lost = np.convolve(curved, variance)[1 : self._count + 1]
+        lost += np.convolve(bends / 4, np.minimum(passed, _REDRAWN) * shift)[1 : self._count + 1]
+        lost += self._penalty()[1] / 2 * variance[1:]
+        largest = 2 * (self.worth + abs(self.weight.yaw_price))
+        return lost + _ROUNDINGS * passed[1:] * largest
+
+    def _gains(
+        self,
+        k: int,
+        yaws: Float[np.ndarray, " Y"],
+        moments: Float[np.ndarray, " M"],
+        redrawn: bool = False,
+    ) -> Float[np.ndarray, "Y M"]:
+        """Return the push along the weight at the end of a step, for evenly spaced moments."""
+        low, high = (force[:, k] for force in self._boxes)
+        angles = yaws - float(np.angle(self._values[k]))
+        return frontier(self._model, angles, low, high, moments, self._added, redrawn)
+
+    def _goal_worth(
+        self, worth: Float[np.ndarray, "Y S"], k: int, coasts: Float[np.ndarray, " T"]
+    ) -> Float[np.ndarray, " T"]:
+        """Read off the worth of flights that end now, after the second half of a push."""
+        goal, half = self._request.goal.state, self._size[k] * self.step / 2
+        count, spacing = len(self._yaws), self._yaws[1] - self._yaws[0]
+        turned = coasts * goal[5] / spacing
+        if np.isnan(goal[2]):
+            rows = np.arange(count)
+        else:  # the first yaw of the grid is that of the goal
+            far = self._request.limits.spin * coasts[-1] / spacing * np.array([-1, 1])
+            far = far if np.isnan(goal[5]) else np.array([turned.min(), turned.max()])
+            rows = np.arange(int(np.floor(far[0])), int(np.ceil(far[1])) + 2)
+        yaws, ending = self._yaws[rows % count], worth[rows % count]
+        if np.isnan(goal[5]):
+            least, most = moment_range(self._model, *(force[:, k] for force in self._boxes))
+            moments = np.linspace(least - self._added[1], most + self._added[1], 65)
+            best = half * self._gains(k, yaws, moments).max(axis=1)
+            return np.full(len(coasts), (ending.max(axis=1) + best).max())
+        moments = (goal[5] - self._spins) * 2 / self.step
+        # Columns run upwards, these moments downwards.
+        ended = ending + half * self._gains(k, yaws, moments[::-1])[:, ::-1]
+        if np.isnan(goal[2]):
+            return np.full(len(coasts), ended.max())
+        near = np.floor(turned).astype(int) - rows[0]
+        share = (turned - np.floor(turned))[:, None]
+        return ((1 - share) * ended[near] + share * ended[near + 1]).max(axis=1)
+
+
+class _Turn:
+    """Turns the craft by an angle for each column of spin, interpolating linearly."""
+
+    def __init__(self, angles: Float[np.ndarray, " S"], yaws: int) -> None:
+        back = -angles / (2 * np.pi) * yaws
+        whole = np.floor(back).astype(int)
+        self._share = (back - whole).astype(np.float32)
+        rows = (np.arange(yaws)[:, None] + whole) % yaws
+        columns = np.arange(len(angles))
+        self._near = rows * len(angles) + columns
+        self._next = (rows + 1) % yaws * len(angles) + columns
+
+    def __call__(self, worth: Float[np.ndarray, "Y S"]) -> Float[np.ndarray, "Y S"]:
+        """Return the worth after the turn."""
+        near, share = worth.take(self._near), self._share
+        return near + share * (worth.take(self._next) - near)
+
+
+def _pushed(
+    worth: Float[np.ndarray, "Y S"], gain: Float[np.ndarray, "Y B"], changes: Int[np.ndarray, " B"]
+) -> Float[np.ndarray, "Y S"]:
+    """Let the motors push and turn: the best of all moments."""
+    best = np.full_like(worth, _IMPOSSIBLE)
+    count = worth.shape[1]
+    for j, change in enumerate(changes):
+        if gain[0, j] < _IMPOSSIBLE * 1e-15 or abs(change) >= count:
+            continue
+        to, of = (
+            slice(max(change, 0), count + min(change, 0)),
+            slice(max(-change, 0), count - max(change, 0)),
+        )
+        np.maximum(best[:, to], worth[:, of] + gain[:, j : j + 1], out=best[:, to])
+    return best
+
+
+def _steepest(gains: Float[np.ndarray, "Y M"], yaws: Float[np.ndarray, " Y"]) -> float:
+    """Return how much the difference of neighbouring moments' gains changes by yaw, at most."""
+    inside = gains[:, gains[0] > _IMPOSSIBLE]
+    differences = np.diff(inside, axis=1)
+    changes: Any = differences - np.roll(differences, 1, axis=0)
+    return float(np.abs(changes).max(initial=0.0)) / float(yaws[1] - yaws[0])
+
+
+def frontier(
+    model: Model,
+    angles: Float[np.ndarray, " Y"],
+    low: Float[np.ndarray, " n"],
+    high: Float[np.ndarray, " n"],
+    moments: Float[np.ndarray, " M"],
+    added: tuple[float, float],
+    redrawn: bool = False,
+) -> Float[np.ndarray, "Y M"]:
+    """Bound the push at each angle to its direction and each moment, a linear program each.
+
+    Its dual has one unknown μ: min over μ of max over F of (push + μ turn)·F - μ moment, whose
+    minimum lies where one term changes its sign. `added` is beyond what thrusts give. The chords
+    between evenly spaced moments lie above what is in between; out of reach are those beyond the
+    first that no thrusts give.
+    """
+    forward, left, turn = np.asarray(model.dynamics.configuration)
+    push = np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
+    with np.errstate(divide="ignore", invalid="ignore"):
+        prices = np.nan_to_num(-push / turn, nan=0.0, posinf=0.0, neginf=0.0)
+    prices = np.append(prices, np.zeros((len(angles), 1)), axis=1)
+    terms = push[:, None, :] + prices[:, :, None] * turn
+    ceiling = np.where(terms > 0, terms * high, terms * low).sum(axis=-1)
+    ceiling = ceiling + np.abs(prices) * added[1]
+    tangents = ceiling[:, :, None] - prices[:, :, None] * moments
+    best = tangents.argmin(axis=1)
+    table = np.take_along_axis(tangents, best[:, None], axis=1)[:, 0]
+    slopes = -np.take_along_axis(prices, best, axis=1)
+    # Tangents at the ends of a chord meet above all that is in between.
+    spacing = moments[1] - moments[0]
+    chord = np.diff(table, axis=1) / spacing
+    above, below = slopes[:, :-1] - chord, chord - slopes[:, 1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        excess = np.nan_to_num(above * below * spacing / (above + below), posinf=0.0, neginf=0.0)
+    sides = np.pad(np.maximum(excess, 0.0), ((0, 0), (1, 1)))
+    table = table + np.maximum(sides[:, 1:], sides[:, :-1]) + added[0]
+    least, most = moment_range(model, low, high)
+    far = (2 if redrawn else 1) * spacing
+    reached = (moments > least - added[1] - far) & (moments < most + added[1] + far)
+    if redrawn:
+        # So are chords of this length that begin and end anywhere.
+        wide = np.pad(slopes, ((0, 0), (2, 2)), mode="edge")
+        bends = np.maximum(wide[:, :-3] - wide[:, 3:], 0.0)
+        table = table + np.maximum(bends[:, 1:], bends[:, :-1]) * spacing / 4
+    return np.where(reached, table, _IMPOSSIBLE)
