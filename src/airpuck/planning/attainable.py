@@ -98,7 +98,7 @@ def moment_range(
     """Return the lowest and highest angular accelerations of thrusts within a range [rad/s²]."""
     turn = np.asarray(model.dynamics.configuration)[2]
     up, down = np.maximum(turn, 0.0), np.minimum(turn, 0.0)
-    return up @ low + down @ high, up @ high + down @ low
+    return np.asarray(up @ low + down @ high), np.asarray(up @ high + down @ low)
 
 
 def largest_moment(model: Model, limits: Limits) -> float:

@@ -39,6 +39,8 @@ _COASTS = np.linspace(0.0, 1.0, 9)
 _BINS, _LONGEST = 4000, 2.0
 #: Durations for which a leg between way points is tried, as shares of the plan's, which has turns.
 _SHARES_OF_LEG = np.linspace(1.0, 0.4, 11)
+#: A bound above this share of the duration that was tried came from its weight.
+_NEAR = 0.8
 
 
 def lower_bound(request: Request, weight: Weight, duration: float) -> float | None:
@@ -209,11 +211,13 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
 
 def _of_leg(request: Request, to: Float[np.ndarray, " 2"], duration: float) -> float:
     """Find a time for a leg that may end at any velocity; that of a plan may be much longer."""
+    best = 0.0
     for time in duration * _SHARES_OF_LEG:
         found = _refuted(request, _straight(request, to, time), time)
-        if found > 0:
-            return found
-    return 0.0
+        best = max(best, found)
+        if best > _NEAR * time:
+            break
+    return best
 
 
 def unavoidable_rail(request: Request) -> str | None:

@@ -29,7 +29,7 @@ _FORMAT = "airpuck plan 1"
 _DOUBTFUL = 0.92
 #: Samples of a plan are this far apart [s].
 _SAMPLE = 1e-3
-#: A plan ends only nearly at its goal (`airpuck.planning.search`), so it may be faster than possible by this share.
+#: A plan ends only nearly at its goal, so it may be faster than possible by this share.
 _INACCURATE = 1e-3
 #: Multipliers of rails that are nothing, as a share of the largest price.
 _TOUCH = 1e-3
