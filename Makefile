@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 WORKERS ?= auto
 
 # A comma would end the argument of a call.
-LIVE := .[ros2,view]
+LIVE := .[ros2,play]
 
 # uv when present (fast), otherwise venv and pip.
 define install

@@ -4,8 +4,10 @@
     python studies/live_loop.py --duration 600 --regulator mpc
 
 Prints jitter, latency and deadlines as the controller measures them, and the memory of all three
-processes at the start and at the end; ends with status 1 where a bound is broken. The machine
-should have nothing else to do: `make studies` runs it after all others.
+processes at the start and at the end; ends with status 1 where a bound is broken. A bare loop runs
+beside them, in a process of its own: it only sleeps until each period is due, with the same
+priority. What it misses, the machine is to blame for; the deadlines that the controller misses
+beyond it are ours. `make studies` runs this after all others, with nothing beside it.
 """
 
 from __future__ import annotations
@@ -24,20 +26,42 @@ from typing import Any
 from one_line import run
 
 from airpuck import read_recording
+from airpuck.compute.process import prioritize
 from airpuck.control.tuning import REGULATORS
-from airpuck.flight.clock import JITTER_P99, LATENCY_P99
+from airpuck.flight.clock import JITTER_P99, LATENCY_P99, Clock, LoopTiming
 
 _MAIN = "from airpuck.cli import main; main()"
-_START_S = 15.0
+#: After the start of the flight, until memory is first measured and the bare loop starts [s].
+_SETTLED_S = 3.0
 LATENCY_P50 = 1e-3
 #: What a process may grow by [MB], such as by the index of the file that is recorded.
 GROWTH = 3.0
 
 
-def started(*arguments: object) -> subprocess.Popen[str]:
-    """Start a command of airpuck's."""
-    command = [sys.executable, "-c", _MAIN, *map(str, arguments), "-q"]
-    return subprocess.Popen(command, text=True, stdin=subprocess.DEVNULL)
+def started(*arguments: object, said: Path) -> subprocess.Popen[str]:
+    """Start a command of airpuck's; a file takes what it says."""
+    command = [sys.executable, "-c", _MAIN, *map(str, arguments)]
+    none = subprocess.DEVNULL
+    with said.open("w") as file:
+        return subprocess.Popen(command, text=True, stdin=none, stdout=none, stderr=file)
+
+
+def wait_for(process: subprocess.Popen[str], said: Path, words: str) -> None:
+    """Wait until a process has said something."""
+    while words not in said.read_text():
+        if process.poll() is not None:
+            raise RuntimeError(f"a process ended early: {said.read_text()}")
+        time.sleep(0.1)
+
+
+def bare_loop(duration: float, period: float = 0.01) -> dict[str, Any]:
+    """Sleep until each period is due, and do nothing; return how well that keeps its time."""
+    prioritize(first=True)
+    clock, timing = Clock(), LoopTiming(period)
+    for k in range(1, round(duration / period) + 1):
+        clock.sleep_until(k * period)
+        timing.add(k * period, clock.now, None)
+    return timing.to_json()
 
 
 def memory(process: subprocess.Popen[str]) -> float:
@@ -59,22 +83,39 @@ def flown(duration: float, domain: int, regulator: str = "lqr") -> dict[str, Any
             )
         )
         common = ("--domain", domain)
+        said = {name: Path(folder) / name for name in ("twin", "record", "fly")}
         processes = {
-            "twin": started("twin", *common),
-            "record": started("record", "-o", bag, *common),
+            "twin": started("twin", *common, said=said["twin"]),
+            "record": started("record", "-o", bag, *common, said=said["record"]),
         }
         try:
             # The recorder is there long before the controller is compiled.
             processes["fly"] = started(
                 *("fly", "--model", "paper:M3", "--setpoints", points, "--duration", duration),
                 *("--regulator", regulator, "--json", figures, *common),
+                said=said["fly"],
             )
-            time.sleep(_START_S)
+            # A busy machine takes long to compile.
+            for name, process in processes.items():
+                wait_for(process, said[name], "on domain")
+            time.sleep(_SETTLED_S)
+            bare = subprocess.Popen(
+                [
+                    sys.executable,
+                    __file__,
+                    "--bare",
+                    "--duration",
+                    str(max(duration - _SETTLED_S, 0)),
+                ],
+                text=True,
+                stdout=subprocess.PIPE,
+            )
             before = {name: memory(process) for name, process in processes.items()}
             # A little before the flight ends, all three are still there.
-            time.sleep(max(duration - _START_S - 2, 1))
+            time.sleep(max(duration - _SETTLED_S - 2, 1))
             after = {name: memory(process) for name, process in processes.items()}
             processes["fly"].wait(60)
+            beside = json.loads(bare.communicate(timeout=60)[0])
         finally:
             for process in reversed(processes.values()):
                 process.send_signal(signal.SIGINT)
@@ -82,9 +123,15 @@ def flown(duration: float, domain: int, regulator: str = "lqr") -> dict[str, Any
         recording = read_recording(bag)
         return {
             **json.loads(figures.read_text()),
+            "bare_loop": beside,
             "memory_MB": {name: [before[name], after[name]] for name in before},
             "recorded": {name: len(stream) for name, stream in recording.streams.items()},
         }
+
+
+def missed(figures: dict[str, Any]) -> float:
+    """Return the share of periods that missed their deadline [%]."""
+    return 100 * figures["missed_deadlines"] / max(figures["periods"], 1)
 
 
 def bounds(figures: dict[str, Any]) -> list[tuple[str, float, float]]:
@@ -94,7 +141,8 @@ def bounds(figures: dict[str, Any]) -> list[tuple[str, float, float]]:
         ("period jitter p99, ms", jitter["p99"], 1e3 * JITTER_P99),
         ("pose to command p50, ms", latency["p50"], 1e3 * LATENCY_P50),
         ("pose to command p99, ms", latency["p99"], 1e3 * LATENCY_P99),
-        ("missed deadlines", figures["missed_deadlines"], 0),
+        ("missed deadlines, %", missed(figures), 0.1),
+        ("beyond the bare loop, %", missed(figures) - missed(figures["bare_loop"]), 0.1),
         *(
             (f"growth of {name}, MB", after - before, GROWTH)
             for name, (before, after) in figures["memory_MB"].items()
@@ -107,7 +155,11 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--domain", type=int, default=99)
     parser.add_argument("--regulator", choices=REGULATORS, default="lqr")
+    parser.add_argument("--bare", action="store_true", help="the bare loop alone, as JSON")
     options = parser.parse_args()
+    if options.bare:
+        print(json.dumps(bare_loop(options.duration)))
+        return
     figures = flown(options.duration, options.domain, options.regulator)
     print(json.dumps(figures, indent=2))
     held = True

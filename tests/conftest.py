@@ -103,6 +103,13 @@ def experiments(data: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def domain() -> int:
+    """A DDS domain of this process's own, so that tests that run side by side do not meet."""
+    pytest.importorskip("cyclonedds")
+    return 1 + os.getpid() % 200
+
+
+@pytest.fixture(scope="session")
 def chromium() -> str:
     """The distribution's Chromium."""
     names = ("chromium", "chromium-browser", "google-chrome")

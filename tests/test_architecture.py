@@ -138,7 +138,6 @@ def test_imports_go_downwards():
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),
-        ("viser", {"web"}),
         ("websockets", {"web"}),
         ("mcap", {"recording"}),
         ("dask", {"campaigns"}),

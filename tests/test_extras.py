@@ -21,7 +21,7 @@ FIRST_USE = (
     {"plan": "airpuck plan --from 0 0 0 --to 0.5 0 0"},
     {
         "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
-        "ros2,view": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
+        "ros2,play": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
     },
     {"play": "airpuck play --no-browser --port 8392 --duration 0.2 --quiet"},
     {"campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet"},

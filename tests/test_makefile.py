@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 @pytest.mark.parametrize(
     ("target", "installed"),
-    [("install", "-e .;"), ("dev", "-e '.[dev]';"), ("live", "-e '.[ros2,view]';")],
+    [("install", "-e .;"), ("dev", "-e '.[dev]';"), ("live", "-e '.[ros2,play]';")],
 )
 def test_a_target_installs_what_it_uses_with_uv_and_with_pip(target, installed):
     # As if nothing were set up.

@@ -8,8 +8,8 @@ import socket
 import struct
 from typing import Any
 
-from airpuck.web.address import listen
-from airpuck.web.server import ORDER, PATIENCE, serve
+from airpuck.web.address import LOOPBACK, listen
+from airpuck.web.server import ORDER, PATIENCE, PageName, serve
 
 
 def free_port() -> int:
@@ -22,12 +22,14 @@ def free_port() -> int:
 class Arena:
     """A server, and the game's end of its pipe."""
 
-    def __init__(self, hello: dict[str, Any], patience: float = PATIENCE) -> None:
+    def __init__(
+        self, hello: dict[str, Any], patience: float = PATIENCE, page: PageName = "play"
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, far = context.Pipe()
-        with listen(None, 0) as listening:
+        with listen(LOOPBACK, 0) as listening:
             self.port = listening.getsockname()[1]
-            arguments = far, listening, "127.0.0.1", hello, patience
+            arguments = far, listening, LOOPBACK, page, hello, patience
             self.process = context.Process(target=serve, args=arguments)
             self.process.start()
         far.close()
@@ -43,7 +45,7 @@ class Arena:
         assert self.pipe.poll(timeout)
         message = self.pipe.recv_bytes()
         kind, content = message[:1], message[1:]
-        return kind, json.loads(content) if kind == ORDER else struct.unpack("<Iff", content)
+        return kind, json.loads(content) if kind == ORDER else struct.unpack("<Ifff", content)
 
     def ordered(self) -> dict[str, Any]:
         """The next order; wishes are left out."""

@@ -10,6 +10,7 @@ from airpuck.craft.table import AirHockey, Puck
 from airpuck.hockey.prediction import (
     PuckBelief,
     PuckModel,
+    drawn_path,
     predict_crossing,
     predict_path,
     predict_puck,
@@ -196,6 +197,18 @@ def test_a_crossing_is_where_the_path_is_straight():
     assert puck.state.vx < 0
     np.testing.assert_allclose(back.state, puck.state, atol=1e-7)
     assert predict_crossing(KNOWN, belief, -0.2, 0.5) is None
+
+
+def test_a_drawn_path_has_its_corners_at_the_rails():
+    play = AirHockey()
+    mean = np.array([-0.2, 0.31, 0.0, 1.1, 2.7, 3.0])
+    path = drawn_path(play, PuckBelief(5.0, mean, np.zeros((6, 6))))
+    _, reach = play.table.reach(play.puck.radius_m)
+    legs = np.diff(path, axis=0)
+    turned = np.abs(legs[1:, 0] * legs[:-1, 1] - legs[1:, 1] * legs[:-1, 0])
+    corners = path[1:-1][turned > 1e-9 + 1e-3 * np.hypot(*legs[1:].T) * np.hypot(*legs[:-1].T)]
+    assert len(corners) >= 2
+    np.testing.assert_allclose(np.abs(corners[:, 1]), reach, atol=1e-6)
 
 
 def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():

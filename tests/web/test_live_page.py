@@ -27,7 +27,7 @@ from airpuck.recording.message import StreamCodec
 from airpuck.web.live_page import LivePage
 from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import Pages
-from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
+from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 
 pytestmark = pytest.mark.slow
 
@@ -77,7 +77,7 @@ class Flight:
 
     def said(self) -> dict[bytes, list]:
         """What pages were told since the last call, by kind."""
-        found: dict[bytes, list] = {STATE: [], NEWS: [], THOUGHT: []}
+        found: dict[bytes, list] = {STATE: [], EVENT: [], SCENE: [], THOUGHT: []}
         while self.far.poll():
             message = self.far.recv_bytes()
             kind, content = message[:1], message[1:]
@@ -129,11 +129,11 @@ def until(flight: Flight, condition, timeout: float = 10.0):
 
 def phase_of(flight: Flight, wanted: str) -> bool:
     """Whether that phase was told since the last call."""
-    return any(one.get("phase") == wanted for one in flight.said()[NEWS])
+    return any(one.get("phase") == wanted for one in flight.said()[SCENE])
 
 
 def test_everything_is_where_it_was_seen(flight):
-    assert flight.said()[NEWS][0]["phase"] == "starting"
+    assert flight.said()[SCENE][0]["phase"] == "starting"
     flight.step(craft=(-0.8, 0.1, 0.2), puck=(0.3, 0.2, 1.0), mallet=(0.8, -0.1, 0.0))
     flight.step(craft=(-0.8, 0.1, 0.2), puck=(0.3, 0.2, 1.0), mallet=(0.82, -0.1, 0.0))
     said = flight.said()
@@ -141,7 +141,7 @@ def test_everything_is_where_it_was_seen(flight):
     assert (stamp, heard, hidden) == (pytest.approx(0.02), 0, 0)
     places = [0.3, 0.2, 1.0, 0.82, -0.1, 2.0, 0.0, -0.8, 0.1, 0.2, *IDLE]
     assert numbers == pytest.approx(places, abs=1e-5)
-    status = said[NEWS][-1]
+    status = said[SCENE][-1]
     assert (status["phase"], status["score"], status["level"]) == ("watch", [0, 0], "hard")
 
 
@@ -162,7 +162,7 @@ def test_what_is_not_seen_is_nowhere(flight):
 def test_goals_are_told(flight):
     flight.score.rulings = [Ruling("goal", -1), Ruling("over", -1)]
     flight.step(craft=(-0.8, 0.1, 0.2))
-    events = [one for one in flight.said()[NEWS] if one["is"] == "event"]
+    events = flight.said()[EVENT]
     assert [(one["kind"], one["side"]) for one in events] == [("goal", -1), ("over", -1)]
 
 

@@ -12,10 +12,11 @@ from airpuck.web.messages import LONGEST, Order, Wish, packed_state, packed_wish
 
 
 def test_a_wish_as_the_page_writes_it():
-    # DataView: Uint32, Float32, Float32, all little-endian.
+    # DataView: Uint32, then Float32 three times, all little-endian.
     data = bytes([7, 0, 0, 0]) + bytes([0, 0, 0, 0x3F]) + bytes([0, 0, 0x80, 0xBE])
-    assert read_message(data) == Wish(7, 0.5, -0.25)
-    assert packed_wish(Wish(7, 0.5, -0.25)) == data
+    data += bytes([0, 0, 0x80, 0x3F])
+    assert read_message(data) == Wish(7, 0.5, -0.25, 1.0)
+    assert packed_wish(Wish(7, 0.5, -0.25, 1.0)) == data
 
 
 @pytest.mark.parametrize(
@@ -45,10 +46,11 @@ def test_orders(order, meant):
         "[" * LONGEST,
         '{"do": "go"}' + " " * LONGEST,
         b"",
-        b"\0" * 11,
-        b"\0" * 13,
-        struct.pack("<Iff", 1, math.nan, 0.0),
-        struct.pack("<Iff", 1, 0.0, math.inf),
+        b"\0" * 15,
+        b"\0" * 17,
+        struct.pack("<Ifff", 1, math.nan, 0.0, 0.0),
+        struct.pack("<Ifff", 1, 0.0, math.inf, 0.0),
+        struct.pack("<Ifff", 1, 0.0, 0.0, math.nan),
     ],
 )
 def test_garbage_is_none(message):

@@ -23,7 +23,7 @@ from airpuck.twin.settings import default_twin_settings
 from airpuck.web.live_page import live_hello
 from airpuck.web.messages import packed_state
 from airpuck.web.page import hello_of
-from airpuck.web.server import NEWS, STATE, THOUGHT
+from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT
 
 from ..apparatus.arena import Arena
 
@@ -78,7 +78,7 @@ class Page:
     def status(self, phase: str, score: tuple[int, int] = (0, 0)) -> None:
         """Say how the game is."""
         status = {"is": "status", "phase": phase, "score": score, "level": "medium"}
-        self._arena.pipe.send_bytes(NEWS + json.dumps(status).encode())
+        self._arena.pipe.send_bytes(SCENE + json.dumps(status).encode())
         self.until(
             f"airpuck.status().phase + airpuck.status().score === '{phase}{score[0]},{score[1]}'"
         )
@@ -164,7 +164,7 @@ def test_the_pointer_is_told_in_metres(browser, arena):
     page.status("play")
     page.show()
     page.tab.mouse.move(*page.pixel(0.5, 0.25))
-    _, (number, x, y) = arena.heard()
+    _, (number, x, y, _) = arena.heard()
     assert number == 1
     assert (x, y) == pytest.approx((0.5, 0.25), abs=0.004)
 
@@ -177,7 +177,7 @@ def test_a_finger_moves_the_mallet_before_it(browser, arena):
     page.status("play")
     page.show()
     page.tab.touchscreen.tap(*page.pixel(0.6, 0.1))
-    _, (_, x, y) = arena.heard()
+    _, (_, x, y, _) = arena.heard()
     assert y == pytest.approx(0.1, abs=0.01)
     # Towards the craft, which is up.
     assert 0.3 < x < 0.5
@@ -213,6 +213,9 @@ def test_keys_buttons_and_cards(browser, arena):
     arena.hears("pause")
     page.status("paused", (2, 3))
     assert title.inner_text() == "Paused"
+    assert go.inner_text() == "Resume"
+    assert "R restarts" in page.tab.locator("#hint").inner_text()
+    assert page.tab.locator("#pause").get_attribute("aria-label") == "Resume"
     page.tab.keyboard.press(" ")
     arena.hears("go")
     page.tab.get_by_role("button", name="easy").click()
@@ -269,7 +272,7 @@ def test_the_second_page_watches_and_may_sit_down(browser, arena):
     second.until("airpuck.status().phase === 'play'")
     assert first.tab.locator("#pause").is_enabled()
     assert not second.tab.locator("#pause").is_enabled()
-    assert "you watch" in second.tab.locator("#right-name").inner_text()
+    assert "you are watching" in second.tab.locator("#right-name").inner_text()
     second.tab.mouse.move(600, 200)
     second.tab.keyboard.press("r")
     second.tab.wait_for_timeout(200)
@@ -317,16 +320,16 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
     page.status("play", (2, 1))
     page.show()
     page.tab.mouse.move(*page.pixel(0.4, 0.2))
-    _, (_, x, y) = graph.heard()
+    _, (_, x, y, _) = graph.heard()
     assert (x, y) == pytest.approx((0.4, 0.2), abs=0.004)
     for kind, side, words in (
         ("goal", 1, "Goal!"),
         ("over", 1, "You win"),
-        ("foul", -1, "Foul: 15 s on its side"),
-        ("stuck", 0, "Stuck: serve again"),
+        ("foul", -1, "Foul: puck on its side for 15 s"),
+        ("stuck", 0, "Stuck puck: new serve"),
     ):
         event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
-        graph.pipe.send_bytes(NEWS + json.dumps(event).encode())
+        graph.pipe.send_bytes(EVENT + json.dumps(event).encode())
         page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
     assert page.errors == []
 
@@ -346,10 +349,10 @@ def test_a_match_shows_what_plays_on_either_side(browser, kinds):
         for kind, side, words in (
             ("over", -1, "one.py:A wins"),
             ("over", 0, "A draw"),
-            ("foul", 1, "Foul: 15 s on other's side"),
+            ("foul", 1, "Foul: puck on other's side for 15 s"),
         ):
             event = {"is": "event", "kind": kind, "side": side, "strength": 0.0}
-            arena.pipe.send_bytes(NEWS + json.dumps(event).encode())
+            arena.pipe.send_bytes(EVENT + json.dumps(event).encode())
             page.until(f"document.getElementById('call').textContent === {json.dumps(words)}")
         assert page.errors == []
     finally:

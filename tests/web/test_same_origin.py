@@ -1,13 +1,10 @@
-"""The live view's page: other sites can neither show it nor move the set point."""
+"""Other sites can neither show our pages nor act on them."""
 
-import http.client
 import socket
 
 import pytest
 
-from airpuck.web.same_origin import refusal, same_origin_only
-
-from ..apparatus.handshakes import websocket
+from airpuck.web.same_origin import refusal
 
 PORT = "8080"
 
@@ -67,45 +64,3 @@ def test_headers_given_twice_or_not_at_all():
     assert refusal([], [], "127.0.0.1")
     assert refusal([ours, "evil.example"], [], "127.0.0.1")
     assert refusal([ours], [f"http://{ours}", "http://evil.example"], "127.0.0.1")
-
-
-@pytest.fixture(scope="module")
-def port():
-    """A page of viser's, guarded; nothing of airpuck's is on it."""
-    pytest.importorskip("viser")
-    # Without a flight, which the page waits for.
-    from airpuck.web.view import _served
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    with _served("127.0.0.1", port):
-        yield port
-
-
-def test_a_server_of_viser_refuses(port):
-    here, local, evil = (f"{name}:{port}" for name in ("127.0.0.1", "localhost", "evil.example"))
-    assert websocket(port, {}) == 101
-    assert websocket(port, {"Origin": f"http://{here}"}) == 101
-    assert websocket(port, {"Host": local, "Origin": f"http://{local}"}) == 101
-    assert websocket(port, {"Origin": "http://evil.example"}) == 403
-    assert websocket(port, {"Origin": "null"}) == 403
-    assert websocket(port, {"Host": evil, "Origin": f"http://{evil}"}) == 403
-    assert websocket(port, {"Host": evil}) == 403
-
-
-@pytest.mark.parametrize(("host", "status"), [("localhost", 200), ("evil.example", 403)])
-def test_the_page_itself(port, host, status):
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.request("GET", "/", headers={"Host": f"{host}:{port}"})
-    answer = connection.getresponse()
-    assert answer.status == status
-    if status == 200:
-        assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
-        assert b"<html" in answer.read()
-    connection.close()
-
-
-def test_a_server_that_cannot_be_guarded_does_not_go_on_unnoticed():
-    with pytest.raises(RuntimeError, match="nobody would be refused"), same_origin_only("x"):
-        pass

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
+from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 
 from ..apparatus.arena import Arena
 from ..apparatus.handshakes import websocket as opened
@@ -76,6 +76,8 @@ def test_another_site_cannot_play(arena):
     arena.hears("sit", "leave")
     assert opened(arena.port, {"Origin": "http://evil.example"}) == 403
     assert opened(arena.port, {"Host": "evil.example", "Origin": "http://evil.example"}) == 403
+    assert opened(arena.port, {"Host": "evil.example"}) == 403
+    assert opened(arena.port, {"Origin": "null"}) == 403
     assert arena.silent()
 
 
@@ -86,12 +88,12 @@ def test_the_second_page_watches_until_the_seat_is_free(arena):
         arena.hears("sit")
         with arena.page() as second:
             assert news(second, "role")["role"] == "spectator"
-            second.send(struct.pack("<Iff", 1, 0.5, 0.0))
+            second.send(struct.pack("<Ifff", 1, 0.5, 0.0, 0.0))
             for deed in ("pause", "restart", "go", "sit"):
                 second.send(json.dumps({"do": deed}))
             assert news(second, "role")["role"] == "spectator"  # the answer to "sit"
-            first.send(struct.pack("<Iff", 3, 0.25, 0.5))
-            assert arena.heard() == (WISH, (3, 0.25, 0.5))  # and nothing of the second's
+            first.send(struct.pack("<Ifff", 3, 0.25, 0.5, 0.0))
+            assert arena.heard() == (WISH, (3, 0.25, 0.5, 0.0))  # and nothing of the second's
             first.send('{"do": "pause"}')
             arena.hears("pause")
             # Both see.
@@ -105,10 +107,27 @@ def test_the_second_page_watches_until_the_seat_is_free(arena):
     arena.hears("leave")
 
 
+def test_every_page_of_the_live_view_may_move_the_set_point():
+    arena = Arena({"reach": [1, 0.5]}, page="view")
+    try:
+        with arena.page() as first:
+            assert news(first, "hello")["reach"] == [1, 0.5]
+            arena.pipe.send_bytes(SCENE + b'{"is": "scene", "plan": null}')
+            assert news(first, "scene")["plan"] is None
+            with arena.page() as second:
+                assert news(second, "scene")["plan"] is None  # as it was before this page came
+                for number, page in enumerate((first, second)):
+                    page.send(struct.pack("<Ifff", number, 0.5, 0.25, 2.0))
+                    assert arena.heard() == (WISH, (number, 0.5, 0.25, 2.0))
+        assert arena.silent()
+    finally:
+        arena.close()
+
+
 def test_a_page_that_comes_late_hears_the_status(arena):
     status = {"is": "status", "phase": "play", "score": [2, 3]}
     with arena.page() as first:
-        arena.pipe.send_bytes(NEWS + json.dumps(status).encode())
+        arena.pipe.send_bytes(SCENE + json.dumps(status).encode())
         assert news(first, "status") == status
         with arena.page() as second:
             assert news(second, "status") == status
@@ -121,7 +140,7 @@ def test_thoughts_go_to_those_who_ask(arena):
         second.send('{"do": "think", "on": true}')
         assert arena.heard() == (ORDER, {"do": "think", "on": True})
         arena.pipe.send_bytes(THOUGHT + b'{"is": "thought"}')
-        arena.pipe.send_bytes(NEWS + b'{"is": "event"}')
+        arena.pipe.send_bytes(EVENT + b'{"is": "event"}')
         news(second, "thought")
         assert [json.loads(first.recv(timeout=5))["is"] for _ in range(3)] == [
             "hello",
@@ -134,7 +153,7 @@ def test_thoughts_go_to_those_who_ask(arena):
 
 @pytest.mark.parametrize(
     "garbage",
-    ["", "{", '{"do": "leave"}', "x" * 200, b"\xff" * 12, b"\0" * 100, "\N{BILLIARDS}" * 20],
+    ["", "{", '{"do": "leave"}', "x" * 200, b"\xff" * 16, b"\0" * 100, "\N{BILLIARDS}" * 20],
 )
 def test_garbage_ends_the_connection_and_nothing_else(arena, garbage):
     with arena.page() as good:
@@ -177,10 +196,10 @@ def test_a_flood_is_cut_off_and_others_play_on(arena):
             began = time.monotonic()
             with contextlib.suppress(exceptions.ConnectionClosed):
                 for _ in range(100_000):
-                    flood.send(b"\0" * 12)
+                    flood.send(b"\0" * 16)
             assert time.monotonic() - began < 5
-        good.send(struct.pack("<Iff", 1, 0.5, 0.5))
-        assert arena.heard() == (WISH, (1, 0.5, 0.5))
+        good.send(struct.pack("<Ifff", 1, 0.5, 0.5, 0.0))
+        assert arena.heard() == (WISH, (1, 0.5, 0.5, 0.0))
 
 
 def test_no_more_pages_than_it_can_serve(arena):
@@ -270,12 +289,12 @@ def test_orders_are_kept_while_the_game_stands_still_and_of_wishes_the_newest(ar
         news(page, "role")
         page.send('{"do": "level", "level": "easy"}')
         for number in range(450):
-            page.send(struct.pack("<Iff", number, 0.5, 0.5))
+            page.send(struct.pack("<Ifff", number, 0.5, 0.5, 0.0))
             time.sleep(0.001)
         page.send('{"do": "think", "on": true}')
-        arena.pipe.send_bytes(NEWS + b'{"is": "status"}')
+        arena.pipe.send_bytes(SCENE + b'{"is": "status"}')
         news(page, "status")
         time.sleep(0.2)
         arena.hears("sit", "level", "think")
         # The pipe was full of wishes before it; the newest comes after all.
-        assert arena.heard() == (WISH, (449, 0.5, 0.5))
+        assert arena.heard() == (WISH, (449, 0.5, 0.5, 0.0))

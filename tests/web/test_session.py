@@ -18,10 +18,10 @@ from airpuck.boundary.errors import InputError
 from airpuck.hockey.player import Player
 from airpuck.twin.settings import default_twin_settings
 from airpuck.web import session as session_module
-from airpuck.web.address import address_of, listen
+from airpuck.web.address import LOOPBACK, address_of, listen
 from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import ArenaSettings, Pages
-from airpuck.web.server import NEWS, ORDER, STATE, THOUGHT, WISH
+from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 from airpuck.web.session import Session, play_in_browser
 
 pytestmark = pytest.mark.slow
@@ -82,7 +82,9 @@ class Table:
             if kind == STATE:
                 self.states.append(State.of(content))
             else:
-                {NEWS: self.news, THOUGHT: self.thoughts}[kind].append(json.loads(content))
+                {EVENT: self.news, SCENE: self.news, THOUGHT: self.thoughts}[kind].append(
+                    json.loads(content)
+                )
 
     @property
     def phases(self) -> list[str]:
@@ -269,8 +271,8 @@ def test_what_cannot_be_served_is_refused():
         ArenaSettings(port=0)
     with pytest.raises(InputError, match="no network interface 'nonsense'"):
         address_of("nonsense")
-    with listen("lo", 0) as taken:
+    with listen(LOOPBACK, 0) as taken:
         host, port = taken.getsockname()
         assert host == "127.0.0.1"
         with pytest.raises(InputError, match="give another --port"):
-            listen(None, port)
+            listen(LOOPBACK, port)

@@ -104,7 +104,10 @@ def _play_live(
     with ExitStack() as stack:
         if page is not None:
             # The flight loop never waits for a page.
-            pages = stack.enter_context(served(page, live_hello(craft, table), waits=False))
+            hello = live_hello(craft, table)
+            pages = stack.enter_context(
+                served(page.host, page.port, hello, waits=False, without=", or give --no-page")
+            )
             spectators.append(LivePage(pages, score, level))
             invite(pages, page, say(on_graph.quiet))
         figures = fly_live(

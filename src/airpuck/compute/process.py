@@ -13,6 +13,8 @@ from typing import Any
 
 #: Priority above ordinary processes, below the system's own.
 _PRIORITY = 10
+#: XLA reads the size of its thread pool here; it has no option for that.
+_POOL = "NPROC"
 #: After this time a signal is sent again whose exception was lost [s].
 _AGAIN = 0.01
 
@@ -109,13 +111,22 @@ def keep_compiled_programs() -> None:
 def low_latency() -> bool:
     """Run programs of any size in the thread that calls them, before JAX first computes.
 
-    By default JAX hands large ones to another thread, which takes 10 µs or more. Returns whether
-    the setting came in time.
+    By default JAX hands large ones to another thread, which takes 10 µs or more, and XLA hands
+    parts of them to a pool. Threads of the pool have no priority: while other processes keep the
+    cores busy, a loop with priority waits for them, up to 0.3 s (`studies/live_loop.py`). Returns
+    whether the setting came in time.
     """
     import jax
 
     if not large_programs_are_fast() and not _has_computed():
         jax.config.update("jax_cpu_enable_async_dispatch", False)
+        before = os.environ.get(_POOL)
+        os.environ[_POOL] = "1"
+        jax.local_devices(backend="cpu")  # makes the pool
+        if before is None:
+            del os.environ[_POOL]
+        else:
+            os.environ[_POOL] = before
     return large_programs_are_fast()
 
 

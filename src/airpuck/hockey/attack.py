@@ -17,7 +17,7 @@ from airpuck.hockey.interception import (
     stays_inside,
     way_is_free,
 )
-from airpuck.hockey.prediction import PuckBelief, predict_path, predict_puck
+from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.hockey.tactic import Intention, Kind, View
 
@@ -43,8 +43,6 @@ _EASY, _STRAINED = 0.9, 1.4
 #: The opponent waits so far before its goal line [m], and goes there when it has noticed that the
 #: puck is gone [s], so fast [m/s].
 _OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
-#: How long the way of a shot is drawn [s].
-_DRAWN = np.arange(0.0, 1.0, 0.025)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +286,7 @@ def after_contact(
     contact = Contacts(puck[:2], puck[3:], meeting.normal, meeting.speed * unit(meeting.normal))
     state = np.concatenate([puck[:3], struck(view.pitch, contact)])
     belief = PuckBelief(meeting.time, state, np.zeros((6, 6)))
-    return predict_path(view.pitch.play, belief, meeting.time + _DRAWN)[:, :2]
+    return drawn_path(view.pitch.play, belief)
 
 
 def _opponent(

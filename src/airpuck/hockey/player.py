@@ -21,7 +21,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.flight.pilot import Pilot
 from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
-from airpuck.hockey.prediction import predict_path
+from airpuck.hockey.prediction import drawn_path
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
@@ -37,8 +37,6 @@ _HIDDEN, _LOST = 0.15, 1.0
 _FROZEN, _MOVING = 6, 0.1
 #: Farther beyond a rail than this, nothing is a puck [m].
 _BEYOND = 0.1
-#: For so long the way of the puck is drawn [s].
-_DRAWN = np.arange(0.0, 1.2, 0.02)
 #: Where a disc is that is in nobody's way [m].
 _NOWHERE = np.array([[50.0, 50.0, 0.1]])
 #: The craft keeps to its half by this beyond its radius [m].
@@ -208,8 +206,7 @@ class Player(Pilot):
         belief = self.filter.belief
         if belief is None or self.sight != "seen":
             return None
-        path = predict_path(self.play, belief, belief.time + _DRAWN)
-        return path[:, :2] * (-self.side)
+        return drawn_path(self.play, belief) * (-self.side)
 
     def _see(self, time: float) -> None:
         """Take what is seen by now, in the own frame."""

@@ -24,6 +24,10 @@ _ASSUMED = {
 }
 #: White accelerations by air and slope: [m/s²/√Hz] and [rad/s²/√Hz].
 ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
+#: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.
+_BEYOND = 1e-8
+#: Times at which a path is drawn, besides those of its bounces [s].
+_DRAWN = np.arange(0.0, 1.2, 0.02)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +152,7 @@ def predict_path(
     puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
     found, done = np.empty((len(times), 6)), 0
     while done < len(times):
-        # Just beyond the next bounce.
-        until = min(puck.next_meeting + 1e-8, times[-1])
+        until = min(puck.next_meeting + _BEYOND, times[-1])
         here = int(np.searchsorted(times, until, side="right"))
         found[done:here] = _coasting(play.puck, puck.state, times[done:here] - puck.time)
         done = here
@@ -158,6 +161,17 @@ def predict_path(
             break
         puck.run(until)
     return found
+
+
+def drawn_path(play: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
+    """Return the path of a puck that nobody hits over the next 1.2 s, cornered at the rails."""
+    times = belief.time + _DRAWN
+    puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
+    bounces = []
+    while not puck.goal and (bounce := puck.next_meeting) < times[-1]:
+        bounces.append(bounce)
+        puck.run(bounce + _BEYOND)
+    return predict_path(play, belief, np.union1d(times, bounces))[:, :2]
 
 
 def _coasting(
@@ -249,8 +263,7 @@ def _crossing(
     puck = PuckOnTable(play, PuckState(*state.tolist()), belief.time, logs=False)
     while puck.time < end and not puck.goal:
         now, start = puck.time, puck.state
-        # Just beyond the next bounce.
-        until = min(puck.next_meeting + 1e-8, end)
+        until = min(puck.next_meeting + _BEYOND, end)
         sigma = (x - start.x) / start.vx if start.vx else -1.0
         after = time_of(play.puck.drag_1_s, sigma) if sigma >= 0 else math.inf
         if now + after <= until:

@@ -2,115 +2,38 @@
 // the hand is. Between its states this page interpolates; the own mallet it predicts.
 "use strict";
 
-const byId = name => document.getElementById(name);
-// So much behind the newest state is drawn [s], and up to as much beyond it where none is newer: half
-// a period of the server.
-const BEHIND = 0.006;
-// Between wishes, but for the last one of a frame [ms].
+// Time between messages of the pointer, but for the last one of a frame [ms].
 const APART = 8;
-// States farther apart than this are no motion, but a puck that was put somewhere [m].
-const JUMP = 0.15;
-// On a touch screen the mallet is this far before the finger, to be seen [pixels].
+// On a touch screen the mallet is this far ahead of the finger, to be seen [pixels].
 const BEFORE_FINGER = 56;
 // The trail of the puck [s].
 const TRAIL = 0.35;
 
-let table, hello, socket, role = "watcher";
+let table, hello, role = "spectator";
 let status = { phase: "waiting", score: [0, 0], level: "" };
-const states = [];          // oldest first
-const arrivals = [];        // [when, how far this page's clock is ahead of the state's] [s]
-const trail = [];           // [x, y, when, which way of the puck]
-let ways = 0;               // the puck has been put somewhere so often
+const trail = [];           // [x, y, when, how often the puck had been put somewhere]
 let thought = null, thinking = false, figuresShown = 0;
 
-// The connection -------------------------------------------------------------------------------
-function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/`);
-  socket.binaryType = "arraybuffer";
-  socket.onmessage = ({ data }) => typeof data === "string" ? hear(JSON.parse(data)) : see(data);
-  socket.onclose = () => {
-    role = "lost";
-    states.length = arrivals.length = 0;
-    showCard();
-    setTimeout(connect, 1000);
-  };
-}
-function tell(what) {
-  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(what));
-}
 function hear(news) {
   if (news.is === "hello") begin(news);
   else if (news.is === "role") { role = news.role; showCard(); }
   else if (news.is === "status") showStatus(news);
   else if (news.is === "event") notice(news);
   else if (news.is === "thought") {
-    // What is said changes with what it wants, and now and then with the numbers.
+    // The words change at once with the intention, and twice a second with the numbers.
     if (thought?.words.split(" ")[0] !== news.words.split(" ")[0]) figuresShown = 0;
     thought = news;
   }
 }
 
-// A state: time f64, wishes heard u32, flags u8 …, then f32: puck x, y, yaw; on the right mallet x, y,
-// vx, vy, or craft x, y, yaw, 0; on the left craft x, y, yaw; commands of motors.
-function see(data) {
-  const view = new DataView(data);
-  const numbers = Array.from({ length: (data.byteLength - 16) / 4 },
-    (_, k) => view.getFloat32(16 + 4 * k, true));
-  const state = {
-    time: view.getFloat64(0, true), heard: view.getUint32(8, true), hidden: view.getUint8(12) & 1,
-    puck: numbers.slice(0, 3), mallet: numbers.slice(3, 7), craft: numbers.slice(7, 10),
-    commands: numbers.slice(10),
-  };
-  const now = performance.now() / 1000, newest = states.at(-1);
-  if (newest && state.time < newest.time) states.length = 0;
-  // While time stands still, there is one state.
-  if (newest && state.time === newest.time) states.pop();
-  if (!states.length || jumps(newest.puck, state.puck)) ways++;
-  state.way = ways;
-  const ahead = now - state.time;
-  // After a pause this page's clock is ahead by more.
-  if (arrivals.length && (now - arrivals.at(-1)[0] > 0.25 || ahead - arrivals.at(-1)[1] > 0.25))
-    arrivals.length = 0;
-  arrivals.push([now, ahead]);
-  while (now - arrivals[0][0] > 2) arrivals.shift();
-  states.push(state);
-  while (states.length > 2 && states[1].time < state.time - 0.5) states.shift();
-}
-function clockAhead() {
-  let least = Infinity;
-  for (const [, ahead] of arrivals) least = Math.min(least, ahead);
-  return least;
-}
-
-function jumps(from, to) {
-  return Math.hypot(to[0] - from[0], to[1] - from[1]) > JUMP;
-}
-
-// What is seen at a moment on the server's clock -----------------------------------------------
-function stateAt(time) {
-  let k = states.length - 1;
-  while (k > 0 && states[k].time > time) k--;
-  if (time <= states[k].time || states.length < 2) return states[k];
-  const beyond = k === states.length - 1, [before, after] = states.slice(beyond ? -2 : k);
-  const until = beyond ? Math.min(time, after.time + BEHIND) : time;
-  const share = (until - before.time) / (after.time - before.time);
-  const between = (from, to) => jumps(from, to) ? to
-    : from.map((value, i) => value + share * (i === 2 ? turn(to[i] - value) : to[i] - value));
-  return { ...(beyond ? after : before), way: after.way, hidden: before.hidden || after.hidden, puck: between(before.puck, after.puck),
-    craft: between(before.craft, after.craft), mallet: between(before.mallet, after.mallet) };
-}
-function turn(angle) {
-  return angle - TURN * Math.round(angle / TURN);
-}
-
-// Whether this page moves the mallet: on a graph with a human at the table none does.
+// Whether this page moves the mallet: no page does where a human is at the table.
 function plays() {
   return role === "player" && status.phase !== "watch";
 }
 
 // The own mallet: the server's law of motion, from its newest state on, towards where the hand is ----
 const wishes = [];          // [when sent on this page's clock, x, y]
-let wishNumber = 0, lastSent = 0;
+let lastSent = 0;
 const sentAt = new Map();   // number of a wish: time of its pointer event [ms]
 function wish(event) {
   if (!plays() || !table) return;
@@ -121,17 +44,12 @@ function wish(event) {
   const box = table.canvas.getBoundingClientRect();
   let px = event.clientX - box.left, py = event.clientY - box.top;
   if (event.pointerType === "touch") table.tall ? py -= BEFORE_FINGER : px -= BEFORE_FINGER;
-  const [x, y] = table.toMetres(px, py), data = new DataView(new ArrayBuffer(12));
-  wishNumber++;
-  data.setUint32(0, wishNumber, true);
-  data.setFloat32(4, x, true);
-  data.setFloat32(8, y, true);
-  if (socket.readyState === WebSocket.OPEN) socket.send(data.buffer);
+  const [x, y] = table.toMetres(px, py), number = sendPlace(x, y);
   wishes.push([performance.now() / 1000, x, y]);
   while (wishes.length > 200) wishes.shift();
   lastSent = event.timeStamp;
   // On a graph nothing says when it was heard.
-  if (!hello.live) sentAt.set(wishNumber, lastSent);
+  if (!hello.live) sentAt.set(number, lastSent);
 }
 function allowed(x, y) {
   const [length, width] = hello.table, r = hello.hockey.mallet;
@@ -211,12 +129,12 @@ function drawSide(kind, pose, color, commands) {
   table.drawThrusts(pose, thrustsOf(hello.craft, commands.slice(0, motors)));
   return commands.slice(motors);
 }
-function leaveTrail({ hidden, way, puck: [x, y] }, now) {
+function leaveTrail({ hidden, placing, puck: [x, y] }, now) {
   const last = trail.at(-1);
   if (hidden) { if (last) trail.push(null); }
   else {
-    if (last && way !== last[3]) trail.push(null);
-    trail.push([x, y, now, way]);
+    if (last && placing !== last[3]) trail.push(null);
+    trail.push([x, y, now, placing]);
   }
   while (trail.length && (!trail[0] || now - trail[0][2] > TRAIL)) trail.shift();
 }
@@ -256,6 +174,9 @@ function showStatus(news) {
   status = news;
   byId("left").textContent = status.score[0];
   byId("right").textContent = status.score[1];
+  const verb = status.phase === "paused" ? "Resume" : "Pause";
+  byId("pause").setAttribute("aria-label", verb);
+  byId("pause").title = `${verb} (space)`;
   for (const button of byId("levels").children)
     button.setAttribute("aria-pressed", button.textContent === status.level);
   showCard();
@@ -263,32 +184,32 @@ function showStatus(news) {
 const POINTER = matchMedia("(pointer: coarse)").matches ? "your finger" : "the mouse";
 function card() {
   const [left, right] = status.score;
-  const keys = POINTER === "the mouse" ? "Space pauses, R begins again, T shows what the craft thinks." : "";
-  if (role === "lost") return ["Connection lost", "Is airpuck still running? This page keeps trying.", ""];
+  const keys = POINTER === "the mouse" ? "Space pauses, R restarts, T shows what the craft thinks." : "";
+  if (role === "lost") return ["Connection lost", "Is airpuck still running? This page keeps trying to reconnect.", ""];
   if (status.phase === "watch") return null;
-  if (role === "watcher")
+  if (role === "spectator")
     return status.phase === "waiting"
-      ? ["The seat is free", "Whoever had it has left.", "Play"] : null;
+      ? ["The seat is free", "The player has left.", "Play"] : null;
   switch (status.phase) {
-    case "starting": return ["One moment", "The craft is getting ready.", ""];
+    case "starting": return ["One moment", "Starting a new game.", ""];
     case "ready": return ["You against the craft",
-      `Move the orange mallet with ${POINTER}. First to ${hello.first_to}; a puck that stays on one ` +
-      `side for ${hello.foul_s} s goes to the other.`, "Play", keys];
-    case "paused": return ["Paused", `${left} : ${right}`, "Go on", keys];
+      `Move the orange mallet with ${POINTER}. First to ${hello.first_to} wins. Whoever keeps the puck ` +
+      `for ${hello.foul_s} s loses it to the other side.`, "Play", keys];
+    case "paused": return ["Paused", `${left} : ${right}`, "Resume", keys];
     case "over": return right > left
       ? ["You win", `${right} : ${left}. Well played.`, "Play again"]
-      : ["The craft wins", `${left} : ${right}. Another one?`, "Play again"];
+      : ["The craft wins", `${left} : ${right}. Another game?`, "Play again"];
     default: return null;
   }
 }
 function showCard() {
-  const content = card(), watching = role === "watcher" && status.phase !== "waiting";
+  const content = card(), watching = role === "spectator" && status.phase !== "waiting";
   const shows = status.phase === "watch";
   byId("card").hidden = !content;
   document.body.classList.toggle("plays", !content && plays());
   for (const button of document.querySelectorAll("#pause, #restart, #levels button"))
     button.disabled = role !== "player";
-  byId("right-name").textContent = shows ? hello.names[1] : role === "player" ? "you" : watching ? "player (you watch)" : "player";
+  byId("right-name").textContent = shows ? hello.names[1] : role === "player" ? "you" : watching ? "player (you are watching)" : "player";
   if (!content) return;
   const [title, words, go, hint] = content;
   byId("title").textContent = title;
@@ -319,9 +240,9 @@ function notice({ kind, side, strength }) {
     const who = side > 0 && plays() ? "You win" : `${hello.names[side < 0 ? 0 : 1]} wins`;
     call(side ? who : "A draw", side < 0 ? left : side > 0 ? right : "#66707a");
   } else if (kind === "stuck") {
-    call("Stuck: serve again", "#66707a");
+    call("Stuck puck: new serve", "#66707a");
   } else if (kind === "foul") {
-    call(`Foul: ${hello.foul_s} s on ${whose(side)} side`, "#66707a");
+    call(`Foul: puck on ${whose(side)} side for ${hello.foul_s} s`, "#66707a");
     sound([220, 220], 0.15, 0.12, "square");
   } else sound([{ rail: 900, post: 1400, mallet: 340, craft: 260 }[kind]], 0.045,
     Math.min(0.3, strength), "sine");
@@ -354,7 +275,7 @@ function press(button, on) {
   byId(button).setAttribute("aria-pressed", on);
 }
 const actions = {
-  go: () => tell({ do: role === "watcher" ? "sit" : status.phase === "over" ? "restart" : "go" }),
+  go: () => tell({ do: role === "spectator" ? "sit" : status.phase === "over" ? "restart" : "go" }),
   pause: () => tell({ do: status.phase === "paused" ? "go" : "pause" }),
   restart: () => tell({ do: "restart" }),
   think: () => { thinking = !thinking; thought = null; press("think", thinking); tell({ do: "think", on: thinking }); },
@@ -385,4 +306,4 @@ addEventListener("resize", () => table && resize());
 document.addEventListener("visibilitychange", () => {
   if (document.hidden && role === "player" && status.phase === "play") tell({ do: "pause" });
 });
-connect();
+connect({ hear, lost: () => { role = "lost"; showCard(); } });

@@ -12,15 +12,17 @@ from airpuck.boundary.errors import InputError
 _SIOCGIFADDR = {"linux": 0x8915, "darwin": 0xC0206921}
 
 
-def listen(interface: str | None, port: int) -> socket.socket:
-    """Return a socket that listens for pages; refuse what is not there or not free."""
-    host = "127.0.0.1" if interface is None else address_of(interface)
+LOOPBACK = "127.0.0.1"
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens for pages; raise InputError if the address is not free."""
     try:
         return socket.create_server((host, port))
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or "no address"
         raise InputError(
-            f"cannot serve at {host}:{port} ({error.strerror}); give another --port",
-            field="--port",
+            f"cannot serve at {host}:{port} ({why}); give another --port", field="--port"
         ) from error
 
 

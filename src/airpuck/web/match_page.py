@@ -45,7 +45,7 @@ def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any =
     names, kinds = ([getattr(side, what) for side in game.sides] for what in ("name", "kind"))
     hello = hello_of(model, game.settings)
     hello |= {"live": True, "levels": [], "names": names, "sides": kinds}
-    with served(arena, hello) as pages:
+    with served(arena.host, arena.port, hello) as pages:
         pages.say_status("watch", game.score, "")
         invite(pages, arena, tell, "Watch")
         _show(game, pages)

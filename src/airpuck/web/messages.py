@@ -1,4 +1,4 @@
-"""What the page of a game and its server tell each other.
+"""Messages between pages and their server.
 
 Where everything is goes as packed numbers, a hundred times a second; all else is JSON. What comes
 from a page is checked here: it may be anything.
@@ -18,18 +18,19 @@ DEEDS = get_args(Deed)
 #: The longest message of a page that may be meant [bytes].
 LONGEST = 64
 
-_WISH = struct.Struct("<Iff")
+_WISH = struct.Struct("<Ifff")
 _STATE = struct.Struct("<dIB3x")
 
 
 class Wish(NamedTuple):
-    """Where a page wants the mallet."""
+    """Where a page wants the mallet of a game, or the set point of a craft."""
 
-    #: The how manieth of the page it is.
+    #: Sequence number of this message, per page.
     number: int
-    #: [m].
+    #: [m, m, rad]; a mallet has no yaw.
     x: float
     y: float
+    yaw: float = 0.0
 
 
 class Order(NamedTuple):
@@ -78,7 +79,7 @@ def _read_wish(data: bytes) -> Wish | None:
     if len(data) != _WISH.size:
         return None
     wish = Wish(*_WISH.unpack(data))
-    return wish if math.isfinite(wish.x) and math.isfinite(wish.y) else None
+    return wish if all(map(math.isfinite, wish[1:])) else None
 
 
 def _read_order(text: str) -> Order | None:

@@ -1,4 +1,4 @@
-"""The pages of a game as who plays it sees them: where they are served, what goes to and fro."""
+"""Pages as the process behind them sees them: where they are served, what goes to and fro."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from typing import Any
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.craft.table import AirHockey
+from airpuck.craft.table import AirHockey, Table
 from airpuck.hockey.game import PERIOD, Game, GameEvent
 from airpuck.hockey.level import LEVELS
 from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
 from airpuck.report.table_canvas import COLORS, craft_shape, hockey_shape
-from airpuck.web.address import listen
+from airpuck.web.address import LOOPBACK, address_of, listen
 from airpuck.web.messages import Wish, packed_state, read_message
-from airpuck.web.server import NEWS, STATE, THOUGHT, WISH, serve
+from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageName, serve
 
 #: Steps from one thought that is shown to the next.
 _THOUGHTS_EVERY = 3
@@ -62,6 +62,11 @@ class ArenaSettings:
         if self.duration is not None:
             numbers.LIVE_DURATION.check(self.duration, "--duration")
 
+    @property
+    def host(self) -> str:
+        """Address to serve at."""
+        return LOOPBACK if self.interface is None else address_of(self.interface)
+
 
 class Pages:
     """The pages of a game: all that is said to them, and what they ask for.
@@ -72,7 +77,8 @@ class Pages:
 
     def __init__(self, pipe: Connection, *, waits: bool = True, url: str = "") -> None:
         self._pipe, self._waits, self.url = pipe, waits, url
-        self._status: dict[str, Any] = {}
+        #: By name: what was sent last.
+        self._sent: dict[str, bytes] = {}
         self._thoughts = 0
         #: Whether any page shows thoughts.
         self.thinks = False
@@ -97,15 +103,19 @@ class Pages:
         """Show where everything is."""
         self._send(STATE + state)
 
-    def say(self, news: dict[str, Any]) -> bool:
-        """Send an event or a status; return whether it was sent."""
-        return self._send(NEWS + json.dumps(news).encode())
+    def say(self, event: dict[str, Any]) -> None:
+        """Send an event."""
+        self._send(EVENT + json.dumps(event).encode())
 
     def say_status(self, phase: str, score: tuple[int, int], level: str) -> None:
         """Send the status of the game if it has changed."""
-        status = {"is": "status", "phase": phase, "score": list(score), "level": level}
-        if status != self._status and self.say(status):
-            self._status = status
+        self.update("status", {"phase": phase, "score": list(score), "level": level})
+
+    def update(self, name: str, scene: dict[str, Any]) -> None:
+        """Send something that lasts if it has changed; only the newest of a name counts."""
+        message = json.dumps({"is": name, **scene}).encode()
+        if self._sent.get(name) != message and self._send(SCENE + message):
+            self._sent[name] = message
 
     def think(self, player: Player, time: float) -> None:
         """Send every third thought of the craft if any page shows thoughts."""
@@ -133,16 +143,27 @@ class Pages:
 
 
 @contextmanager
-def served(arena: ArenaSettings, hello: dict[str, Any], *, waits: bool = True) -> Iterator[Pages]:
-    """Serve pages, in a process of their own; `hello` is what they are told at first."""
+def served(
+    host: str,
+    port: int,
+    hello: dict[str, Any],
+    *,
+    page: PageName = "play",
+    waits: bool = True,
+    without: str = "",
+) -> Iterator[Pages]:
+    """Serve pages from another process; `hello` is what a page is told at first.
+
+    `without` says how to do without pages, in case websockets is not installed.
+    """
     if find_spec("websockets") is None:
-        without = "" if waits else ", or give --no-page"
         raise InputError(f"the page needs websockets: pip install websockets{without}")
-    with listen(arena.interface, arena.port) as listening:
-        host, port = listening.getsockname()[:2]
+    with listen(host, port) as listening:
+        port = listening.getsockname()[1]
         context = multiprocessing.get_context("spawn")
         pipe, far = context.Pipe()
-        server = context.Process(target=serve, args=(far, listening, host, hello), daemon=True)
+        arguments = far, listening, host, page, hello
+        server = context.Process(target=serve, args=arguments, daemon=True)
         server.start()
         far.close()
     try:
@@ -160,16 +181,21 @@ def invite(pages: Pages, arena: ArenaSettings, tell: Any, what: str = "Play") ->
         webbrowser.open(pages.url)
 
 
-def hello_of(model: Model, play: AirHockey) -> dict[str, Any]:
-    """Return what a page must know before it can show anything."""
-    table, mallet = play.table, play.mallet
+def table_of(model: Model, table: Table) -> dict[str, Any]:
+    """Return what a page must know to draw a craft on its table."""
     x, y = table.length_m / 2, table.width_m / 2
-    rules = Rules()
     return {
         "table": [table.length_m, table.width_m],
         "view": [-x, x, -y, y],
         "craft": craft_shape(model.vehicle),
         "colors": COLORS,
+    }
+
+
+def hello_of(model: Model, play: AirHockey) -> dict[str, Any]:
+    """Return what a page must know before it can show anything."""
+    mallet, rules = play.mallet, Rules()
+    return table_of(model, play.table) | {
         "hockey": hockey_shape(play),
         "mallet": {"speed": mallet.speed_m_s, "acceleration": mallet.acceleration_m_s2},
         "period": PERIOD,

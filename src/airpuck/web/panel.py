@@ -1,14 +1,12 @@
-"""What stands beside the table in the browser: set point, gauges of loop and craft, events."""
+"""Gauges and events beside the table of the live view, as JSON values."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from airpuck.flight.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.flight.health import HORIZON, Health
@@ -16,13 +14,7 @@ from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
 from airpuck.live.plan import NAME as PLAN
 from airpuck.live.watch import Observer
-from airpuck.web.scene import Wish
 
-if TYPE_CHECKING:
-    import viser
-
-_WARNING, _ERROR = "#b35900", "#c00000"
-_BAR, _BAR_TOO_LONG, _BAR_GROUND = "#0072b2", "#d55e00", "#e3e7ea"
 #: Newest events that are shown.
 _SHOWN = 12
 #: A controller whose last heartbeat is older counts as gone [s].
@@ -37,72 +29,6 @@ _TIMES = {
 _FULL_ERROR = (0.016, 0.016, 0.5)
 
 
-class Panel:
-    """Set point, gauges and events; `wish` takes the x, y [m], yaw [rad] that the user enters."""
-
-    def __init__(self, server: viser.ViserServer, reach: tuple[float, float], wish: Wish) -> None:
-        gui = server.gui
-        gui.configure_theme(
-            control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False
-        )
-        gui.set_panel_label("airpuck")
-        with gui.add_folder("Set point"):
-            self._hint = gui.add_html("")
-            limits = {
-                "x [m]": (reach[0], 0.05),
-                "y [m]": (reach[1], 0.05),
-                "yaw [rad]": (math.pi, 0.1),
-            }
-            self._numbers = [
-                gui.add_number(label, 0.0, min=-limit, max=limit, step=step)
-                for label, (limit, step) in limits.items()
-            ]
-        self._flight, self._health, self._events = (
-            _folder(gui, label) for label in ("Flight", "Model and craft", "Events")
-        )
-        self._shown = [0.0, 0.0, 0.0]
-
-        async def entered(event: Any) -> None:
-            if event.client is not None:  # entered by a user, not set by `show_set_point`
-                wish(*(float(number.value) for number in self._numbers))
-
-        for number in self._numbers:
-            number.on_update(entered)
-
-    def show_set_point(self, pose: Float[np.ndarray, " k"]) -> None:
-        """Write x, y, yaw of the set point."""
-        x, y, yaw = map(float, pose[:3])
-        # A number that the user is entering stays until the set point changes.
-        for k, value in enumerate((x, y, math.remainder(yaw, 2 * math.pi))):
-            rounded = round(value, 3)
-            if rounded != self._shown[k]:
-                self._numbers[k].value = self._shown[k] = rounded
-
-    def show(self, observer: Observer, hint: str) -> None:
-        """Write gauges and events."""
-        now = observer.clock.now
-        self._hint.content = paragraph(hint)
-        rates = [f"{observer.rates.get(stream, 0.0):.0f} Hz" for stream in ("pose", "command")]
-        gauges = [Gauge("poses, commands", ", ".join(rates))]
-        came, status, figures = observer.beats.get(FLY, (-math.inf, "", {}))
-        if now - came < _GONE:
-            gauges += [Gauge("controller", status), *timing_gauges(figures)]
-            gauges += plan_gauges(*observer.beats.get(PLAN, (-math.inf, "", {})), now)
-        else:
-            gauges.append(Gauge("controller", "none"))
-        self._flight.content = gauges_html(gauges)
-        self._health.content = health_html(observer.health)
-        newest = list(observer.events)[: -_SHOWN - 1 : -1]
-        lines = [_event_html(event, now - came) for came, event in newest]
-        self._events.content = "".join(lines) or paragraph("none yet")
-
-
-def _folder(gui: viser.GuiApi, label: str) -> viser.GuiHtmlHandle:
-    """Add a folder of text."""
-    with gui.add_folder(label):
-        return gui.add_html("")
-
-
 class Gauge(NamedTuple):
     """A line with a name, a value in words, and a bar."""
 
@@ -112,18 +38,28 @@ class Gauge(NamedTuple):
     share: float | None = None
 
 
-def gauges_html(gauges: list[Gauge]) -> str:
-    """Lay gauges out, one a line."""
-    style = (
-        "width:100%;font-size:0.8em;line-height:1.35;padding:0 0.4em;border-spacing:0;"
-        "font-variant-numeric:tabular-nums"
-    )
-    lines = "".join(
-        f'<tr><td>{escape(name)}</td><td style="width:32%">{_bar(share)}</td>'
-        f'<td style="text-align:right;white-space:nowrap">{escape(value)}</td></tr>'
-        for name, value, share in gauges
-    )
-    return f'<table style="{style}">{lines}</table>'
+def panel(observer: Observer) -> dict[str, Any]:
+    """Return gauges of flight and craft, and the newest events."""
+    now, health = observer.clock.now, observer.health
+    rates = [f"{observer.rates.get(stream, 0.0):.0f} Hz" for stream in ("pose", "command")]
+    gauges = [Gauge("poses, commands", ", ".join(rates))]
+    came, status, figures = observer.beats.get(FLY, (-math.inf, "", {}))
+    if now - came < _GONE:
+        gauges += [Gauge("controller", status), *timing_gauges(figures)]
+        gauges += plan_gauges(*observer.beats.get(PLAN, (-math.inf, "", {})), now)
+    else:
+        gauges.append(Gauge("controller", "none"))
+    newest = list(observer.events)[: -_SHOWN - 1 : -1]
+    return {
+        "flight": gauges,
+        "health": health_gauges(health),
+        "findings": [[finding, "warning"] for finding in health.findings]
+        or [["nothing deviates from the model", "info"]] * judged(health),
+        "events": [
+            [f"{now - came:.0f} s ago, {event.name}: {event.msg}", _severity(event.level)]
+            for came, event in newest
+        ],
+    }
 
 
 def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
@@ -134,7 +70,8 @@ def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
             value = float(figures[key].split()[0])
         except (KeyError, ValueError, IndexError):
             continue
-        gauges.append(Gauge(name, f"{value:.2f} of {limit:g} ms", value / limit))
+        if math.isfinite(value):
+            gauges.append(Gauge(name, f"{value:.2f} of {limit:g} ms", value / limit))
     if "missed_deadlines" in figures:
         gauges.append(Gauge("missed deadlines", figures["missed_deadlines"]))
     return gauges
@@ -147,53 +84,35 @@ def plan_gauges(came: float, status: str, figures: Mapping[str, str], now: float
     return [Gauge("plan", status), Gauge("limits ahead", figures.get("limits") or "none")]
 
 
-def health_html(health: Health) -> str:
-    """Lay out errors by channel, and what propellers and delay contribute to them."""
+def judged(health: Health) -> bool:
+    """Return whether the craft flies, and has been compared with its model."""
+    return health.flying and health.found.predictions > 0
+
+
+def health_gauges(health: Health) -> list[tuple[str, list[Gauge]]]:
+    """Return errors by channel, and what propellers and delay contribute, under their headings."""
     found = health.found
-    if not health.flying or not found.predictions:
-        return paragraph(str(health))
+    if not judged(health):
+        return [(str(health), [])]
     x, y, yaw = found.error.tolist()
     words = f"{1e3 * x:.1f} mm", f"{1e3 * y:.1f} mm", f"{yaw:.3f} rad"
     lengths = (x, y, yaw) / np.array(_FULL_ERROR)
-    errors = map(Gauge, ("x", "y", "yaw"), words, lengths.tolist())
+    errors = list(map(Gauge, ("x", "y", "yaw"), words, lengths.tolist()))
     *thrusts, (late, sd) = np.column_stack([found.value, found.deviation]).tolist()
     words = [f"{100 * share:.0f} ± {100 * deviation:.0f} %" for share, deviation in thrusts]
     words.append(f"{1e3 * late:+.1f} ± {1e3 * sd:.1f} ms")
     causes = [
-        Gauge(name, text, share) if known else Gauge(name, "not known: little excitation")
+        Gauge(name, text, share) if known else Gauge(name, "unknown: too little excitation")
         for name, text, share, known in zip(
             (*health.motors, "delay"), words, found.share.tolist(), health.known, strict=True
         )
     ]
-    findings = "".join(paragraph(finding, _WARNING) for finding in health.findings)
-    return (
-        paragraph(f"Errors after {HORIZON:g} s (bar: of 16 mm, 0.5 rad)")
-        + gauges_html(list(errors))
-        + paragraph("Thrust and delay against the model's (bar: of the squared error)")
-        + gauges_html(causes)
-        + (findings or paragraph("nothing that deviates from the model"))
-    )
+    return [
+        (f"Errors after {HORIZON:g} s (bar: of 16 mm, 0.5 rad)", errors),
+        ("Thrust and delay against the model's (bar: of the squared error)", causes),
+    ]
 
 
-def _event_html(event: Any, age: float) -> str:
-    """Lay out an event that came some time ago [s]."""
-    severe, notable = (event.level >= EVENT_LEVELS[level] for level in ("error", "warning"))
-    color = _ERROR if severe else _WARNING if notable else "inherit"
-    return paragraph(f"{age:.0f} s ago, {event.name}: {event.msg}", color)
-
-
-def paragraph(text: str, color: str = "inherit") -> str:
-    """Lay out a line of text."""
-    style = f"margin:0.15em 0.5em;font-size:0.8em;color:{color}"
-    return f'<p style="{style}">{escape(text)}</p>'
-
-
-def _bar(share: float | None) -> str:
-    """Lay out a bar, if there is one."""
-    if share is None or not math.isfinite(share):
-        return ""
-    color, percent = _BAR if share <= 1 else _BAR_TOO_LONG, 100 * min(max(share, 0.0), 1.0)
-    return (
-        f'<div style="background:{_BAR_GROUND};height:0.6em">'
-        f'<div style="background:{color};height:100%;width:{percent:.0f}%"></div></div>'
-    )
+def _severity(level: int) -> str:
+    """Return the class of an event on the page: error, warning or info."""
+    return next((name for name in ("error", "warning") if level >= EVENT_LEVELS[name]), "info")

@@ -10,48 +10,12 @@ from __future__ import annotations
 import ipaddress
 import re
 import socket
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from http import HTTPStatus
-from typing import Any
+from collections.abc import Sequence
 
 #: What serves on all interfaces.
 _ANY = ("", "0.0.0.0", "::")
 #: A Host header: an IPv6 address in brackets, or a name or IPv4 address; then a port.
 _HOST = re.compile(r"(?:\[(?P<six>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(?::[0-9]{1,5})?")
-
-
-@contextmanager
-def same_origin_only(served: str) -> Iterator[None]:
-    """Let every server of WebSockets that starts in the block refuse other sites.
-
-    viser has no option for that: the function by which it answers requests is wrapped.
-    """
-    from websockets.asyncio import server
-
-    serve, wrapped = server.serve, []
-
-    def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
-        def answer(connection: Any, request: Any) -> Any:
-            headers = request.headers
-            why = refusal(headers.get_all("Host"), headers.get_all("Origin"), served)
-            if why is not None:
-                return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
-            response = process_request(connection, request)
-            if response is not None:  # a file; no other site may show it as part of its own
-                response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
-            return response
-
-        wrapped.append(answer)
-        return serve(*arguments, process_request=answer, **options)
-
-    server.serve = guarded  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        yield
-    finally:
-        server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
-    if not wrapped:
-        raise RuntimeError("viser serves in another way than before: nobody would be refused")
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], served: str) -> str | None:

@@ -17,19 +17,18 @@ from collections import deque
 from http import HTTPStatus
 from importlib import resources
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Literal
 
 from airpuck.flight.clock import TokenBucket
 from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
 from airpuck.web.same_origin import refusal
 
-#: Files by path, with their types.
-_FILES = {
-    "/": ("play.html", "text/html"),
-    "/play.css": ("play.css", "text/css"),
-    "/play.js": ("play.js", "text/javascript"),
-    "/table_canvas.js": ("table_canvas.js", "text/javascript"),
-}
+#: The pages: a game, whose first page takes the seat, and the live view, which anybody may use.
+PageName = Literal["play", "view"]
+_SHARED = "view"
+#: Types of files by extension. Each page has three of its own, and takes three of all pages.
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+_ALL_PAGES = ("page.css", "page.js", "table_canvas.js")
 #: The page loads nothing from other sites, and no other site may embed it.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
@@ -48,7 +47,8 @@ _ORDERS = 32
 #: Timeout of a page that reads nothing or answers no ping, such as a phone that fell asleep [s].
 PATIENCE = 4.0
 #: Kinds of messages from the game and to the game: the first byte of each.
-STATE, NEWS, THOUGHT, WISH, ORDER = b"S", b"N", b"T", b"W", b"O"
+#: A `SCENE` is JSON of which only the newest of each name counts; pages that come later get it too.
+STATE, EVENT, SCENE, THOUGHT, WISH, ORDER = b"S", b"E", b"C", b"T", b"W", b"O"
 
 _log = logging.getLogger("airpuck.web")
 
@@ -57,13 +57,14 @@ def serve(
     pipe: Connection,
     listening: socket.socket,
     host: str,
+    page: PageName,
     hello: dict[str, Any],
     patience: float = PATIENCE,
 ) -> None:
     """Serve pages until the other end of the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the game closes the pipe after Ctrl-C
     with contextlib.suppress(BrokenPipeError, EOFError):
-        asyncio.run(_Server(pipe, host, hello, patience).run(listening))
+        asyncio.run(_Server(pipe, host, page, hello, patience).run(listening))
 
 
 class _Page:
@@ -72,19 +73,19 @@ class _Page:
     def __init__(self, websocket: Any, patience: float) -> None:
         self.websocket, self._patience = websocket, patience
         self.thinks = False
-        #: The newest message of each kind of which older ones are worthless.
-        self._newest: dict[bytes, str | bytes] = {}
+        #: The newest message of each name of which older ones are worthless.
+        self._newest: dict[str, str | bytes] = {}
         self._events: deque[str] = deque(maxlen=_EVENTS)
         self._waits = asyncio.Event()
         self._limit = TokenBucket(_RATE, _BURST)
 
-    def show(self, kind: bytes, message: str | bytes) -> None:
-        """Send a state or a thought; it replaces an older one that has not left yet."""
-        self._newest[kind] = message
+    def show(self, name: str, message: str | bytes) -> None:
+        """Send a message that replaces an older one of its name that has not left yet."""
+        self._newest[name] = message
         self._waits.set()
 
     def tell(self, news: str) -> None:
-        """Send an event or a status."""
+        """Send an event."""
         self._events.append(news)
         self._waits.set()
 
@@ -110,9 +111,18 @@ class _Page:
 class _Server:
     """All pages, and which of them plays."""
 
-    def __init__(self, pipe: Connection, host: str, hello: dict[str, Any], patience: float) -> None:
+    def __init__(
+        self,
+        pipe: Connection,
+        host: str,
+        page: PageName,
+        hello: dict[str, Any],
+        patience: float,
+    ) -> None:
         self._pipe, self._host, self._patience = pipe, host, patience
-        self._hello, self._status = json.dumps({"is": "hello", **hello}), ""
+        self._shared = page == _SHARED
+        #: What a page is told at first: by name, the newest of what does not pass.
+        self._remembered = {"hello": json.dumps({"is": "hello", **hello})}
         self._pages: list[_Page] = []
         self._player: _Page | None = None
         self._thinks = False
@@ -121,10 +131,12 @@ class _Server:
         self._wish: bytes | None = None
         self._tells = False
         packaged = resources.files("airpuck") / "packaged"
+        names = [*_ALL_PAGES, *(f"{page}.{kind}" for kind in _TYPES)]
         self._files = {
-            path: ((packaged / name).read_text("utf-8"), kind)
-            for path, (name, kind) in _FILES.items()
+            f"/{name}": ((packaged / name).read_text("utf-8"), _TYPES[name.rpartition(".")[2]])
+            for name in names
         }
+        self._files["/"] = self._files.pop(f"/{page}.html")
 
     async def run(self, listening: socket.socket) -> None:
         """Serve until the game ends."""
@@ -188,10 +200,10 @@ class _Server:
         own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENT)
         page = _Page(websocket, self._patience)
         self._pages.append(page)
-        page.tell(self._hello)
-        if self._status:
-            page.tell(self._status)
-        self._seat(page)
+        for message in self._remembered.values():
+            page.tell(message)
+        if not self._shared:
+            self._seat(page)
         try:
             async with asyncio.TaskGroup() as tasks:
                 sending = tasks.create_task(page.send())
@@ -234,7 +246,7 @@ class _Server:
     def _obey(self, page: _Page, asked: Wish | Order) -> None:
         """Do what a page asks for, if it may."""
         if isinstance(asked, Wish):
-            if page is self._player:
+            if self._shared or page is self._player:
                 self._wish = WISH + packed_wish(asked)
                 self._tell_game()
         elif asked.do == "think":
@@ -284,15 +296,19 @@ class _Server:
         kind, content = message[:1], message[1:]
         if kind == STATE:
             for page in self._pages:
-                page.show(STATE, content)
+                page.show("state", content)
             return
         text = content.decode()
         if kind == THOUGHT:
             for page in self._pages:
                 if page.thinks:
-                    page.show(THOUGHT, text)
+                    page.show("thought", text)
             return
-        if json.loads(text).get("is") == "status":
-            self._status = text
+        if kind == SCENE:
+            name = json.loads(text)["is"]
+            self._remembered[name] = text
+            for page in self._pages:
+                page.show(name, text)
+            return
         for page in self._pages:
             page.tell(text)

@@ -82,7 +82,7 @@ def play_in_browser(
         raise InputError(f"give {', '.join(LEVELS)}, not {level!r}", field="--level")
     arena = arena or ArenaSettings()
     settings = settings or default_twin_settings()
-    with served(arena, hello_of(model, settings)) as pages:
+    with served(arena.host, arena.port, hello_of(model, settings)) as pages:
         session = Session(pages, model, settings, level, seed)
         invite(pages, arena, tell)
         return session.run(arena.duration)

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
+import math
 import os
-import socket
-from collections.abc import Iterator
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.flight.clock import Every
 from airpuck.live.plan import NAME as PLAN
@@ -22,29 +17,30 @@ from airpuck.live.process import Outbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
-from airpuck.web.panel import Panel
-from airpuck.web.same_origin import same_origin_only
-from airpuck.web.scene import Scene
+from airpuck.web.address import LOOPBACK
+from airpuck.web.messages import Wish, packed_state
+from airpuck.web.page import Pages, served, table_of
+from airpuck.web.panel import panel
 
 NAME = "airpuck view"
-#: Time between pictures, and between gauges [s].
-_PICTURE, _GAUGES = 0.04, 0.5
-#: Thrusts are drawn while commands are no older than this [s].
-_COMMANDED = 0.5
-#: A plan is drawn for so long [s].
-_PLANNED_LAST = 0.5
+#: Time between states, and between gauges [s].
+_STATE, _GAUGES = 1 / 60, 0.5
+#: A pose counts as the present one, thrusts are drawn, and a plan is, for so long [s].
+_SEEN, _COMMANDED, _PLANNED = 0.5, 0.5, 0.5
 #: The controller's process comes first.
 _NICE = 5
 #: How to move the set point, or why that has no effect.
 _FREE = "Drag the yellow ring, turn it by its knob, or enter numbers."
-_PLANNED = "The controller follows a plan of its own; airpuck fly-topic follows this one."
+_FIXED = "The controller follows a plan of its own; airpuck fly-topic follows this one."
+#: No puck, no mallet.
+_NOTHING, _NOWHERE = (0.0, 0.0, 0.0), (math.nan, math.nan, 0.0, 0.0)
 
 
 def view_live(
     model: Model,
     settings: LiveSettings | None = None,
     *,
-    host: str = "127.0.0.1",
+    host: str = LOOPBACK,
     port: int = 8080,
     table: Table | None = None,
 ) -> dict[str, Any]:
@@ -71,108 +67,93 @@ def view_live(
     Raises
     ------
     InputError
-        If viser is not installed, the address is not free, or the graph cannot be joined.
+        If websockets is not installed, the address is not free, or the graph cannot be joined.
     """
-    if find_spec("viser") is None:
-        raise InputError("the live view needs viser: pip install viser")
-    _check_free(host, port)
-    with Process(NAME, settings or LiveSettings()) as process:
+    numbers.PORT.check(port, "--port")
+    table = table or Table()
+    hello = view_hello(model, table)
+    with (
+        served(host, port, hello, page="view", waits=False) as pages,
+        Process(NAME, settings or LiveSettings()) as process,
+    ):
         os.nice(_NICE)
-        with _served(host, port) as server:
-            page = _Page(server, process, model, table or Table())
-            process.start(f", at http://{host}:{port}")
-            return page.run()
+        view = _View(pages, process, model, table.reach(model.vehicle.radius_m))
+        process.start(f", at {pages.url}")
+        return view.run()
 
 
-class Wishes:
-    """The set point that the user wants; written by the page's threads, read by the loop."""
-
-    def __init__(self, reach: tuple[float, float]) -> None:
-        self._reach = np.array(reach)
-        #: The last wish: x, y, yaw, at rest; None before the first. It is replaced, never changed.
-        self.newest: Float[np.ndarray, " 6"] | None = None
-
-    def put(self, x: float, y: float, yaw: float) -> None:
-        """Take note of a wish, moved inside the rails."""
-        if np.isfinite([x, y, yaw]).all():
-            place = np.clip([x, y], -self._reach, self._reach)
-            self.newest = np.array([*place, yaw, 0.0, 0.0, 0.0])
+def view_hello(model: Model, table: Table) -> dict[str, Any]:
+    """Return what a page of the live view is told at first: thrusts are those of the model."""
+    hello = table_of(model, table)
+    hello["craft"]["thrust"] = model.dynamics.thrust.tolist()
+    return hello | {"reach": table.reach(model.vehicle.radius_m)}
 
 
-class _Page:
-    """One page, and what moves on it."""
+class _View:
+    """What the pages show, and where they want the craft."""
 
-    def __init__(self, server: Any, process: Process, model: Model, table: Table) -> None:
-        reach = table.reach(model.vehicle.radius_m)
-        self._server, self._process = server, process
-        self._wishes = Wishes(reach)
+    def __init__(
+        self, pages: Pages, process: Process, model: Model, reach: tuple[float, float]
+    ) -> None:
+        self._pages, self._process, self._reach = pages, process, reach
+        #: Where the pages want the craft: x, y [m], yaw [rad], at rest.
+        self._wanted: Float[np.ndarray, " 6"] | None = None
         self._references = Outbox(process, "reference")
         self._observer = Observer(process, model)
-        self._scene = Scene(server, model, table, self._wishes.put)
-        self._panel = Panel(server, reach, self._wishes.put)
         self._gauges = Every(_GAUGES)
 
     def run(self) -> dict[str, Any]:
         """Show what happens, until the end; return the figures for ``--json``."""
-        clock, sent = self._process.clock, None
-        while self._process.goes_on:
-            clock.sleep_until(clock.now + _PICTURE)
-            for pose in self._observer.look():
-                self._scene.add_pose(pose)
-            wish = self._wishes.newest
-            if wish is not None and wish is not sent:
-                self._references.send(wish)
-                sent = wish
+        clock, pages = self._process.clock, self._pages
+        while self._process.goes_on and not pages.lost:
+            clock.sleep_until(clock.now + _STATE)
+            self._observer.look()
+            _, wish = pages.hear()
+            if wish is not None:
+                self._wanted = inside(wish, self._reach)
+                self._references.send(self._wanted)
             self._references.remind()
-            self._draw(clock.now)
-        return self._observer.to_json()
+            self._show(clock.now)
+        if pages.lost:
+            self._process.events.log("error", "the page server has ended")
+        return {**self._observer.to_json(), "page_server_ended": pages.lost}
 
-    def _draw(self, now: float) -> None:
-        """Bring the page up to date."""
-        newest = self._observer.newest
-        pose = newest.get("pose")
-        planned = bool(self._process.graph.publishers(self._process.topics.reference))
-        # The user's own wish is newer than what has come back of it.
-        wanted = None if planned else self._wishes.newest
+    def _show(self, now: float) -> None:
+        """Bring the pages up to date."""
+        observer, pages = self._observer, self._pages
+        newest, topics = observer.newest, self._process.topics
+        pose, commanded = newest.get("pose"), observer.age("command") < _COMMANDED
+        if pose is not None:
+            commands = newest["command"].tolist() if commanded else []
+            pages.show(packed_state(now, 0, True, _NOTHING, _NOWHERE, pose.tolist(), commands))
+        fixed = bool(self._process.graph.publishers(topics.reference))
+        # What a page wants is newer than what the controller says of it.
+        wanted = None if fixed else self._wanted
         if wanted is None:
             wanted = newest.get("reference", pose)
-        with self._server.atomic():
-            if pose is not None:
-                commanded = self._observer.age("command") < _COMMANDED
-                self._scene.show(pose, newest.get("command") if commanded else None)
-            if wanted is not None:
-                self._scene.show_set_point(wanted)
-            fresh = self._observer.age("plan") < _PLANNED_LAST
-            bound = self._observer.beats.get(PLAN, (0.0, "", {}))[2].get("bound by", "")
-            self._scene.show_plan(self._observer.plan if fresh else None, bound)
-            # Not more often: a slow browser would write over what is being entered.
-            if self._gauges.begins(now):
-                if wanted is not None:
-                    self._panel.show_set_point(wanted)
-                self._panel.show(self._observer, _PLANNED if planned else _FREE)
+        pages.update(
+            "scene",
+            {
+                "seen": observer.age("pose") < _SEEN,
+                "set_point": None if wanted is None else wanted[:3].round(4).tolist(),
+                "plan": self._plan(),
+                "hint": _FIXED if fixed else _FREE,
+            },
+        )
+        if self._gauges.begins(now):
+            pages.update("panel", panel(observer))
+
+    def _plan(self) -> dict[str, Any] | None:
+        """Return the path ahead and what holds it back, while the plan is new."""
+        path = self._observer.plan
+        if path is None or self._observer.age("plan") > _PLANNED:
+            return None
+        bound = self._observer.beats.get(PLAN, (0.0, "", {}))[2].get("bound by", "")
+        x, y = path.T.round(4).tolist()
+        return {"x": x, "y": y, "bound": bound}
 
 
-@contextlib.contextmanager
-def _served(host: str, port: int) -> Iterator[Any]:
-    """Serve a page; what viser prints must not mix with figures on standard output."""
-    import viser
-
-    with contextlib.redirect_stdout(io.StringIO()), same_origin_only(host):
-        server = viser.ViserServer(host, port, label="airpuck", verbose=False)
-    try:
-        yield server
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
-
-
-def _check_free(host: str, port: int) -> None:
-    """Refuse an address that cannot be served at; viser would take another port."""
-    numbers.PORT.check(port, "--port")
-    try:
-        socket.create_server((host, port)).close()
-    except (OSError, UnicodeError) as error:
-        why = getattr(error, "strerror", None) or "no address"
-        raise InputError(
-            f"cannot serve at {host}:{port} ({why}); give another --port or --host", field="--port"
-        ) from error
+def inside(wish: Wish, reach: tuple[float, float]) -> Float[np.ndarray, " 6"]:
+    """Return the set point that a page wants, moved inside the rails."""
+    place = np.clip([wish.x, wish.y], np.negative(reach), reach)
+    return np.array([*place, wish.yaw, 0.0, 0.0, 0.0])
