@@ -95,7 +95,7 @@ class LivePage:
 
     def _mallet_is_guided(self) -> bool:
         """Return whether whose mallet is seen wants to know where a page wants it."""
-        graph, topics = self._process.graph, self._process.settings.topics
+        graph, topics = self._process.graph, self._process.topics
         senders = {endpoint.participant for endpoint in graph.publishers(topics.mallet)}
         return bool(senders & graph.subscribers(topics.mallet_target))
 
