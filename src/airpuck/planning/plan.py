@@ -58,6 +58,10 @@ class Plan:
         Share of every motor's thrust that the plan leaves to feedback.
     begin : float, default 0
         When the flight begins, on the clock of the controller [s].
+    via : tuple of (x, y)
+        Points that it passes, in this order [m].
+    keep_out : tuple of (x, y, radius)
+        Discs that it does not touch [m].
     """
 
     model: Model
@@ -68,6 +72,8 @@ class Plan:
     starts: tuple[Start, ...] = ()
     reserve: float = 0.0
     begin: float = 0.0
+    via: tuple[tuple[float, ...], ...] = ()
+    keep_out: tuple[tuple[float, ...], ...] = ()
 
     @property
     def duration(self) -> float:
@@ -197,6 +203,8 @@ class Plan:
             "motors": list(self.model.vehicle.propeller_names),
             **({} if self.lower_bound is None else {"lower_bound_s": self.lower_bound}),
             "reserve": self.reserve,
+            "via_m": [list(point) for point in self.via],
+            "keep_out_m": [list(disc) for disc in self.keep_out],
             "times_s": self.time.tolist(),
             "states": self.states.tolist(),
             "commands": self.commands.tolist(),
@@ -209,6 +217,8 @@ class _PlanFile(Section):
     motors: tuple[str, ...]
     lower_bound_s: float | None = None
     reserve: float
+    via_m: tuple[tuple[float, float], ...] = ()
+    keep_out_m: tuple[tuple[float, float, float], ...] = ()
     times_s: tuple[float, ...]
     states: tuple[tuple[float, ...], ...]
     commands: tuple[tuple[float, ...], ...]

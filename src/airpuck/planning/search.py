@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.planning.certificate import unavoidable_rail
@@ -18,8 +19,8 @@ COARSE, _MOST_INTERVALS = 12, 400
 #: Commands are held at most so long on the coarse and on the fine grid, which doubles until they
 #: are: longer intervals let the spin swing beyond its limit between nodes [s].
 _LONGEST_COARSE, _LONGEST_FINE = 0.12, 0.04
-#: Paths that may be refined before the search gives up.
-_REFINED = 5
+#: Paths that may be refined before the search gives up, each on so many grids.
+_REFINED, _FINER = 5, 3
 #: Coarse times are off by as much [share].
 _WORTH = 1.02
 #: Weights of the commands' changes [s]: with the larger one all starts converge, some 0.1 % slower;
@@ -29,7 +30,7 @@ TIDY, _FAST = 1e-2, 1e-3
 #: their rates), how far between nodes it may be beyond what it must not touch [m], and how much
 #: faster than its limit it may spin there [share].
 _PARTS, _MISSED = 5, np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-2])
-_GRAZED, _OVERSPUN = 3e-3, 0.05
+_GRAZED, _OVERSPUN = 3e-3, 1e-3
 
 
 @dataclass(frozen=True)
@@ -130,22 +131,28 @@ def further(
 
 
 def refined(request: Request, path: Path, yaw: float, intervals: int) -> tuple[Solved | None, str]:
-    """Solve on a fine grid, twice as fine where that flies elsewhere; return solver's words too."""
-    path, status = _on_grid(path, intervals, _LONGEST_FINE), ""
-    for _ in range(2):
+    """Solve on a fine grid; return the solver's words, too.
+
+    Where that flies elsewhere, or spins too fast between nodes, on a finer grid and within a limit
+    of spin that is lower by as much.
+    """
+    path, status, tight = _on_grid(path, intervals, _LONGEST_FINE), "", request
+    for _ in range(_FINER):
         program = _program(request, path)
-        tidy = program.solve(request, path, yaw, TIDY)
+        tidy = program.solve(tight, path, yaw, TIDY)
         if not tidy.converged:
             return None, tidy.status
-        fast = program.solve(request, tidy.path, yaw, _FAST)
+        fast = program.solve(tight, tidy.path, yaw, _FAST)
         for one in (fast, tidy):
             if one.converged and _flies(request, one.path):
                 return one, one.status
         status = "misses its goal or its limits between nodes"
+        peak = np.abs(_simulated(request, tidy.path)[:, 5]).max()
+        if peak > request.limits.spin:
+            spin = tight.limits.spin * request.limits.spin / peak
+            tight = replace(request, limits=replace(request.limits, spin=spin))
         per_leg = len(path.commands) // len(path.durations)
-        if 2 * per_leg > _MOST_INTERVALS:
-            break
-        path = tidy.path.resampled(2 * per_leg)
+        path = tidy.path.resampled(min(2 * per_leg, max(per_leg, _MOST_INTERVALS)))
     return None, status
 
 
@@ -168,9 +175,14 @@ def _on_grid(path: Path, intervals: int, longest: float) -> Path:
     return path.resampled(intervals)
 
 
+def _simulated(request: Request, path: Path) -> Float[np.ndarray, "M s"]:
+    """Return states of the flight between the nodes, too."""
+    return path.simulated(request.model, path.times, _PARTS)[1]
+
+
 def _flies(request: Request, path: Path) -> bool:
     """Simulate a path in smaller steps: it must end where it should, and keep what limits it."""
-    _, states = path.simulated(request.model, path.times, _PARTS)
+    states = _simulated(request, path)
     if (np.abs(states[-1] - path.states[-1])[:6] > _MISSED).any():
         return False
     if np.abs(states[:, 5]).max() > (1 + _OVERSPUN) * request.limits.spin:
