@@ -8,12 +8,13 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import airpuck
-from airpuck.planning.minimal_time import ARRIVALS, MinimalTimes, shortest_time
+from airpuck.planning.minimal_time import ARRIVALS, MinimalTimes, craft_of, shortest_time
 
 DISTANCE = [0.0, 0.1, 0.3, 0.7, 1.3, 2.2]
 SPEED = [0.0, 0.7, 1.4, 2.1]
@@ -46,8 +47,8 @@ def main() -> None:
     shape = (len(ARRIVALS), *map(len, grid.values()))
     times = [found[key] for key in itertools.product(ARRIVALS, *grid.values())]
     axes = [np.array(values) for values in grid.values()]
-    table = MinimalTimes(given.model, *axes, np.reshape(times, shape), {})
     model, random = airpuck.read_model(given.model), np.random.default_rng(1)
+    table = MinimalTimes(given.model, craft_of(model), *axes, np.reshape(times, shape), {})
     errors = []
     for k in range(CHECKS):
         distance, speed = random.uniform(0.02, 2.2), random.uniform(0, 2)
@@ -57,7 +58,7 @@ def main() -> None:
         errors.append(abs(float(table((distance, 0.0), velocity, ARRIVALS[k % 2])) - planned))
     error = dict(zip(("median", "p95", "worst"), np.quantile(errors, (0.5, 0.95, 1)), strict=True))
     error = {name: round(float(value), 4) for name, value in error.items()}
-    MinimalTimes(given.model, *axes, table.time, error).save(given.table)
+    replace(table, error=error).save(given.table)
     away, velocity = random.uniform(-1, 1, (2, 1000)), random.uniform(-1, 1, (2, 1000))
     begun = time.perf_counter()
     table(away, velocity)

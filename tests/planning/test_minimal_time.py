@@ -1,13 +1,22 @@
 """Shortest times looked up are those of plans."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times, shortest_time
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.player import Player
+from airpuck.planning.minimal_time import (
+    MinimalTimes,
+    craft_of,
+    minimal_times_of,
+    read_minimal_times,
+    shortest_time,
+)
 
 
 def table():
@@ -15,7 +24,9 @@ def table():
     grid = np.meshgrid(np.sqrt(distance), speed, direction, indexing="ij")
     rest = 1.0 + grid[0] * 2 + grid[1] * 0.5 - np.cos(grid[2]) * 0.25
     times = np.stack([rest, rest / 2])
-    return MinimalTimes("test", *map(np.array, (distance, speed, direction)), times, {"worst": 0.0})
+    return MinimalTimes(
+        "test", "none", *map(np.array, (distance, speed, direction)), times, {"worst": 0.0}
+    )
 
 
 def test_what_is_linear_is_looked_up_exactly():
@@ -29,9 +40,9 @@ def test_what_is_linear_is_looked_up_exactly():
     assert found(away[:, 0], velocity[:, 0]) == pytest.approx(expected[0])
 
 
-def test_beyond_the_axes_the_nearest_entry_answers():
-    assert table()((5.0, 0.0), (0.0, 1.0)) == pytest.approx(3.5)
-    assert table()((1.0, 0.0), (9.0, 0.0)) == pytest.approx(3.25)
+def test_beyond_the_axes_the_last_cell_leads_on():
+    assert table()((4.0, 0.0), (0.0, 1.0)) == pytest.approx(1.0 + 2 * 2.0 + 0.5)
+    assert table()((1.0, 0.0), (9.0, 0.0)) == pytest.approx(1.0 + 2.0 + 0.5 * 9 - 0.25)
 
 
 def test_a_file_gives_the_table_back(tmp_path):
@@ -50,6 +61,45 @@ def test_the_packaged_table_agrees_with_plans_as_well_as_it_says():
     found, model = read_minimal_times(), airpuck.read_model("paper:M3")
     planned = shortest_time(model, 0.7, (0.0, 0.7), 1.0, "rest")
     assert abs(float(found((0.7, 0.0), (0.0, 0.7))) - planned) < found.error["worst"]
+
+
+def weak(share):
+    """The paper's craft with a share of its thrust."""
+    model = airpuck.read_model("paper:M3")
+    parameters = replace(model.parameters, thrust=share * model.parameters.thrust)
+    return replace(model, parameters=parameters)
+
+
+def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    model = airpuck.read_model("paper:M3")
+    assert minimal_times_of(model).craft == craft_of(model)
+    assert minimal_times_of(replace(model, source="renamed")).source == "paper:M3"
+    other = weak(0.41)
+    file = tmp_path / "airpuck" / "minimal_times" / f"{craft_of(other)}.toml"
+    file.parent.mkdir(parents=True)
+    slow = replace(read_minimal_times(), craft=craft_of(other), time=2 * read_minimal_times().time)
+    slow.save(file)
+    found = minimal_times_of(other)
+    assert found.craft == craft_of(other) != craft_of(weak(0.42))
+    play = AirHockey()
+    usual, weaker = Player(model, play), Player(other, play)
+    assert weaker.pitch.acceleration == pytest.approx(usual.pitch.acceleration / 4, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_times_of_another_craft_miss_its_plans_by_what_they_say(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    model, told = weak(0.4), []
+    found = minimal_times_of(model, lambda done, of: told.append((done, of)))
+    assert told[-1][0] == told[-1][1]
+    usual = read_minimal_times()
+    for distance, velocity in ((0.4, (0.0, 0.0)), (0.8, (0.3, 0.4))):
+        planned = shortest_time(model, distance, velocity, 0.7, "rest")
+        assert abs(float(found((distance, 0.0), velocity)) - planned) < 2 * found.error["worst"]
+        assert planned > 1.3 * float(usual((distance, 0.0), velocity))
+    again = read_minimal_times(next(tmp_path.rglob("*.toml")))
+    assert (again.craft, again.error) == (found.craft, found.error)
 
 
 def test_a_look_up_takes_less_than_a_millisecond():

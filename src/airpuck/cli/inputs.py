@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import cache
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,6 +100,22 @@ def read_belief(name: str) -> Model:
     model = airpuck.read_model(name)
     with about(name, "parameters.thrust_N"):
         InverseThrust(model.dynamics.thrust)
+    return model
+
+
+def read_player(name: str, quiet: bool) -> Model:
+    """Read a model for a player; plan its shortest times first, where they are not known."""
+    from airpuck.cli.output import show_time_left
+    from airpuck.planning.minimal_time import minimal_times_of
+
+    model = read_belief(name)
+    with ExitStack() as stack:
+
+        @cache
+        def progress() -> Callable[[float, float], None]:  # shown only where there is any
+            return stack.enter_context(show_time_left("shortest times of this craft", quiet))
+
+        minimal_times_of(model, lambda done, of: progress()(done, of))
     return model
 
 

@@ -78,7 +78,7 @@ def match(
         inputs.refuse_others(
             match, "--watch", {"games": games, "output": output, "workers": workers}
         )
-        game, craft = _game(left, right, model, settings, rules, seed)
+        game, craft = _game(left, right, model, settings, rules, seed, quiet)
         began = time.monotonic()
         if page:
             _show_page(game, craft, port, quiet)
@@ -86,6 +86,7 @@ def match(
             _watch(game, is_stdout(json_file), quiet)
         found = MatchResult(left, right, (seed,), (game.figures(),), time.monotonic() - began)
     else:
+        inputs.read_player(model, quiet)
         with show_time_left("games", quiet) as progress:
             found = airpuck.match(
                 left,
@@ -103,7 +104,13 @@ def match(
 
 
 def _game(
-    left: str, right: str, model: str, settings: TwinSettings | None, rules: Rules, seed: int
+    left: str,
+    right: str,
+    model: str,
+    settings: TwinSettings | None,
+    rules: Rules,
+    seed: int,
+    quiet: bool,
 ) -> tuple[Game, Model]:
     """Return the game of two players by their names, and what a craft is."""
     from airpuck.compute.process import low_latency
@@ -111,7 +118,7 @@ def _game(
     from airpuck.hockey.game import Game
 
     players = contestant(left), contestant(right)
-    craft = inputs.read_belief(model)
+    craft = inputs.read_player(model, quiet)
     low_latency()
     return Game(*players, settings=settings, rules=rules, model=craft, seed=seed), craft
 

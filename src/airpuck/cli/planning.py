@@ -145,7 +145,7 @@ def race(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Fly a plan on the twin, and the same controller to its goal as a set point."""
+    """Fly a plan on the twin; without points and discs, also to its goal as a set point."""
     from airpuck.planning.plan import read_plan
     from airpuck.twin import race as racing
     from airpuck.twin.settings import default_twin_settings
@@ -183,12 +183,16 @@ def _race_table(found: Race) -> Table:
         ("no control takes less than", _known(found.plan.lower_bound), ""),
         ("planned", f"{found.plan.duration:.3f}", ""),
     ]
-    for name, times in (("flown", found.flown), ("as a set point", found.set_point)):
+    for name, times in (("flown", found.flown), ("as a set point", found.set_point or ())):
+        if not times:  # another task
+            continue
         reached = [time for time in times if time is not None]
         middle = f"{median(reached):.3f}" if reached else "–"
         worst = f"worst {max(reached):.3f}; " if reached else ""
         rows.append((name, middle, f"{worst}{len(reached)} of {len(times)} reached the goal"))
     title = f"Times to the goal; contacts with a rail: {found.contacts}"
+    if found.plan.keep_out:
+        title += f"; flights that touched a disc: {found.touches}"
     return table(("", "s", "flights"), rows, title=title, left=("", "flights"))
 
 

@@ -60,7 +60,7 @@ def play(
     from airpuck.web.session import play_in_browser
 
     arena = ArenaSettings(port, graph.interface, not no_browser, graph.duration)
-    craft, table = inputs.read_belief(model), inputs.read_twin(settings)
+    craft, table = inputs.read_player(model, graph.quiet), inputs.read_twin(settings)
     low_latency()
     tell = say(graph.quiet)
     figures = play_in_browser(craft, arena, level=level, settings=table, seed=seed, tell=tell)
@@ -97,7 +97,8 @@ def _play_live(
     from airpuck.web.live_page import LivePage, live_hello
     from airpuck.web.page import invite, served
 
-    craft, table = inputs.read_belief(model), inputs.read_twin(settings) or AirHockey()
+    craft = inputs.read_player(model, on_graph.quiet)
+    table = inputs.read_twin(settings) or AirHockey()
     low_latency()
     score = Score(table)
     spectators: list[Spectator] = [score]
@@ -148,7 +149,7 @@ def skills(
             tell(f"{name}: {successes} of {done}")
 
     found = measured(
-        inputs.read_belief(model),
+        inputs.read_player(model, quiet),
         settings=inputs.read_twin(settings),
         episodes=episodes,
         seed=seed,

@@ -25,7 +25,7 @@ from airpuck.hockey.prediction import drawn_path
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
-from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times
+from airpuck.planning.minimal_time import MinimalTimes, minimal_times_of
 
 #: How the puck is seen. ``frozen``: poses come, but the same number again and again of a puck that
 #: was moving; ``lost``: none for a while.
@@ -103,7 +103,7 @@ class Player(Pilot):
         self.tactic: Tactic = tactic or AllRounder()
         self.level, self.side, self.play = level, side, play
         self.filter = PuckFilter(play)
-        self._times = slower(read_minimal_times(), level.thrust)
+        self._times = slower(minimal_times_of(model), level.thrust)
         self.pitch = pitch_of(model, play, self._times, opponent_radius)
         controls = _predictive(tuning or default_tuning())
         self._controller = TrackingController(
@@ -350,7 +350,7 @@ def pitch_of(
     opponent_radius: float | None = None,
 ) -> Pitch:
     """Return what does not change during a game."""
-    times = times or read_minimal_times()
+    times = times or minimal_times_of(model)
     # There and back at full thrust: d = a T² / 4.
     acceleration = 4 * _SHORT / float(times((_SHORT, 0.0), (0.0, 0.0))) ** 2
     vehicle = model.vehicle

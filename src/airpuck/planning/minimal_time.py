@@ -206,9 +206,8 @@ def minimal_times_of(
     craft = craft_of(model)
     if craft not in _KNOWN:
         packaged = read_minimal_times()
-        _KNOWN[packaged.craft] = packaged
-    if craft not in _KNOWN:
-        _KNOWN[craft] = _remembered(model, craft, packaged, progress)
+        own = packaged.craft == craft
+        _KNOWN[craft] = packaged if own else _remembered(model, craft, packaged, progress)
     return _KNOWN[craft]
 
 

@@ -260,7 +260,8 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
         raise InputError("times must rise from 0, one for each state", file=path, field="times_s")
     states, commands = np.array(content.states), np.array(content.commands)
     bound, reserve = content.lower_bound_s, content.reserve
-    return Plan(model, time, states, commands, bound, reserve=reserve)
+    course = {"via": content.via_m, "keep_out": content.keep_out_m}
+    return Plan(model, time, states, commands, bound, reserve=reserve, **course)
 
 
 def plan(
@@ -325,8 +326,17 @@ def plan(
                 solved = min(solved, other, key=lambda one: float(one.path.times[-1]))
     path = solved.path
     _check_bound(bound, path)
-    reserve = request.limits.reserve
-    return Plan(model, path.times, path.states, path.commands, bound, tried, reserve)
+    return Plan(
+        model,
+        path.times,
+        path.states,
+        path.commands,
+        bound,
+        tried,
+        request.limits.reserve,
+        via=tuple(tuple(map(float, point)) for point in via),
+        keep_out=tuple(tuple(map(float, disc)) for disc in keep_out),
+    )
 
 
 def _check_bound(bound: float | None, path: Path) -> None:

@@ -60,23 +60,33 @@ def plan_figure(plan: Plan, table: Table | None = None) -> Figure:
     return figure
 
 
-def _draw_path(axes: Axes, plan: Plan, table: Table | None) -> None:
-    """Draw the path, the craft at some times, and the rails."""
-    times, states = plan.samples
-    radius = plan.model.vehicle.radius_m
+def draw_course(axes: Axes, plan: Plan, table: Table | None) -> None:
+    """Draw the table, and what a plan must pass and must not touch."""
     if table is not None:
         length, width = table.length_m, table.width_m
         corner = (-length / 2, -width / 2)
         axes.add_patch(Rectangle(corner, length, width, fc=style.FLOOR, ec=style.RAIL, lw=2))
+    for x, y, radius in plan.keep_out:
+        axes.add_patch(Circle((x, y), radius, fc=style.GREY, ec=style.BLACK, alpha=0.5))
+    for number, (x, y) in enumerate(plan.via, start=1):
+        axes.plot(x, y, "o", color=style.VERMILLION, ms=4, zorder=3)
+        axes.annotate(str(number), (x, y), (4, 4), textcoords="offset points")
+    axes.set_aspect("equal")
+    axes.margins(0.05)
+    axes.grid(visible=False)
+
+
+def _draw_path(axes: Axes, plan: Plan, table: Table | None) -> None:
+    """Draw the path, the craft at some times, and the rails."""
+    times, states = plan.samples
+    radius = plan.model.vehicle.radius_m
+    draw_course(axes, plan, table)
     axes.plot(states[:, 0], states[:, 1], color=style.BLUE)
     for time in np.linspace(0, plan.duration, _SHOWN):
         x, y, yaw = (np.interp(time, times, column) for column in states[:, :3].T)
         axes.add_patch(Circle((x, y), radius, fc="none", ec=style.GREY, lw=0.9))
         front = [x, x + radius * np.cos(yaw)], [y, y + radius * np.sin(yaw)]
         axes.plot(*front, color=style.GREY, lw=0.9)
-    axes.set_aspect("equal")
-    axes.margins(0.05)
-    axes.grid(visible=False)
     known = plan.lower_bound
     bound = "no lower bound" if known is None else f"no control takes less than {known:.3f} s"
     axes.set_title(f"{plan.duration:.3f} s; {bound}", loc="left")

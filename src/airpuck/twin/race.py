@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -25,6 +26,10 @@ from airpuck.twin.twin import Twin
 
 #: The goal counts as reached within these distances [m, rad, m/s].
 TOLERANCE = (0.01, 0.1, 0.05)
+#: A point counts as passed within this distance [m].
+_PASSED = 0.03
+#: A plan that is slower than this starts, or ends, at rest (m/s, rad/s).
+_STANDING, _STOPPED = 1e-6, 1e-2
 #: Standing still before the start; patience after the planned end, for a plan and a set point [s].
 _LEAD, _PATIENCE, _SET_POINT_PATIENCE = 0.5, 0.5, 2.5
 #: Distance that plans of courses keep from the rails [m]; how gently they switch (`Limits`).
@@ -53,10 +58,13 @@ class Race:
         What was to be flown.
     flown : tuple of float or None
         How long each flight took to the goal [s]; None: it was not reached.
-    set_point : tuple of float or None
-        The same for the controller that is given the goal alone.
+    set_point : tuple of float or None, or None
+        The same for the controller that is given the goal alone; None where that is another task: a
+        plan past points or discs, or to a goal in motion.
     contacts : int
         With a rail, of all flights of the plan together.
+    touches : int
+        Flights of the plan that touched a disc which it must not.
     paths : tuple of array, shape (N, 2)
         Where the craft really was, of each flight of the plan [m].
     recording : Recording
@@ -65,8 +73,9 @@ class Race:
 
     plan: Plan
     flown: tuple[float | None, ...]
-    set_point: tuple[float | None, ...]
+    set_point: tuple[float | None, ...] | None
     contacts: int
+    touches: int
     paths: tuple[Float[np.ndarray, "N 2"], ...]
     recording: Recording
 
@@ -77,7 +86,8 @@ class Race:
             "flown_s": list(self.flown),
             "lower_bound_s": self.plan.lower_bound,
             "contacts": self.contacts,
-            "set_point_s": list(self.set_point),
+            "touches": self.touches,
+            "set_point_s": None if self.set_point is None else list(self.set_point),
             "reserve": self.plan.reserve,
         }
 
@@ -122,13 +132,25 @@ def race(
     -------
     Race
         All flights.
+
+    Raises
+    ------
+    InputError
+        If the plan starts in motion: the twin's craft stands at first.
     """
+    if np.abs(planned.states[0, 3:6]).max() > _STANDING:
+        raise InputError(
+            "starts in motion; the twin flies plans that start at rest (plan without --velocity)",
+            field="plan",
+        )
     settings = settings or default_twin_settings()
     tuning = tuning or default_tuning()
     plant = build_plant(truth, settings)
     goal = planned.samples[1][-1]
     ends = SetPoints([0.0, _LEAD], [planned.states[0, :3], goal[:3]])
-    flights = (planned.starting(_LEAD), _PATIENCE), (ends, _SET_POINT_PATIENCE)
+    flights: list[tuple[Reference, float]] = [(planned.starting(_LEAD), _PATIENCE)]
+    if not (planned.via or planned.keep_out) and np.abs(goal[3:6]).max() < _STOPPED:
+        flights.append((ends, _SET_POINT_PATIENCE))
     twins: list[list[Twin]] = []
     for seed in range(seeds):
         durations = [_LEAD + planned.duration + patience for _, patience in flights]
@@ -139,12 +161,13 @@ def race(
             ]
         )
         progress(seed + 1, seeds)
-    raced, alone = zip(*twins, strict=True)
+    raced, *alone = zip(*twins, strict=True)
     return Race(
         planned,
-        tuple(_reached(twin, goal) for twin in raced),
-        tuple(_reached(twin, goal) for twin in alone),
+        tuple(_reached(twin, planned) for twin in raced),
+        tuple(_reached(twin, planned) for twin in alone[0]) if alone else None,
         sum(len(twin.contacts) for twin in raced),
+        sum(_touches(twin, planned) for twin in raced),
         tuple(twin.truth[1][:, :2] for twin in raced),
         raced[0].recording(),
     )
@@ -171,15 +194,29 @@ def _flown(
     return twin
 
 
-def _reached(twin: Twin, goal: Float[np.ndarray, " s"]) -> float | None:
-    """Return how long the craft took to the goal, by its true state; None if it never was there."""
+def _reached(twin: Twin, planned: Plan) -> float | None:
+    """Return how long the craft took past all points to the goal, in truth; None if it did not."""
     time, states = twin.truth
-    time = time - _LEAD
+    time, goal = time - _LEAD, planned.samples[1][-1]
+    passed = 0
+    for point in planned.via:
+        near = np.flatnonzero(np.hypot(*(states[passed:, :2] - point).T) < _PASSED)
+        if not len(near):
+            return None
+        passed += int(near[0])
     away = np.hypot(*(states[:, :2] - goal[:2]).T)
     turned = np.abs(wrapped(np, states[:, 2] - goal[2]))
     faster = np.hypot(*(states[:, 3:5] - goal[3:5]).T)
     there = (away < TOLERANCE[0]) & (turned < TOLERANCE[1]) & (faster < TOLERANCE[2])
-    # A course may begin where it ends.
-    there &= time > 0.1
-    begun = np.flatnonzero(there)
+    there[:passed] = False
+    begun = np.flatnonzero(there & (time > 0))
     return float(time[begun[0]]) if len(begun) else None
+
+
+def _touches(twin: Twin, planned: Plan) -> bool:
+    """Return whether the craft touched a disc that it must not touch."""
+    place, radius = twin.truth[1][:, :2], planned.model.vehicle.radius_m
+    return any(
+        bool((np.hypot(*(place - (x, y)).T) < disc + radius).any())
+        for x, y, disc in planned.keep_out
+    )
