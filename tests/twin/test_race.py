@@ -1,8 +1,11 @@
 """Plans flown on the twin: as fast as planned, and twice as fast as a set point."""
 
+from dataclasses import replace
+
 import pytest
 
 import airpuck
+from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 
 # All courses are on the table; flying each takes minutes.
@@ -36,3 +39,18 @@ def test_courses_are_on_the_table():
         for point in (start, goal, *via):
             assert abs(point[0]) < reach[0] - 0.02
             assert abs(point[1]) < reach[1] - 0.02
+
+
+def test_points_and_discs_are_no_task_for_a_set_point_and_motion_no_start(planned):
+    past = replace(planned, via=((0.0, 0.0),), keep_out=((0.0, 0.0, 0.05),))
+    found = race(past, M3)
+    assert found.set_point is None
+    assert found.to_json()["set_point_s"] is None
+    assert found.flown[0] == pytest.approx(planned.duration, rel=0.1)
+    assert found.touches == 1
+    missed = race(replace(planned, via=((0.0, 0.3),)), M3)
+    assert missed.flown == (None,)
+    states = planned.states.copy()
+    states[0, 3] = 0.5
+    with pytest.raises(InputError, match="starts in motion"):
+        race(replace(planned, states=states), M3)
