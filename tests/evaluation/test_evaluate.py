@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Span
-from airpuck.evaluation.evaluate import Protocol, compare, evaluate
+from airpuck.evaluation.evaluate import Protocol, coasting, compare, evaluate
 from airpuck.model.model_file import published_model, read_model
 
 from ..apparatus.models import four_propellers, model_of
@@ -26,6 +26,22 @@ def test_the_true_model_predicts_exactly(flight):
     # The encoder starts its motors at the first command of the window; after 200 samples, thirty
     # time constants, they have forgotten it.
     np.testing.assert_allclose(evaluation.errors, 0, atol=1e-9)
+
+
+def test_the_baseline_coasts_at_the_speed_of_the_start(flight):
+    # A craft that accelerates at 2 m/s² in x leaves it behind by t² metres.
+    t = flight.time
+    zero = np.zeros_like(t)
+    state = np.stack([t**2, 0.3 * t, -0.5 * t, 2 * t, zero + 0.3, zero - 0.5], axis=1)
+    moving = replace(flight, state=state)
+    evaluation = evaluate(published_model("M3"), moving)
+    found = coasting(evaluation, moving)
+    assert found.model == "constant velocity"
+    assert found.errors.shape == evaluation.errors.shape
+    after = evaluation.horizon_step * evaluation.sample_period
+    expected = np.array([-(after**2), 0.0, 0.0])[:, None]
+    np.testing.assert_allclose(found.at_horizon - expected, 0, atol=1e-9)
+    np.testing.assert_allclose(found.every_start.errors - expected, 0, atol=1e-9)
 
 
 def test_a_shifted_world_shifts_predictions_alike(flight):

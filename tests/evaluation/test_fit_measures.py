@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from airpuck.estimate.axis_filter import Noise
-from airpuck.evaluation.fit_measures import fit_percent, fitted_parameters, measure_fit
+from airpuck.evaluation.fit_measures import fit_percent, fit_text, fitted_parameters, measure_fit
 from airpuck.evaluation.innovations import innovations
 
 from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
@@ -19,6 +19,10 @@ def test_fit_percent_by_hand():
     # ‖error‖ = 1, ‖y − mean‖ = √5.
     np.testing.assert_allclose(fit_percent(predicted, measured), [100 * (1 - 1 / np.sqrt(5))])
     np.testing.assert_allclose(fit_percent(np.full((4, 1), 1.5), measured), [0], atol=1e-12)
+
+
+def test_a_fit_worse_than_the_mean_has_no_digits():
+    assert fit_text(np.array([98.765, 0.04, -20079.5])) == ["98.8", "0.0", "below 0"]
 
 
 def test_the_likelihood_is_that_of_normal_innovations():

@@ -84,7 +84,9 @@ def test_a_share_too_small_to_count_is_white_and_says_what_would_count():
     values = values[1:] + 0.05 * values[:-1]
     found = ljung_box("x", values, np.ones(len(values), dtype=bool), 10, 0)
     assert found.statistic > 60 and found.passed
-    assert re.search(r"white \(past ones say 0\.[23] % of the variance, 1 % would", found.verdict)
+    assert re.search(
+        r"white \(past innovations explain 0\.[23] % of the variance \(thr", found.verdict
+    )
 
 
 def test_bands_know_that_both_signals_are_smooth():

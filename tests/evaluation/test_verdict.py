@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.evaluation.verdict import MISSED_LIMIT, missed_motion, verdict
+from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.uncertainty import Uncertainty
 
@@ -39,19 +39,91 @@ def flight():
     return fly(MODEL, 12.0, seed=3)
 
 
+def judged(model: Model, trajectory):
+    return verdict(model, trajectory, evaluate(model, trajectory))
+
+
 @pytest.mark.parametrize("missing", [0.1, 0.4])
 def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, missing):
     # All accelerations are proportional to thrust, but for the slow turning of the craft.
     model = scaled(1 - missing)
-    found = missed_motion(evaluate(model, flight), flight)
-    np.testing.assert_allclose(found, missing, rtol=0.25)
-    np.testing.assert_allclose(found[2], missing, rtol=0.03)
-    assert verdict(model, found).trusted == (missing < MISSED_LIMIT)
+    found = judged(model, flight)
+    np.testing.assert_allclose(found.missed, missing, rtol=0.25)
+    np.testing.assert_allclose(found.missed[2], missing, rtol=0.03)
+    # Modelled 0.6, found 1: the model's accelerations are two thirds too small.
+    off = 1 / (1 - missing) - 1
+    np.testing.assert_allclose(found.acceleration_errors, off, rtol=0.3)
+    assert found.outcome == ("trusted" if missing == 0.1 else "not_trusted")
+    assert found.trusted == (missing == 0.1)
 
 
-def test_a_model_without_thrust_misses_all_and_the_truth_nearly_nothing(flight):
-    np.testing.assert_allclose(missed_motion(evaluate(scaled(0.0), flight), flight), 1, rtol=0.05)
+def test_what_is_said_of_a_wrong_model_names_the_way_and_its_error(flight):
+    said = " ".join(judged(scaled(0.6), flight).sentences)
+    assert "cannot be trusted" in said
+    assert "forward 6" in said and "too small" in said
+
+
+def test_a_model_without_thrust_predicts_like_a_craft_that_coasts(flight):
+    found = missed_motion(evaluate(scaled(0.0), flight), flight)
+    np.testing.assert_allclose(found, 1, rtol=0.05)
     assert (missed_motion(evaluate(MODEL, flight), flight) < 0.02).all()
+
+
+def test_a_long_delay_makes_the_recordings_clocks_suspect(flight):
+    late = MODEL.with_delay(MODEL.transport_delay + 0.3)
+    earlier = replace(
+        flight, command_time=flight.command_time - 0.321, delay=0.321, delay_known=True
+    )
+    found = judged(late, earlier)
+    assert found.outcome == "suspect_recording"
+    assert "321 ms after their time stamps" in found.sentences[1]
+    assert "clocks" in found.sentences[1]
+
+
+def test_a_model_that_learned_on_other_clocks_is_not_trusted(flight):
+    known_delay = replace(flight, delay_known=True)
+    found = judged(MODEL.with_delay(flight.delay + 0.02), known_delay)
+    assert found.outcome == "not_trusted"
+    assert "20 ms earlier than modelled" in found.sentences[1]
+
+
+def test_motion_before_its_commands_makes_the_recordings_clocks_suspect(flight):
+    early = replace(flight, command_time=flight.command_time + 0.05, delay_known=True)
+    free = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
+    for model in (MODEL, replace(MODEL, free=free).with_delay(0.0)):
+        found = judged(model, early)
+        assert found.outcome == "suspect_recording"
+        assert "stamped early" in found.sentences[1]
+
+
+def test_motors_under_each_others_name_are_told(flight):
+    order = [0, 1, 3, 2, 4, 5]
+    swapped = replace(flight, command=flight.command[:, order])
+    found = judged(MODEL, swapped)
+    assert found.outcome == "suspect_recording"
+    first, second = (MODEL.vehicle.propeller_names[k] for k in (2, 3))
+    assert f"{first} acts like {second}; {second} acts like {first}" in found.sentences[1]
+    assert "airpuck check" in found.sentences[1]
+
+
+def test_positions_in_feet_give_an_inertia_that_no_craft_has(flight):
+    parameters = replace(MODEL.parameters, inertia=3.28 * MODEL.parameters.inertia)
+    parameters = replace(parameters, thrust=3.28 * np.asarray(parameters.thrust))
+    state = flight.state * [3.28, 3.28, 1.0, 3.28, 3.28, 1.0]
+    found = judged(replace(MODEL, parameters=parameters), replace(flight, state=state))
+    assert found.outcome == "suspect_recording"
+    assert "unit of the positions" in found.sentences[1]
+
+
+def test_a_flight_without_switches_excites_too_little(flight):
+    still = replace(flight, command=np.full_like(flight.command, 0.03))
+    rng = np.random.default_rng(0)
+    state = np.zeros_like(flight.state) + rng.normal(0, 1e-4, flight.state.shape)
+    found = judged(known(), replace(still, state=state))
+    assert found.outcome == "not_enough_excitation"
+    assert "airpuck excite" in " ".join(found.sentences)
+    short = flight.slice(0.0, 0.2)
+    assert verdict(known(), short).outcome == "not_enough_excitation"
 
 
 def test_errors_are_relative_to_natural_sizes():
@@ -70,23 +142,22 @@ def test_errors_are_relative_to_natural_sizes():
 
 def test_a_lag_that_is_not_known_is_said_with_a_remedy():
     found = verdict(known(motor_time_constant=0.076))
-    assert found.trusted is False
+    assert found.outcome == "not_enough_excitation"
     words = " ".join(found.sentences)
     assert "Unknown: τ (± 76 ms)" in words
-    assert "τ + d is ± 76 ms" in words
-    assert "excitation" in words
-    assert found.sentences[0].startswith("M3 cannot be trusted for control")
+    assert "τ + d is uncertain by 76 ms" in words
+    assert "airpuck excite" in words
+    assert found.sentences[0].startswith("The data do not tell whether M3 can be trusted")
 
 
-def test_numbers_have_the_digits_that_their_errors_allow():
-    model = known(motor_time_constant=0.0002, transport_delay=0.0003, inertia=1e-6)
-    said = " ".join(verdict(model, np.array([0.04, 0.039, 0.0996])).sentences)
+def test_numbers_have_the_digits_that_their_errors_allow(flight):
+    model = known(motor_time_constant=0.002, transport_delay=0.003, inertia=1e-6)
+    said = " ".join(judged(model, flight).sentences)
     response = 1e3 * (MODEL.parameters.motor_time_constant + MODEL.transport_delay)
-    assert f"response time τ + d is {response:.2f} ± 0.36 ms" in said
-    assert "misses 4.0 %, 3.9 %, 10 %" in said
+    assert f"response time τ + d is {response:.1f} ± 3.6 ms" in said
 
 
-def test_a_response_time_whose_parts_trade_off_is_known():
+def test_a_response_time_whose_parts_trade_off_is_known(flight):
     model = known()
     assert model.uncertainty is not None
     lag, delay = LABELS.index("motor_time_constant"), LABELS.index("transport_delay")
@@ -96,15 +167,15 @@ def test_a_response_time_whose_parts_trade_off_is_known():
     errors[[lag, delay]] = 0.02
     uncertainty = replace(model.uncertainty, covariance=covariance, standard_errors=errors)
     free = model.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
-    found = verdict(replace(model, free=free, uncertainty=uncertainty))
+    found = judged(replace(model, free=free, uncertainty=uncertainty), flight)
     assert found.trusted
     assert any("Unknown: τ" in sentence for sentence in found.sentences)
 
 
-def test_a_thrust_that_is_not_known_is_not_trusted():
-    weak = {f"thrust motor_a_1 φ^{k}": 0.3 for k in (1, 2, 3)}
+def test_a_thrust_that_is_not_known_needs_excitation():
+    weak = {f"thrust motor_a_1 φ^{k}": 0.9 for k in (1, 2, 3)}
     found = verdict(known(**weak))
-    assert found.trusted is False
+    assert found.outcome == "not_enough_excitation"
     assert "clockwise" in found.sentences[1]
     assert "F(1) motor_a_1" in " ".join(found.sentences)
 
@@ -118,31 +189,33 @@ def test_what_the_data_say_nothing_about_is_not_determined():
     nowhere = np.eye(len(LABELS))[entry : entry + 1]
     uncertainty = replace(model.uncertainty, undetermined=nowhere, standard_errors=errors)
     found = verdict(replace(model, uncertainty=uncertainty))
-    assert found.trusted is False
+    assert not found.trusted
     assert "I (not determined)" in " ".join(found.sentences)
     assert found.to_json()["relative_errors"]["I"] == np.inf
 
 
-def test_without_errors_and_predictions_nothing_is_known():
+def test_without_a_recording_nothing_is_judged(flight):
     found = verdict(published_model("M3"))
-    assert found.trusted is None
-    assert "not known" in found.sentences[0]
+    assert found.outcome == "not_judged" and found.trusted is False
+    assert "airpuck evaluate" in found.sentences[0]
     assert found.relative_errors == {}
-    assert verdict(published_model("M0")).trusted is False  # it has no lag
-    assert verdict(published_model("M3"), np.full(3, 0.2)).trusted is True
+    assert found.acceleration_errors is None
+    assert verdict(published_model("M0")).outcome == "not_trusted"  # it has no lag
+    assert judged(MODEL, flight).trusted
+    assert "judged by the data it was learned from" in verdict(known(), flight).sentences[0]
 
 
 def test_a_fit_that_did_not_end_is_not_trusted():
     found = verdict(replace(known(), fit={"converged": False}))
-    assert found.trusted is False
-    assert "not converged" in found.sentences[1]
+    assert found.outcome == "not_trusted"
+    assert "did not converge" in found.sentences[1]
 
 
 def test_errors_of_other_parameters_are_nobodys():
     """A model that was changed after its fit has none, rather than errors that are unbounded."""
     found = verdict(known().with_delay(0.03))
-    assert found.trusted is None
-    assert "Nothing is known of its parameters' errors" in " ".join(found.sentences)
+    assert found.outcome == "not_judged"
+    assert found.acceleration_errors is None
 
 
 def timed(lag_error: float, delay_error: float, correlation: float):

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
-    from airpuck.evaluation.verdict import Verdict
     from airpuck.identification.fit_result import Fit
     from airpuck.identification.method import Method
     from airpuck.identification.selection import Selection
@@ -186,14 +185,14 @@ def identify(
     if report_folder is not None:
         _write_report(fit, trajectories, other, found, selection, report_folder)
     warn(fit.warnings, quiet)
-    said = verdict_of(fit.model, found, other)
+    said = verdict(fit.model, other or trajectories[0], found)
     figures = {**fit.to_json(), "verdict": said.to_json()}
     tried = _ladder_summary(selection) if selection else ()
     figures.update({"selection": selection.to_json()} if selection else {})
     judged = None
     if found is not None:
         figures["validation"] = found.to_json()
-        judged = error_table([fit.model.name], [found])
+        judged = error_table([fit.model.name], [found], other)
     summary = _fit_summary(fit, verbose)
     report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
 
@@ -299,13 +298,6 @@ def _write_report(
     judged = None if other is None or found is None else Judged(other, (found,))
     more = () if selection is None else (selection_section(selection),)
     fit_report(fit, training, folder, judged=judged, more=more, origin=origin())
-
-
-def verdict_of(model: Model, found: Evaluation | None, on: Trajectory | None) -> Verdict:
-    """Return whether a model can be trusted, also by its predictions of a recording."""
-    from airpuck.evaluation.verdict import missed_motion, verdict
-
-    return verdict(model, None if found is None or on is None else missed_motion(found, on))
 
 
 def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from airpuck.data.trajectory import Trajectory
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.identification.method import Iteration
     from airpuck.report.page import Origin
@@ -208,11 +209,16 @@ def _line(iteration: Iteration) -> str:
     return f"iteration {iteration.number}: loss {iteration.loss:.4e}{tail}"
 
 
-def error_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Table:
-    """Lay out the errors of several models."""
+def error_table(
+    names: Sequence[str], evaluations: Sequence[Evaluation], trajectory: Trajectory
+) -> Table:
+    """Lay out the errors of several models, and those of a craft that coasts."""
+    from airpuck.evaluation.evaluate import coasting
+
     first = evaluations[0]
+    baseline = coasting(first, trajectory)
     rows = []
-    for name, evaluation in zip(names, evaluations, strict=True):
+    for name, evaluation in zip([*names, baseline.model], [*evaluations, baseline], strict=True):
         (x, y, yaw), (mx, my, myaw) = evaluation.rmse, evaluation.median_abs
         errors = [f"{1e3 * value:.2f}" for value in (x, y, mx, my)]
         rows.append([name, *errors[:2], f"{yaw:.4f}", *errors[2:], f"{myaw:.4f}"])

@@ -13,7 +13,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.identification import PANEL, value_texts, verdict_of
+from airpuck.cli.identification import PANEL, value_texts
 from airpuck.cli.inputs import (
     about,
     load,
@@ -54,20 +54,22 @@ def evaluate(
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.data.left_out import left_out_json, left_out_words
-    from airpuck.evaluation.evaluate import PROTOCOLS
+    from airpuck.evaluation.evaluate import PROTOCOLS, coasting
+    from airpuck.evaluation.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
-    said = verdict_of(judged, found, trajectory)
+    said = verdict(judged, trajectory, found)
     page = None
     if output is not None:
         from airpuck.report.evaluation_report import evaluation_report
 
         page = evaluation_report([judged], [found], trajectory, output, origin=origin())
-    shown = error_table([model], [found]), every_start_table([model], [found])
+    shown = error_table([model], [found], trajectory), every_start_table([model], [found])
     figures = {
         **found.to_json(),
+        "constant_velocity": coasting(found, trajectory).to_json(),
         "name": model,
         "verdict": said.to_json(),
         **left_out_json(trajectory),
@@ -158,8 +160,10 @@ def faults(
 @app.command(rich_help_panel=PANEL)
 def present(model: options.ModelName, json_file: options.Json = None) -> None:
     """Present a model: structure, parameters with errors, what follows, how it was learned."""
+    from airpuck.evaluation.verdict import verdict
+
     read = airpuck.read_model(model)
-    presentation, said = airpuck.present(read), verdict_of(read, None, None)
+    presentation, said = airpuck.present(read), verdict(read)
     figures = {**presentation.to_json(), "verdict": said.to_json()}
     report(figures, json_file, *said.sentences, *_presented(presentation))
 
@@ -186,6 +190,7 @@ def compare(
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.model_difference import model_differences
+    from airpuck.evaluation.verdict import verdict
 
     chosen = PROTOCOLS[protocol].after(horizon)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
@@ -208,7 +213,7 @@ def compare(
                 **evaluation.to_json(),
                 **fit.to_json(),
                 "name": name,
-                "verdict": verdict_of(model, evaluation, trajectory).to_json(),
+                "verdict": verdict(model, trajectory, evaluation).to_json(),
             }
             for name, model, evaluation, fit in zip(names, read, evaluations, fits, strict=True)
         ]
@@ -219,7 +224,10 @@ def compare(
             for one in differences
         ]
         verdicts = [one.verdict for one in differences]
-        tables = error_table(called, evaluations), every_start_table(called, evaluations)
+        tables = (
+            error_table(called, evaluations, trajectory),
+            every_start_table(called, evaluations),
+        )
         shown = [*tables, *verdicts, _fit_table(called, fits), *shown]
         if output is not None:
             from airpuck.report.evaluation_report import evaluation_report
@@ -307,6 +315,8 @@ def _presented(presentation: Presentation) -> Iterator[str | Table]:
 
 def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
     """Lay out fit percentages and information criteria."""
+    from airpuck.evaluation.fit_measures import fit_text
+
     headings = (
         "fit % (x, y, yaw)",
         f"{fits[0].steps} steps ahead",
@@ -320,12 +330,16 @@ def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
     rows = []
     for name, fit in zip(names, fits, strict=True):
         percentages = [
-            " ".join(f"{value:.1f}" for value in values)
-            for values in (fit.k_step, fit.free_run, fit.whole)
+            " ".join(fit_text(values)) for values in (fit.k_step, fit.free_run, fit.whole)
         ]
         criteria = [f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)]
         rows.append([name, *percentages, str(fit.parameters), *criteria])
-    return table(headings, rows, title="Fit, and criteria from one-step innovations")
+    return table(
+        headings,
+        rows,
+        title="Fit (100: perfect, 0: no better than the mean of the recording) and criteria from "
+        "one-step innovations (lower AIC and BIC are better)",
+    )
 
 
 def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:

@@ -20,7 +20,7 @@ from airpuck.evaluation.statistical_tests import (
     LEVEL,
     beyond_least,
     holm,
-    p_text,
+    share_text,
     with_pauses,
 )
 
@@ -71,14 +71,13 @@ class CrossCorrelation:
     @property
     def verdict(self) -> str:
         """One sentence; of what is not rejected, too."""
-        test = f"χ² = {self.statistic:.1f}, {self.degrees} degrees of freedom"
-        test += f", {p_text(self.p_value)}"
+        explained = share_text(self.share)
         if self.passed:
-            return f"{self.motor} explains nothing more of {self.channel} ({test})"
+            return f"{self.motor} explains nothing more of {self.channel}: {explained}"
         lag, value = self.peak
         return (
-            f"{self.motor} still explains {100 * self.share:.1f} % of {self.channel}: correlation "
-            f"{value:.2g} after {lag} samples, band ±{self.band:.2g} ({test})"
+            f"{self.motor} still explains part of {self.channel}, {explained}: the correlation is "
+            f"{value:.2g} after {lag} samples, and chance keeps it within ±{self.band:.2g}"
         )
 
 

@@ -283,6 +283,27 @@ def evaluate(
     )
 
 
+def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
+    """Predict the same windows with constant velocity, as a baseline that needs no model."""
+
+    def errors(starts: Float[np.ndarray, " W"], steps: int) -> Float[np.ndarray, "T 3 W"]:
+        first = np.searchsorted(trajectory.time, starts - trajectory.sample_period / 2)
+        later = first + np.arange(1, steps + 1)[:, None]
+        lasted = (trajectory.time[later] - trajectory.time[first])[..., None]
+        state = trajectory.state
+        moved = state[first, 3:] * lasted - (state[later, :3] - state[first, :3])
+        return np.swapaxes(moved, 1, 2)
+
+    start, every = evaluation.start, evaluation.every_start.start
+    return replace(
+        evaluation,
+        model="constant velocity",
+        encoder="none",
+        errors=errors(start, len(evaluation.errors)),
+        every_start=EveryStart(errors(every, evaluation.horizon_step)[-1], every),
+    )
+
+
 def _predicted(
     model: Model, trajectory: Trajectory, protocol: Protocol, encoder: Encoder, stride: int
 ) -> tuple[Windows, Float[np.ndarray, "T 3 W"]]:

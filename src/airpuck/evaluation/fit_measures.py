@@ -78,6 +78,11 @@ def fit_percent(
     return 100 * (1 - np.linalg.norm(measured - predicted, axis=0) / around)
 
 
+def fit_text(values: Float[np.ndarray, " C"]) -> list[str]:
+    """Write fit percentages; how far below the mean a useless simulation is says nothing."""
+    return [f"{value:.1f}" if value >= 0 else "below 0" for value in values]
+
+
 def measure_fit(
     model: Model,
     trajectory: Trajectory,

@@ -47,15 +47,14 @@ class Whiteness:
     @property
     def verdict(self) -> str:
         """One sentence."""
-        q = f"Q = {self.statistic:.1f}, {self.degrees} degrees of freedom, {p_text(self.p_value)}"
-        least = f"{100 * LEAST_SHARE:g} % would count"
-        q = f"past ones say {100 * self.share:.1f} % of the variance, {least}: {q}"
+        explained = f"past innovations explain {share_text(self.share)}"
         if self.passed:
-            return f"{self.channel} innovations are white ({q})"
+            return f"{self.channel} innovations are white ({explained})"
         lag = int(np.abs(self.autocorrelation).argmax())
         return (
-            f"{self.channel} innovations are not white: r({lag + 1}) = "
-            f"{self.autocorrelation[lag]:.2g}, band ±{self.band:.2g} ({q})"
+            f"{self.channel} innovations are not white: {explained}; the correlation is largest "
+            f"after {lag + 1} samples, {self.autocorrelation[lag]:.2g}, and chance keeps it within "
+            f"±{self.band:.2g}"
         )
 
 
@@ -123,9 +122,9 @@ def with_pauses(
     return np.insert(values, np.repeat(begins, lags), 0.0, axis=0)
 
 
-def p_text(p_value: float) -> str:
-    """Write a p-value."""
-    return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
+def share_text(share: float) -> str:
+    """Write a share of the variance beside the one that counts."""
+    return f"{100 * share:.1f} % of the variance (threshold {100 * LEAST_SHARE:g} %)"
 
 
 def holm(p_values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.late_packets import LatePackets
-from airpuck.evaluation.statistical_tests import LEVEL, block_regression, holm, p_text
+from airpuck.evaluation.statistical_tests import LEVEL, block_regression, holm
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration
 
@@ -91,8 +91,7 @@ class Structure:
         but = "" if not self.passed else ", too little to count"
         return (
             f"{self.channel} residuals depend on {self.regressor}: {ends}; root mean square "
-            f"{self.size:.2g} {self.unit}, {100 * self.share:.1f} % of what the motors do{but} "
-            f"({p_text(self.p_value)})"
+            f"{self.size:.2g} {self.unit}, {100 * self.share:.1f} % of what the motors do{but}"
         )
 
     def to_json(self) -> dict[str, Any]:

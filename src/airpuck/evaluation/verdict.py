@@ -1,36 +1,54 @@
-"""Whether a model can be trusted for control, in words: from what is known of its errors.
+"""Whether a model can be trusted for control, in words.
 
-The limits, and why they are where they are, stand in docs/method.md.
+The four outcomes, their limits and why they are where they are: docs/method.md.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.numbers import percent
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import Evaluation
+from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
+from airpuck.evaluation.evaluate import Evaluation, coasting
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.model.model_file import Model
+from airpuck.preprocessing.delay import visible_delay
 
-#: Largest relative standard error of an acceleration that control may ask for.
-ACCELERATION_LIMIT = 0.1
-#: Largest standard error of the response time, lag and delay together [s].
-RESPONSE_LIMIT = 0.005
-#: Largest share of the commanded motion that predictions may miss, in the typical window.
-MISSED_LIMIT = 0.25
+#: Largest relative standard error of an acceleration that control may ask for, and of the response
+#: time [s]: with both, all controllers of studies/verdicts.py settle.
+ACCELERATION_LIMIT = 0.3
+RESPONSE_LIMIT = 0.015
+#: The same errors as far as chance alone makes them: above, a recording tells too little to judge.
+_JUDGED_LIMIT, _JUDGED_RESPONSE = 0.15, 0.006
+#: Longest transport delay that is plausible without further knowledge, and how far a delay may lie
+#: above that of the vehicle file [s]: overcompensated by 35 ms, most controllers oscillate.
+_LONGEST_DELAY, _DELAY_ABOVE = 0.045, 0.025
+#: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
+_INERTIA_RANGE = (0.1, 1.0)
+#: Cosine between a motor's effect as modelled and as found below which it is another motor's.
+_SAME_MOTOR = 0.5
+#: Standard error of a motor's effect, relative to its size, above which its direction is unknown.
+_DIRECTION_LIMIT = 0.2
+#: Size of a motor's effect, relative to that of most, below which it does nothing to speak of.
+_SEEN = 0.3
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3
 #: Correlation of motor lag and transport delay below which data know their sum only.
 _NO_SPLIT = -0.9
 #: An error of this size counts as a whole: an angle of a radian turns a thrust away altogether.
 _WHOLE_ANGLE = 1.0
+
+Outcome = Literal[
+    "trusted", "not_trusted", "not_enough_excitation", "suspect_recording", "not_judged"
+]
 
 
 @dataclass(frozen=True)
@@ -39,130 +57,355 @@ class Verdict:
 
     Attributes
     ----------
-    trusted : bool or None
-        None where nothing is known of its errors.
+    outcome : str
+        ``trusted``: a controller designed from the model settles on the craft. ``not_trusted``: it
+        need not, since the model is wrong. ``not_enough_excitation``: the recording moves the craft
+        too little to tell. ``suspect_recording``: its clocks, motor order or units look wrong.
+        ``not_judged``: there is no recording to judge by.
     sentences : tuple of str
-        In words: the outcome, then what is wrong, then what else is known.
+        In words: the outcome, then why and what to do, then what else is known.
     relative_errors : dict
         Standard errors of what was learned, by label, relative to its natural size; infinite where
         the data do not determine it.
     missed : array, shape (3,), or None
-        Share of the commanded motion of x, y and yaw that predictions of another recording miss.
+        Errors of x, y and yaw relative to those of a craft that coasts.
+    acceleration_errors : array, shape (6,), or None
+        Relative standard errors of the largest accelerations, systematic errors included.
+    response_error : float or None
+        Standard error of the response time, systematic errors included [s].
     """
 
-    trusted: bool | None
+    outcome: Outcome
     sentences: tuple[str, ...]
     relative_errors: dict[str, float]
     missed: Float[np.ndarray, " 3"] | None = None
+    acceleration_errors: Float[np.ndarray, " 6"] | None = None
+    response_error: float | None = None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the model can be trusted for control."""
+        return self.outcome == "trusted"
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
+        names = "missed", "acceleration_errors"
+        arrays = {name: getattr(self, name) for name in names}
         return {
             "trusted": self.trusted,
+            "outcome": self.outcome,
             "sentences": list(self.sentences),
             "relative_errors": self.relative_errors,
-            "missed": None if self.missed is None else self.missed.tolist(),
+            **{name: None if a is None else a.tolist() for name, a in arrays.items()},
+            "response_error_s": self.response_error,
         }
 
 
 def missed_motion(evaluation: Evaluation, trajectory: Trajectory) -> Float[np.ndarray, " 3"]:
-    """Return the share of what the commands did to x, y and yaw that predictions miss.
-
-    What the commands did is the way from where the craft would have coasted to, at the speed that
-    it had. Medians of both, so that windows with faults do not decide.
-    """
-    first = np.searchsorted(trajectory.time, evaluation.start - trajectory.sample_period / 2)
-    last = first + evaluation.horizon_step
-    state, lasted = trajectory.state, trajectory.time[last] - trajectory.time[first]
-    driven = state[last, :3] - state[first, :3] - state[first, 3:] * lasted[:, None]
-    return evaluation.median_abs / np.maximum(np.median(np.abs(driven), axis=0), 1e-12)
+    """Return errors of x, y and yaw relative to those of a craft that coasts; typical window."""
+    return evaluation.median_abs / np.maximum(coasting(evaluation, trajectory).median_abs, 1e-12)
 
 
-def verdict(model: Model, missed: Float[np.ndarray, " 3"] | None = None) -> Verdict:
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What is known of a model's errors."""
+
+    model: Model
+    trajectory: Trajectory | None
+    evaluation: Evaluation | None
+
+    @cached_property
+    def effects(self) -> EffectErrors | None:
+        """Systematic errors that the recording shows."""
+        return None if self.trajectory is None else effect_errors(self.model, self.trajectory)
+
+    @cached_property
+    def by_chance(self) -> tuple[Float[np.ndarray, " 6"], float]:
+        """Standard errors of the fit: of the largest accelerations, and the response time [s]."""
+        if self.model.known is None:
+            return np.zeros(len(WAYS)), 0.0
+        error = self.model.standard_error(largest_acceleration)
+        relative = np.where(np.isfinite(error), error, np.inf)
+        relative /= np.maximum(largest_acceleration(self.model), 1e-12)
+        response = float(self.model.standard_error(_response_time))
+        return relative, response if np.isfinite(response) else np.inf
+
+    @cached_property
+    def total(self) -> tuple[Float[np.ndarray, " 6"], float]:
+        """Standard errors with what is systematically wrong."""
+        (chance, response), effects = self.by_chance, self.effects
+        if effects is None:
+            return chance, response
+        return np.hypot(chance, effects.push), float(np.hypot(response, effects.later))
+
+    @cached_property
+    def missed(self) -> Float[np.ndarray, " 3"] | None:
+        """Errors relative to those of a craft that coasts."""
+        if self.evaluation is None or self.trajectory is None:
+            return None
+        return missed_motion(self.evaluation, self.trajectory)
+
+
+def verdict(
+    model: Model,
+    trajectory: Trajectory | None = None,
+    evaluation: Evaluation | None = None,
+) -> Verdict:
     """Judge whether a model can be trusted for control.
 
     Parameters
     ----------
     model : Model
         Any model.
-    missed : array, shape (3,), optional
-        From `missed_motion`, on a recording that it was not learned from.
+    trajectory : Trajectory, optional
+        A recording to judge it on: better one that it was not learned from.
+    evaluation : Evaluation, optional
+        How well it predicts that recording, if it was not learned from it.
 
     Returns
     -------
     Verdict
-        The outcome, in words, worst first.
+        The outcome, in words.
     """
-    judged = model.known is not None
-    errors = _relative_errors(model) if judged else {}
-    wrong = [*_structural(model), *(_uncertain(model) if judged else ()), *_mispredicted(missed)]
-    unknown = _unknown(model, errors)
-    if wrong:
-        trusted = False
-        outcome = f"{model.name} cannot be trusted for control"
-    elif not judged and missed is None:
-        trusted = None
-        outcome = f"{model.name}: whether it can be trusted for control is not known"
-    else:
-        trusted = True
-        outcome = f"{model.name} can be trusted for control"
-    outcome += ", as far as its own data tell." if missed is None and trusted else "."
-    known = [] if wrong else _known(model, missed)
-    more = [] if judged else ["Nothing is known of its parameters' errors: identify it anew."]
-    if judged and missed is None:
-        more.append("How it predicts a flight that it was not learned from is not known: give one.")
+    evidence = _Evidence(model, trajectory, evaluation)
+    outcome, reasons = _decided(evidence)
+    errors = _relative_errors(model) if model.known is not None else {}
+    judged = trajectory is not None
     sentences = (
-        outcome,
-        *wrong,
-        *unknown,
+        _headline(model, outcome, own=judged and evaluation is None),
+        *reasons,
+        *_unknown(model, errors),
         *_timing(model),
-        *known,
-        *more,
+        *(_known(evidence) if outcome == "trusted" else ()),
+        *_compared(evidence),
         *_errors_in_words(errors),
     )
-    return Verdict(trusted, sentences, errors, missed)
+    accelerations, response = evidence.total
+    known = judged or model.known is not None
+    return Verdict(
+        outcome,
+        sentences,
+        errors,
+        evidence.missed,
+        accelerations if known else None,
+        response if known else None,
+    )
+
+
+def _headline(model: Model, outcome: Outcome, own: bool) -> str:
+    """Say the outcome in a sentence."""
+    name = model.name
+    return {
+        "trusted": f"{name} can be trusted for control"
+        + (", judged by the data it was learned from." if own else "."),
+        "not_trusted": f"{name} cannot be trusted for control.",
+        "not_enough_excitation": f"The data do not tell whether {name} can be trusted for control: "
+        "not enough excitation.",
+        "suspect_recording": f"{name} cannot be trusted for control: something is wrong with the "
+        "recording.",
+        "not_judged": f"Whether {name} can be trusted for control is not known: judge it on a "
+        "recording with `airpuck evaluate`.",
+    }[outcome]
+
+
+def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
+    """Return the outcome, and the sentences that give the reason."""
+    model = evidence.model
+    if wrong := _structural(model):
+        return "not_trusted", wrong
+    if evidence.trajectory is None:
+        uncertain = _uncertain(*evidence.by_chance)
+        return ("not_enough_excitation", uncertain) if uncertain else ("not_judged", [])
+    quiet, order = _quiet(evidence.effects), _order(model, evidence.effects)
+    clock = _clock(model, evidence.trajectory)
+    if suspects := [*clock, *order, *([] if quiet else _unit(model))]:
+        return "suspect_recording", suspects
+    if quiet or evidence.effects is None:
+        return "not_enough_excitation", quiet
+    if uncertain := _uncertain(*evidence.by_chance):
+        return "not_enough_excitation", uncertain
+    if wrong := _wrong(*evidence.total, evidence.effects):
+        return "not_trusted", wrong
+    return "trusted", []
 
 
 def _structural(model: Model) -> list[str]:
     """Tell what a model lacks, or its fit."""
     found = []
     if model.fit.get("converged") is False:
-        found.append("The fit had not converged: run it again, with more data or from nearby.")
-    if not float(model.parameters.motor_time_constant) > 0:
-        found.append("It has no motor lag, so that it expects every thrust too early: take M3.")
+        found.append("The fit did not converge: run it again, with more data or from nearby.")
+    if not float(model.parameters.motor_time_constant) > 0 and not _learned_lag(model):
+        found.append("The model has no motor lag, so it expects every thrust too early: use M3.")
     return found
 
 
-def _uncertain(model: Model) -> list[str]:
-    """Tell which accelerations, and whether the response time, are not known well enough."""
+def _learned_lag(model: Model) -> bool:
+    """Return whether a model learns its motor lag, which may then be at its bound."""
+    return bool(model.free[model.parameters.mask(frozenset({"motor_time_constant"}))].any())
+
+
+def _quiet(effects: EffectErrors | None) -> list[str]:
+    """Tell if a recording excites the craft too little to judge a model by it."""
+    fly = "Fly an excitation of 30 s or more: `airpuck excite`, or `airpuck design` for this craft."
+    if effects is None:
+        return [f"The recording is too short to judge a model by it. {fly}"]
+    worst = int(np.argmax(effects.push_error))
     found = []
-    size, error = largest_acceleration(model), model.standard_error(largest_acceleration)
-    relative = np.where(np.isfinite(error), error, np.inf) / np.maximum(size, 1e-12)
-    if relative.max() > ACCELERATION_LIMIT:
-        ways = [f"{way} {percent(r)}" for (way, *_), r in zip(WAYS, relative, strict=True)
-                if r > ACCELERATION_LIMIT]  # fmt: skip
+    if effects.push_error[worst] > _JUDGED_LIMIT:
         found.append(
-            f"Its largest accelerations are not known to {percent(ACCELERATION_LIMIT)}: "
-            f"{', '.join(ways)}. Use the whole range of all motors."
+            f"The recording determines the largest acceleration {_way(worst)} to "
+            f"{percent(float(effects.push_error[worst]))} only; {percent(_JUDGED_LIMIT)} are "
+            "needed."
         )
-    error = float(model.standard_error(_response_time))
-    if not error <= RESPONSE_LIMIT:
-        known = f"± {1e3 * error:.0f} ms" if np.isfinite(error) else "not determined"
+    if effects.later_error > _JUDGED_RESPONSE:
         found.append(
-            f"The response time τ + d is {known}, and should be known to "
-            f"{1e3 * RESPONSE_LIMIT:.0f} ms: fly an excitation, whose commands switch."
+            f"The recording determines when commands take effect to "
+            f"{1e3 * effects.later_error:.0f} ms only; {1e3 * _JUDGED_RESPONSE:.0f} ms are needed."
         )
-    return found
+    return [*found, fly] if found else []
 
 
-def _mispredicted(missed: Float[np.ndarray, " 3"] | None) -> list[str]:
-    """Tell where predictions miss too much."""
-    if missed is None or missed.max() <= MISSED_LIMIT:
+def _clock(model: Model, trajectory: Trajectory) -> list[str]:
+    """Tell if commands act implausibly late or early: the clocks of the recording disagree."""
+    seen = visible_delay(trajectory, model.dynamics)
+    if seen is None:
+        return []
+    learned = model.transport_delay if model.delay_learned else seen
+    longest = max(_LONGEST_DELAY, model.vehicle.nominal.transport_delay_s + _DELAY_ABOVE)
+    # What the recording shows is a whole number of samples.
+    if learned <= 0 or seen < -trajectory.sample_period:
+        return [
+            "The motion seems to begin before, or as soon as, the commands that cause it. The "
+            "poses are probably stamped early: check that the clocks of cameras and controller are "
+            "synchronised."
+        ]
+    if max(learned, seen - 2 * trajectory.sample_period) <= longest:
         return []
     return [
-        f"In the flight that it was judged on it misses {_channels(missed)} of what the commands "
-        f"do to x, y and yaw, more than {percent(MISSED_LIMIT)}: a richer model may help, or a "
-        "check of clocks, motor order and faults."
+        f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps; up to "
+        f"{1e3 * longest:.0f} ms are plausible. The poses are probably stamped late: check that "
+        "the clocks of cameras and controller are synchronised. If the radio is that slow, say so "
+        "in the vehicle file (nominal.transport_delay_s)."
+    ]
+
+
+def _order(model: Model, effects: EffectErrors | None) -> list[str]:
+    """Tell if motors act like others, or the other way round."""
+    if effects is None:
+        return []
+    rows = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
+    stated, found = model.propeller_effects, rows * effects.found
+    size = np.linalg.norm(found, axis=0)
+    usual = float(np.median(np.linalg.norm(rows * effects.modelled, axis=0)))
+    error = np.linalg.norm(rows * effects.standard_error, axis=0)
+    directions = stated / np.maximum(np.linalg.norm(stated, axis=0), 1e-300)
+    cosines = directions.T @ (found / np.maximum(size, 1e-300))
+    names, said = model.vehicle.propeller_names, []
+    for k, name in enumerate(names):
+        clear = size[k] > max(_SEEN * usual, error[k] / _DIRECTION_LIMIT)
+        if not clear or cosines[k, k] > _SAME_MOTOR:
+            continue
+        like = int(np.argmax(cosines[:, k]))
+        said.append(
+            f"{name} pushes the other way" if like == k or cosines[like, k] < _SAME_MOTOR
+            else f"{name} acts like {names[like]}"
+        )  # fmt: skip
+    if not said:
+        return []
+    return [
+        f"{'; '.join(said)}: check the motors' order, wiring and directions with `airpuck check`."
+    ]
+
+
+def _unit(model: Model) -> list[str]:
+    """Tell if the learned inertia is impossible: lengths are in a wrong unit."""
+    vehicle = model.vehicle
+    learned = bool(model.free[model.parameters.mask(frozenset({"inertia"}))].any())
+    ratio = float(model.parameters.inertia) / (vehicle.mass_kg * vehicle.radius_m**2)
+    if not learned or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
+        return []
+    what = "larger than that of a ring" if ratio > 1 else "smaller than that of any craft"
+    return [
+        f"The moment of inertia is {what} of the craft's mass and radius ({ratio:.2g} m R²): check "
+        "the unit of the positions, and radius and propeller positions in the vehicle file."
+    ]
+
+
+def _uncertain(relative: Float[np.ndarray, " 6"], response: float) -> list[str]:
+    """Tell which accelerations, and whether the response time, are not known well enough."""
+    found = []
+    if relative.max() > ACCELERATION_LIMIT:
+        found.append(
+            f"The largest acceleration {_ways(relative)}; control needs "
+            f"{percent(ACCELERATION_LIMIT)}. Use the whole range of all motors."
+        )
+    if response > RESPONSE_LIMIT:
+        known = f"uncertain by {1e3 * response:.0f} ms" if np.isfinite(response) else "unknown"
+        found.append(
+            f"The response time τ + d is {known}; control needs {1e3 * RESPONSE_LIMIT:.0f} ms. Fly "
+            "an excitation, whose commands switch: `airpuck excite`."
+        )
+    return found
+
+
+def _wrong(relative: Float[np.ndarray, " 6"], response: float, effects: EffectErrors) -> list[str]:
+    """Tell which accelerations, and whether the response time, are systematically wrong."""
+    found = []
+    if relative.max() > ACCELERATION_LIMIT:
+        off = [
+            f"{way} {percent(abs(float(share)))} too {'large' if share > 0 else 'small'}"
+            for (way, *_), share, total in zip(WAYS, effects.push, relative, strict=True)
+            if total > ACCELERATION_LIMIT
+        ]
+        found.append(
+            f"The modelled largest acceleration is wrong: {', '.join(off)}. A richer model may "
+            "help (`--model auto`), or a check of mass, inertia and motors in the vehicle file."
+        )
+    if response > RESPONSE_LIMIT:
+        when = "later" if effects.later > 0 else "earlier"
+        found.append(
+            f"Commands take effect {1e3 * abs(effects.later):.0f} ms {when} than modelled: use a "
+            "model with a motor lag, and learn the delay (`--delay fit`)."
+        )
+    return found
+
+
+def _way(number: int) -> str:
+    """Name a way to accelerate."""
+    return WAYS[number][0]
+
+
+def _ways(relative: Float[np.ndarray, " 6"]) -> str:
+    """Say in which ways an acceleration is uncertain."""
+    return ", ".join(
+        f"{way} is uncertain by {percent(float(r))}" if np.isfinite(r) else f"{way} is unknown"
+        for (way, *_), r in zip(WAYS, relative, strict=True)
+        if r > ACCELERATION_LIMIT
+    )
+
+
+def _compared(evidence: _Evidence) -> list[str]:
+    """Compare predictions with those of a craft that coasts."""
+    missed = evidence.missed
+    if missed is None:
+        return []
+    shares = ", ".join(
+        percent(float(share)) if share <= 1 else "more than 100 %" for share in missed
+    )
+    return [
+        f"Its errors of x, y and yaw are {shares} of those of constant velocity, a craft that "
+        "coasts (typical window of this recording)."
+    ]
+
+
+def _known(evidence: _Evidence) -> list[str]:
+    """Tell what the trust rests on."""
+    relative, error = evidence.total
+    response = _with_error(1e3 * _response_time(evidence.model), 1e3 * error)
+    return [
+        f"Its largest acceleration is known to {percent(float(relative.max()))} in every "
+        f"direction; the response time τ + d is {response} ms. Systematic "
+        "errors that this recording shows are included."
     ]
 
 
@@ -206,25 +449,6 @@ def _timing(model: Model) -> list[str]:
         f"The sum of lag and delay is known to ±{1e3 * error:.2f} ms "
         f"({1e3 * _response_time(model):.2f} ms); the split is not: {why}."
     ]
-
-
-def _known(model: Model, missed: Float[np.ndarray, " 3"] | None) -> list[str]:
-    """Tell what the trust rests on."""
-    found = []
-    if model.known is not None:
-        size, error = largest_acceleration(model), model.standard_error(largest_acceleration)
-        response, spread = _response_time(model), float(model.standard_error(_response_time))
-        found.append(
-            f"Its largest acceleration is known to {percent(float((error / size).max()))} in "
-            f"every direction; the response time τ + d is "
-            f"{_with_error(1e3 * response, 1e3 * spread)} ms."
-        )
-    if missed is not None:
-        found.append(
-            f"In the flight that it was judged on it misses {_channels(missed)} of what the "
-            "commands do to x, y and yaw (typical window)."
-        )
-    return found
 
 
 def _errors_in_words(errors: dict[str, float]) -> list[str]:
@@ -277,11 +501,6 @@ def _size(model: Model, quantity: MainQuantity) -> float:
 def _response_time(model: Model) -> Any:
     """Return how long after a command a motor has followed it: lag and delay together [s]."""
     return model.parameters.motor_time_constant + model.transport_delay
-
-
-def _channels(shares: Float[np.ndarray, " 3"]) -> str:
-    """Write the shares of x, y and yaw."""
-    return ", ".join(percent(float(share)) for share in shares)
 
 
 def _with_error(value: float, error: float) -> str:

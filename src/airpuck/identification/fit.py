@@ -12,6 +12,7 @@ import numpy as np
 
 from airpuck import __version__
 from airpuck.boundary.arguments import chosen
+from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.adam import Adam
@@ -52,6 +53,7 @@ from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import Rung
 from airpuck.model.uncertainty import Uncertainty
+from airpuck.preprocessing.delay import visible_delay
 
 
 def identify(
@@ -110,9 +112,27 @@ def identify(
         progress=progress,
     )
     solution = Solution(problem, problem.trajectories)
-    solution = leave_out_faults(solution)
-    solution = retime(solution)
-    return judge(minimize(solution), began)
+    try:
+        return judge(minimize(retime(leave_out_faults(solution))), began)
+    except InputError as error:
+        if (early := _early_poses(problem)) is not None:
+            raise early from error
+        raise
+
+
+def _early_poses(problem: Problem) -> InputError | None:
+    """Return an error that names the clocks, where motion precedes the commands that cause it."""
+    dynamics = problem.start.dynamics(np, problem.vehicle)
+    for trajectory in problem.trajectories:
+        delay = visible_delay(trajectory, dynamics)
+        if delay is not None and delay < 0:
+            return InputError(
+                f"the motion begins {-1e3 * delay:.0f} ms before the commands that cause it: the "
+                "poses are stamped early. Synchronise the clocks of cameras and controller, or add "
+                "that time to the stamps of the poses",
+                file=trajectory.source,
+            )
+    return None
 
 
 def identifiability(

@@ -13,6 +13,19 @@ from airpuck.physics.rigid_body import acceleration as model_acceleration
 
 #: Longest delay that is looked for.
 LONGEST_S = numbers.DELAY.high
+#: Correlation of modelled and measured accelerations from which commands cause the motion.
+_CAUSED = 0.5
+
+
+def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
+    """Return how long after their stamps commands seem to act [s], negative for before.
+
+    None where it is not known by how much the commands were shifted, or they explain too little.
+    """
+    shift, correlation = estimate_delay(trajectory, dynamics)
+    if correlation < _CAUSED or not trajectory.delay_known:
+        return None
+    return trajectory.delay + shift * trajectory.sample_period
 
 
 def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, float]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.fit_measures import FitMeasures
-from airpuck.evaluation.verdict import missed_motion, verdict
+from airpuck.evaluation.verdict import verdict
 from airpuck.model.model_file import Model
 from airpuck.report.fit_figures import thrust_figure
 from airpuck.report.fit_sections import craft_section, sources_section
@@ -65,7 +65,7 @@ def evaluation_report(
     named = [replace(one, model=name) for one, name in zip(evaluations, names, strict=True)]
     judged = Judged(trajectory, tuple(named))
     verdicts = {
-        model.name: verdict(model, missed_motion(one, trajectory))
+        model.name: verdict(model, trajectory, one)
         for model, one in zip(models, named, strict=True)
     }
     vehicle = models[0].vehicle

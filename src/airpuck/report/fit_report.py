@@ -10,7 +10,7 @@ from pathlib import Path
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.evaluation.presentation import delay_words
-from airpuck.evaluation.verdict import missed_motion, verdict
+from airpuck.evaluation.verdict import verdict
 from airpuck.identification.fit_result import Fit
 from airpuck.model.model_file import Model
 from airpuck.report.fault_report import fault_section
@@ -76,7 +76,7 @@ def fit_report(
         reference_label="true" if truth is not None else "reference",
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
-    sections = [_verdicts(fits, judged)]
+    sections = [_verdicts(fits, judged, training)]
     if judged is None:
         sections.append(path_section(training, vehicle))
     else:
@@ -103,13 +103,13 @@ def fit_report(
     return write_page(out, title, lead + ".", sections, origin)
 
 
-def _verdicts(fits: Sequence[Fit], judged: Judged | None) -> Section:
+def _verdicts(fits: Sequence[Fit], judged: Judged | None, training: Trajectory) -> Section:
     """Say in words which fits can be trusted."""
     if judged is None:
-        verdicts = {fit.model.name: verdict(fit.model) for fit in fits}
+        verdicts = {fit.model.name: verdict(fit.model, training) for fit in fits}
         return verdict_section(verdicts, fits[-1].model.name)
     verdicts = {
-        found.model: verdict(fit.model, missed_motion(found, judged.trajectory))
+        found.model: verdict(fit.model, judged.trajectory, found)
         for fit, found in zip(fits, judged.evaluations, strict=True)
     }
     return verdict_section(verdicts, judged.best.model)

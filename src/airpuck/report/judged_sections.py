@@ -10,8 +10,8 @@ import numpy as np
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Span, Trajectory
-from airpuck.evaluation.evaluate import Evaluation
-from airpuck.evaluation.fit_measures import FitMeasures
+from airpuck.evaluation.evaluate import Evaluation, coasting
+from airpuck.evaluation.fit_measures import FitMeasures, fit_text
 from airpuck.evaluation.verdict import Verdict
 from airpuck.report.error_figures import (
     WORST,
@@ -169,6 +169,8 @@ def _error_table(judged: Judged) -> Table:
     """Tabulate errors of all models."""
     named = [(f"{e.model}, {judged.reference_label}", e) for e in judged.reference]
     named += [(e.model, e) for e in judged.evaluations]
+    baseline = coasting(judged.evaluations[0], judged.trajectory)
+    named.append((baseline.model, baseline))
     rows = [
         [name, *errors_as_text(e.rmse), *errors_as_text(e.median_abs), *_intervals_as_text(e)]
         for name, e in named
@@ -180,7 +182,7 @@ def _error_table(judged: Judged) -> Table:
     )
     caption = (
         "Errors of the predicted poses. From every start: windows that overlap, so that it does "
-        "not matter where the first begins."
+        "not matter where the first begins. Constant velocity: a craft that coasts."
     )
     groups = [("", 1), *((kind, 3) for kind in kinds)]
     return Table(caption, ["model", *3 * _CHANNELS], rows, groups)
@@ -205,7 +207,7 @@ def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
     rows = [
         [
             name,
-            *(f"{value:.1f}" for value in (*fit.k_step, *fit.free_run, *fit.whole)),
+            *fit_text(np.concatenate([fit.k_step, fit.free_run, fit.whole])),
             str(fit.parameters),
             *(f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)),
         ]

@@ -16,7 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
-from airpuck.evaluation.verdict import missed_motion, verdict
+from airpuck.evaluation.verdict import verdict
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
@@ -241,7 +241,7 @@ def _summary_section(study: FitStudy, judged: Judged, wall_s: float) -> Section:
         f"has medians of {medians} against RMSE of {rmse} (x mm / y mm / γ rad), because the worst "
         f"{100 * WORST:.0f} % of the windows hold {share} % of the squared error. Many of these "
         "lie at faults of the recording.",
-        " ".join(verdict(model, missed_motion(best, judged.trajectory)).sentences),
+        " ".join(verdict(model, judged.trajectory, best).sentences),
     )
     return Section("summary", "In short", (Text(findings, bullets=True),))
 

@@ -1,0 +1,227 @@
+"""How far what each motor does, and when, is from a model: by regression of prediction errors.
+
+Standard errors of a fit say how much chance moves it. They say nothing of what the model cannot
+describe: an inertia that it does not learn, a lag that it lacks, motors in another order. So errors
+of predictions are regressed on what each motor would do to the pose in any direction, on later
+commands and on slower motors. The result is the systematic error of the model (docs/method.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import Windows, make_windows
+from airpuck.estimate.encoder import PaperEncoder
+from airpuck.evaluation.statistical_tests import block_regression
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rollout import rollout
+from airpuck.physics.thrust import thrust
+
+#: Time before and after the present of a window [s]. Jitter of the radio biases accelerations from
+#: windows of 0.2 s by 2 %, from those of 0.4 s by 0.1 %.
+_PAST_S, _AHEAD_S = 40 / 240, 0.4
+#: Step of the finite differences in transport delay and lag [s].
+_STEP_S = 1e-3
+#: Units of the regression, which has a weak prior: share of a motor's effect [1], timing [s], other
+#: accelerations [m/s², rad/s²] and those per speed [1/s].
+_EFFECT_UNIT, _TIME_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.1
+#: Length of the blocks of time behind the standard errors [s], and the fewest blocks.
+_BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
+#: A motor whose modelled full thrust is below this share of the median gets the median curve: what
+#: the model takes for dead may run.
+_WEAK = 0.3
+#: Columns per motor: forward, left, yaw.
+_PER_MOTOR = 3
+#: What a channel of one window tells beyond its first pose and velocity: two numbers, about.
+_TOLD = 2
+#: Ways to accelerate: row of Π, sign.
+WAYS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class EffectErrors:
+    """Systematic errors of a model that a recording shows."""
+
+    #: Acceleration by each motor at full speed, forward, left [m/s²] and yaw [rad/s²]: by the
+    #: model, as found, and the standard errors of that.
+    modelled: Float[np.ndarray, "3 n"]
+    found: Float[np.ndarray, "3 n"]
+    standard_error: Float[np.ndarray, "3 n"]
+    #: Largest accelerations each way (`WAYS`): those of the model less those found, relative to the
+    #: model's; and the standard errors of that, relative to the larger of the two.
+    push: Float[np.ndarray, " 6"]
+    push_error: Float[np.ndarray, " 6"]
+    #: How much later than modelled commands take effect, lag and delay together [s].
+    later: float
+    later_error: float
+
+
+def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
+    """Estimate the systematic errors of a model; None where the recording is too short for it."""
+    before, ahead = map(trajectory.steps, (_PAST_S, _AHEAD_S))
+    count = len(trajectory.window_starts(before + ahead, ahead))
+    if count * _AHEAD_S < _FEWEST_BLOCKS * _BLOCK_S:
+        return None
+    windows = make_windows(trajectory, before, ahead, stride=ahead)
+    # Predictions are linear in small delays only: the second pass starts where the first ended.
+    first = _estimated(model, windows, 0.0)
+    found = _estimated(model, windows, first.later)
+    return replace(found, later=first.later + found.later)
+
+
+def _estimated(model: Model, windows: Windows, moved: float) -> EffectErrors:
+    """Estimate the errors of a model whose transport delay is `moved` [s]."""
+    curves = _curves(model)
+    columns, values = _regression(model, curves, windows, moved)
+    n = len(curves)
+    matrix = np.asarray(model.dynamics.configuration)
+    force, moment = (np.linalg.norm(rows) / np.sqrt(n) for rows in (matrix[:2], matrix[2]))
+    units = np.concatenate(
+        [
+            _EFFECT_UNIT * np.tile([force, force, moment], n),
+            np.full(2, _TIME_UNIT),
+            np.full(columns.shape[2] - _PER_MOTOR * n - 2, _OTHER_UNIT),
+        ]
+    )
+    spread = np.maximum(np.sqrt(np.mean(values**2, axis=0)), 1e-12)
+    period = windows.trajectories[0].sample_period
+    estimate, covariance, _ = block_regression(
+        columns * units / spread[:, None], values / spread, period, _BLOCK_S
+    )
+    told = _TOLD * values.shape[1] * len(windows)
+    covariance *= told / max(told - len(units), 1)
+    estimate, covariance = estimate * units, covariance * np.outer(units, units)
+    return _in_words_of_control(model, curves, estimate, covariance)
+
+
+def _in_words_of_control(
+    model: Model,
+    curves: Float[np.ndarray, "n degree"],
+    estimate: Float[np.ndarray, " m"],
+    covariance: Float[np.ndarray, "m m"],
+) -> EffectErrors:
+    """Turn coefficients of the regression into accelerations and times."""
+    n, vehicle = len(curves), model.vehicle
+    matrix = np.asarray(model.dynamics.configuration)
+    both = np.asarray(model.parameters.thrust), curves
+    least, most = (
+        np.array([thrust(curve, np.full(n, command)) for curve in both])
+        for command in (vehicle.command_min, vehicle.command_max)
+    )
+    effects = slice(0, _PER_MOTOR * n)
+    change = estimate[effects].reshape(n, _PER_MOTOR).T
+    error = np.sqrt(np.diag(covariance)[effects]).reshape(n, _PER_MOTOR).T
+    modelled = matrix * most[0]
+    found = modelled + change * most[1]
+    push, push_error = np.zeros(len(WAYS)), np.zeros(len(WAYS))
+    for k, (row, sign) in enumerate(WAYS):
+        now = sign * np.array([matrix[row] * least[0], modelled[row]])
+        then = sign * np.array([matrix[row] * least[0] + change[row] * least[1], found[row]])
+        before, after = now.max(axis=0).sum(), then.max(axis=0).sum()
+        weight = np.zeros(len(estimate))
+        weight[row : _PER_MOTOR * n : _PER_MOTOR] = np.where(then[1] > then[0], most[1], least[1])
+        push[k] = 1 - after / max(before, 1e-12)
+        push_error[k] = np.sqrt(weight @ covariance @ weight) / max(before, after, 1e-12)
+    late = np.zeros(len(estimate))
+    late[_PER_MOTOR * n : _PER_MOTOR * n + 2] = 1.0
+    deviation = float(np.sqrt(late @ covariance @ late))
+    errors = error * most[1]
+    return EffectErrors(
+        modelled, found, errors, push, push_error, float(late @ estimate), deviation
+    )
+
+
+def _curves(model: Model) -> Float[np.ndarray, "n degree"]:
+    """Return the thrust curves whose scale is estimated: the model's, where it has some thrust."""
+    curves = np.array(model.parameters.thrust, dtype=float)
+    full = thrust(curves, np.ones(len(curves)))
+    weak = full < _WEAK * np.median(full)
+    curves[weak] = np.median(curves, axis=0)
+    return curves
+
+
+def _regression(
+    model: Model, curves: Float[np.ndarray, "n degree"], windows: Windows, moved: float
+) -> tuple[Float[np.ndarray, "M 3 m"], Float[np.ndarray, "M 3"]]:
+    """Return what each error would add to the poses, and what is missing in the predictions.
+
+    What an error of the first pose and velocity would add is taken out of both.
+    """
+    delay, usual = model.transport_delay, model.vehicle.nominal.transport_delay_s
+    if not model.delay_learned and not all(t.delay_known for t in windows.trajectories):
+        delay = usual
+    delay += moved
+    held = windows.delayed(delay, usual)
+    predicted = _predicted(model, model.dynamics, held)
+    lag = model.dynamics.motor_time_constant + _STEP_S
+    slower = _predicted(model, replace(model.dynamics, motor_time_constant=lag), held)
+    later = _predicted(model, model.dynamics, windows.delayed(delay + _STEP_S, usual))
+    timing = np.stack([later - predicted, slower - predicted], axis=-1)[:, :3] / _STEP_S
+    samples = held.present + np.arange(len(predicted))[:, None]
+    measured, durations = held.state[samples], np.diff(held.time[samples], axis=0)
+    added = _twice_integrated(_accelerations(curves, predicted, measured), durations)
+    n = _PER_MOTOR * len(curves)
+    columns = np.concatenate([added[..., :n], np.swapaxes(timing, 1, 2), added[..., n:]], axis=3)
+    missing = measured[..., :3] - np.swapaxes(predicted[:, :3], 1, 2)
+    time = np.concatenate([np.zeros((1, len(held))), np.cumsum(durations, axis=0)])
+    values = _without_start(missing[..., None], time)[..., 0]
+    columns = _without_start(columns, time)
+    return columns.reshape(-1, *columns.shape[2:]), values.reshape(-1, 3)
+
+
+def _predicted(model: Model, dynamics: Dynamics, windows: Windows) -> Float[np.ndarray, "T s W"]:
+    """Predict all windows, from the present on."""
+    state, now = PaperEncoder(model.indexing).begin(dynamics, windows.past())
+    commands, durations, _ = windows.future()
+    return np.concatenate([state[None], rollout(np, now, state, commands, durations)])
+
+
+def _accelerations(
+    curves: Float[np.ndarray, "n degree"],
+    predicted: Float[np.ndarray, "T s W"],
+    measured: Float[np.ndarray, "T W 6"],
+) -> Float[np.ndarray, "T W 3 m"]:
+    """Return the accelerations that each error would add, per unit, in the world.
+
+    For each motor its thrust forward, left and turning; then constant accelerations, and drag of
+    motion and of spin.
+    """
+    speed = np.moveaxis(predicted[:, 6:], 1, 0)
+    force = np.moveaxis(thrust(curves, speed), 0, 2)
+    cos, sin = np.cos(measured[..., 2]), np.sin(measured[..., 2])
+    turn = np.zeros((*cos.shape, 3, 3))
+    turn[..., 0, 0] = turn[..., 1, 1] = cos
+    turn[..., 0, 1], turn[..., 1, 0], turn[..., 2, 2] = -sin, sin, 1.0
+    along = np.einsum("twj,twik->twijk", force, turn).reshape(*turn.shape[:3], -1)
+    others = np.zeros((*turn.shape[:3], 5))
+    others[..., [0, 1, 2], [0, 1, 2]] = 1.0
+    others[..., :2, 3], others[..., 2, 4] = -measured[..., 3:5], -measured[..., 5]
+    return np.concatenate([along, others], axis=3)
+
+
+def _twice_integrated(
+    acceleration: Float[np.ndarray, "T W 3 m"], duration: Float[np.ndarray, "t W"]
+) -> Float[np.ndarray, "T W 3 m"]:
+    """Integrate twice from rest, accelerations linear between samples."""
+    h = duration[..., None, None]
+    here, there = acceleration[:-1], acceleration[1:]
+    velocity = np.cumsum(h / 2 * (here + there), axis=0)
+    before = np.concatenate([np.zeros_like(velocity[:1]), velocity[:-1]])
+    position = np.cumsum(h * before + h**2 / 6 * (2 * here + there), axis=0)
+    return np.concatenate([np.zeros_like(position[:1]), position])
+
+
+def _without_start(
+    values: Float[np.ndarray, "T W 3 m"], time: Float[np.ndarray, "T W"]
+) -> Float[np.ndarray, "W T 3 m"]:
+    """Take out of each window what is constant or grows with time; windows in their order."""
+    trend = np.stack([np.ones_like(time), time], axis=-1).swapaxes(0, 1)
+    basis = np.linalg.qr(trend)[0]
+    windows = np.swapaxes(values, 0, 1)
+    flat = windows.reshape(*windows.shape[:2], -1)
+    return (flat - basis @ (basis.swapaxes(1, 2) @ flat)).reshape(windows.shape)
