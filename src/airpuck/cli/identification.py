@@ -189,12 +189,12 @@ def identify(
     figures = {**fit.to_json(), "verdict": said.to_json()}
     tried = _ladder_summary(selection) if selection else ()
     figures.update({"selection": selection.to_json()} if selection else {})
-    judged = None
-    if found is not None:
+    judged = list[Any]()
+    if found is not None and other is not None:
         figures["validation"] = found.to_json()
-        judged = error_table([fit.model.name], [found], other)
-    summary = _fit_summary(fit, verbose)
-    report(figures, json_file, *tried, *said.sentences, judged, *summary, output, quiet=quiet)
+        judged = [error_table([fit.model.name], [found], other)]
+    told = *tried, *said.sentences, *judged, *_fit_summary(fit, verbose), output
+    report(figures, json_file, *told, quiet=quiet)
 
 
 def _optimiser(method: str, epochs: int | None, of_lm: dict[str, Any]) -> Method:

@@ -1,9 +1,10 @@
-"""How far what each motor does, and when, is from a model: by regression of prediction errors.
+"""How far what each motor does, and when, is from a model: by regression of poses.
 
 Standard errors of a fit say how much chance moves it. They say nothing of what the model cannot
-describe: an inertia that it does not learn, a lag that it lacks, motors in another order. So errors
-of predictions are regressed on what each motor would do to the pose in any direction, on later
-commands and on slower motors. The result is the systematic error of the model (docs/method.md).
+describe: an inertia that it does not learn, a lag that it lacks, motors in another order. So what
+its accelerations, integrated along the measured motion, leave of the poses is regressed on what
+each motor would do in any direction, on later commands and on slower motors. The result is the
+systematic error of the model (docs/method.md).
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.statistical_tests import block_regression
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import Dynamics
-from airpuck.physics.rollout import rollout
+from airpuck.physics.motor import motor_step
+from airpuck.physics.rigid_body import Dynamics, acceleration
 from airpuck.physics.thrust import thrust
 
 #: Time before and after the present of a window [s]. Jitter of the radio biases accelerations from
-#: windows of 0.2 s by 2 %, from those of 0.4 s by 0.1 %.
+#: windows of 0.2 s by 3 %, from those of 0.4 s by 1 %.
 _PAST_S, _AHEAD_S = 40 / 240, 0.4
 #: Step of the finite differences in transport delay and lag [s].
 _STEP_S = 1e-3
@@ -68,7 +69,7 @@ def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
     if count * _AHEAD_S < _FEWEST_BLOCKS * _BLOCK_S:
         return None
     windows = make_windows(trajectory, before, ahead, stride=ahead)
-    # Predictions are linear in small delays only: the second pass starts where the first ended.
+    # Poses are linear in small delays only: the second pass starts where the first ended.
     first = _estimated(model, windows, 0.0)
     found = _estimated(model, windows, first.later)
     return replace(found, later=first.later + found.later)
@@ -148,7 +149,7 @@ def _curves(model: Model) -> Float[np.ndarray, "n degree"]:
 def _regression(
     model: Model, curves: Float[np.ndarray, "n degree"], windows: Windows, moved: float
 ) -> tuple[Float[np.ndarray, "M 3 m"], Float[np.ndarray, "M 3"]]:
-    """Return what each error would add to the poses, and what is missing in the predictions.
+    """Return what each error would add to the poses, and what is missing in them.
 
     What an error of the first pose and velocity would add is taken out of both.
     """
@@ -157,33 +158,53 @@ def _regression(
         delay = usual
     delay += moved
     held = windows.delayed(delay, usual)
-    predicted = _predicted(model, model.dynamics, held)
-    lag = model.dynamics.motor_time_constant + _STEP_S
-    slower = _predicted(model, replace(model.dynamics, motor_time_constant=lag), held)
-    later = _predicted(model, model.dynamics, windows.delayed(delay + _STEP_S, usual))
-    timing = np.stack([later - predicted, slower - predicted], axis=-1)[:, :3] / _STEP_S
-    samples = held.present + np.arange(len(predicted))[:, None]
+    samples = held.present + np.arange(held.prediction_length + 1)[:, None]
     measured, durations = held.state[samples], np.diff(held.time[samples], axis=0)
-    added = _twice_integrated(_accelerations(curves, predicted, measured), durations)
+    lag = model.dynamics.motor_time_constant + _STEP_S
+    slow = replace(model.dynamics, motor_time_constant=lag)
+    speed = _motor_speeds(model, model.dynamics, held)
+    late = _motor_speeds(model, model.dynamics, windows.delayed(delay + _STEP_S, usual))
+    # Along the measured motion, not a predicted one: so poses are linear in every error.
+    driven, later, slower = (
+        _twice_integrated(_driven(dynamics, measured, phi)[..., None], durations)[..., 0]
+        for dynamics, phi in (
+            (model.dynamics, speed),
+            (model.dynamics, late),
+            (slow, _motor_speeds(model, slow, held)),
+        )
+    )
+    timing = np.stack([later - driven, slower - driven], axis=-1) / _STEP_S
+    added = _twice_integrated(_accelerations(curves, speed, measured), durations)
     n = _PER_MOTOR * len(curves)
-    columns = np.concatenate([added[..., :n], np.swapaxes(timing, 1, 2), added[..., n:]], axis=3)
-    missing = measured[..., :3] - np.swapaxes(predicted[:, :3], 1, 2)
+    columns = np.concatenate([added[..., :n], timing, added[..., n:]], axis=3)
     time = np.concatenate([np.zeros((1, len(held))), np.cumsum(durations, axis=0)])
-    values = _without_start(missing[..., None], time)[..., 0]
+    values = _without_start((measured[..., :3] - driven)[..., None], time)[..., 0]
     columns = _without_start(columns, time)
     return columns.reshape(-1, *columns.shape[2:]), values.reshape(-1, 3)
 
 
-def _predicted(model: Model, dynamics: Dynamics, windows: Windows) -> Float[np.ndarray, "T s W"]:
-    """Predict all windows, from the present on."""
-    state, now = PaperEncoder(model.indexing).begin(dynamics, windows.past())
+def _motor_speeds(model: Model, dynamics: Dynamics, windows: Windows) -> Float[np.ndarray, "n T W"]:
+    """Return the motor speeds from the present of each window on."""
+    state, _ = PaperEncoder(model.indexing).begin(dynamics, windows.past())
     commands, durations, _ = windows.future()
-    return np.concatenate([state[None], rollout(np, now, state, commands, durations)])
+    lag = dynamics.motor_time_constant, dynamics.idle_lag
+    speeds = [state[6:]]
+    for command, duration in zip(commands, durations, strict=True):
+        speeds.append(motor_step(np, speeds[-1], command, duration, *lag))
+    return np.stack(speeds, axis=1)
+
+
+def _driven(
+    dynamics: Dynamics, measured: Float[np.ndarray, "T W 6"], speed: Float[np.ndarray, "n T W"]
+) -> Float[np.ndarray, "T W 3"]:
+    """Return the modelled accelerations along the measured motion."""
+    motion = np.moveaxis(measured[..., 2:], 2, 0)
+    return np.stack(np.broadcast_arrays(*acceleration(np, dynamics, motion, speed)), axis=-1)
 
 
 def _accelerations(
     curves: Float[np.ndarray, "n degree"],
-    predicted: Float[np.ndarray, "T s W"],
+    speed: Float[np.ndarray, "n T W"],
     measured: Float[np.ndarray, "T W 6"],
 ) -> Float[np.ndarray, "T W 3 m"]:
     """Return the accelerations that each error would add, per unit, in the world.
@@ -191,7 +212,6 @@ def _accelerations(
     For each motor its thrust forward, left and turning; then constant accelerations, and drag of
     motion and of spin.
     """
-    speed = np.moveaxis(predicted[:, 6:], 1, 0)
     force = np.moveaxis(thrust(curves, speed), 0, 2)
     cos, sin = np.cos(measured[..., 2]), np.sin(measured[..., 2])
     turn = np.zeros((*cos.shape, 3, 3))

@@ -1,0 +1,88 @@
+"""What seems wrong with a recording: its clocks, the order of the motors, the unit of lengths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.effect_errors import EffectErrors
+from airpuck.model.model_file import Model
+from airpuck.preprocessing.delay import visible_delay
+
+#: Longest transport delay that is plausible without further knowledge, and how far a delay may lie
+#: above that of the vehicle file [s]: overcompensated by 35 ms, most controllers oscillate.
+_LONGEST_DELAY, _DELAY_ABOVE = 0.045, 0.025
+#: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
+_INERTIA_RANGE = (0.1, 1.0)
+#: Cosine between a motor's effect as modelled and as found below which it is another motor's.
+_SAME_MOTOR = 0.5
+#: Standard error of a motor's effect, relative to its size, above which its direction is unknown.
+_DIRECTION_LIMIT = 0.2
+#: Size of a motor's effect, relative to that of most, below which it does nothing to speak of.
+_SEEN = 0.3
+
+
+def clock_suspect(model: Model, trajectory: Trajectory) -> list[str]:
+    """Tell if commands act implausibly late or early: the clocks of the recording disagree."""
+    seen = visible_delay(trajectory, model.dynamics)
+    if seen is None:
+        return []
+    learned = model.transport_delay if model.delay_learned else seen
+    longest = max(_LONGEST_DELAY, model.vehicle.nominal.transport_delay_s + _DELAY_ABOVE)
+    # What the recording shows is a whole number of samples.
+    if learned <= 0 or seen < -trajectory.sample_period:
+        return [
+            "The motion seems to begin before, or as soon as, the commands that cause it. The "
+            "poses are probably stamped early: check that the clocks of cameras and controller are "
+            "synchronised."
+        ]
+    if max(learned, seen - 2 * trajectory.sample_period) <= longest:
+        return []
+    return [
+        f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps; up to "
+        f"{1e3 * longest:.0f} ms are plausible. The poses are probably stamped late: check that "
+        "the clocks of cameras and controller are synchronised. If the radio is that slow, say so "
+        "in the vehicle file (nominal.transport_delay_s)."
+    ]
+
+
+def order_suspect(model: Model, effects: EffectErrors | None) -> list[str]:
+    """Tell if motors act like others, or the other way round."""
+    if effects is None:
+        return []
+    rows = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
+    stated, found = model.propeller_effects, rows * effects.found
+    size = np.linalg.norm(found, axis=0)
+    usual = float(np.median(np.linalg.norm(rows * effects.modelled, axis=0)))
+    error = np.linalg.norm(rows * effects.standard_error, axis=0)
+    directions = stated / np.maximum(np.linalg.norm(stated, axis=0), 1e-300)
+    cosines = directions.T @ (found / np.maximum(size, 1e-300))
+    names, said = model.vehicle.propeller_names, []
+    for k, name in enumerate(names):
+        clear = size[k] > max(_SEEN * usual, error[k] / _DIRECTION_LIMIT)
+        if not clear or cosines[k, k] > _SAME_MOTOR:
+            continue
+        like = int(np.argmax(cosines[:, k]))
+        said.append(
+            f"{name} pushes the other way" if like == k or cosines[like, k] < _SAME_MOTOR
+            else f"{name} acts like {names[like]}"
+        )  # fmt: skip
+    if not said:
+        return []
+    return [
+        f"{'; '.join(said)}: check the motors' order, wiring and directions with `airpuck check`."
+    ]
+
+
+def unit_suspect(model: Model) -> list[str]:
+    """Tell if the learned inertia is impossible: lengths are in a wrong unit."""
+    vehicle = model.vehicle
+    learned = bool(model.free[model.parameters.mask(frozenset({"inertia"}))].any())
+    ratio = float(model.parameters.inertia) / (vehicle.mass_kg * vehicle.radius_m**2)
+    if not learned or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
+        return []
+    what = "larger than that of a ring" if ratio > 1 else "smaller than that of any craft"
+    return [
+        f"The moment of inertia is {what} of the craft's mass and radius ({ratio:.2g} m R²): check "
+        "the unit of the positions, and radius and propeller positions in the vehicle file."
+    ]
