@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
+    from airpuck.evaluation.verdict import Verdict
     from airpuck.identification.fit_result import Fit
     from airpuck.identification.method import Method
     from airpuck.identification.selection import Selection
@@ -185,16 +186,25 @@ def identify(
     if report_folder is not None:
         _write_report(fit, trajectories, other, found, selection, report_folder)
     warn(fit.warnings, quiet)
-    said = verdict(fit.model, other or trajectories[0], found)
-    figures = {**fit.to_json(), "verdict": said.to_json()}
+    said, judged, figures = _judged(fit, trajectories, other, found)
     tried = _ladder_summary(selection) if selection else ()
     figures.update({"selection": selection.to_json()} if selection else {})
-    judged = list[Any]()
-    if found is not None and other is not None:
-        figures["validation"] = found.to_json()
-        judged = [error_table([fit.model.name], [found], other)]
     told = *tried, *said.sentences, *judged, *_fit_summary(fit, verbose), output
     report(figures, json_file, *told, quiet=quiet)
+
+
+def _judged(
+    fit: Fit, training: Sequence[Trajectory], other: Trajectory | None, found: Evaluation | None
+) -> tuple[Verdict, list[Table], dict[str, Any]]:
+    """Judge a fit: the verdict, tables, and figures for JSON."""
+    from airpuck.evaluation.verdict import verdict
+
+    said = verdict(fit.model, other or training[0], found)
+    figures = {**fit.to_json(), "verdict": said.to_json()}
+    if found is None or other is None:
+        return said, [], figures
+    figures["validation"] = found.to_json()
+    return said, [error_table([fit.model.name], [found], other)], figures
 
 
 def _optimiser(method: str, epochs: int | None, of_lm: dict[str, Any]) -> Method:
