@@ -90,7 +90,7 @@ class Guide:
         self._table, self._clock = table, process.clock
         self.graph = Graph("guide", domain=domain)
         self._codec = StreamCodec("mallet_target")
-        codec, topic = self._codec, process.settings.topics.mallet_target
+        codec, topic = self._codec, process.topics.mallet_target
         self._publisher = self.graph.publisher(topic, codec.msgtype, codec.types, SENSOR)
 
     def lead(
@@ -114,7 +114,7 @@ def guided(process, domain):
     table = Table(process, PuckState(-0.7, 0.4), "page")
     guide = Guide(table, process, domain)
     until = time.monotonic() + 10.0
-    while not guide.graph.subscribers(process.settings.topics.mallet_target):
+    while not guide.graph.subscribers(process.topics.mallet_target):
         assert time.monotonic() < until
         time.sleep(0.01)
     yield table, guide

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import inspect
 import os
@@ -15,12 +14,13 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import unknown
 
 Chosen = TypeVar("Chosen")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Kinds of values that stand for others: a NumPy number is a number, too.
-_KINDS: dict[Any, tuple[type | tuple[type, ...], str]] = {
+_KINDS: dict[Any, tuple[Any, str]] = {
     float: (Real, "a number"),
     int: (Integral, "a whole number"),
     bool: ((bool, np.bool_), "True or False"),
@@ -38,15 +38,7 @@ def chosen(name: object, options: Mapping[str, Chosen], field: str) -> Chosen:
     """Return the option of a name; InputError names all of them, and the nearest."""
     if isinstance(name, str) and name in options:
         return options[name]
-    raise InputError(_unknown(name, options), field=field)
-
-
-def _unknown(name: object, options: Iterable[str]) -> str:
-    """Say which names there are, and which is the nearest."""
-    names = list(options)
-    near = difflib.get_close_matches(name, names, 1) if isinstance(name, str) else []
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return f"must be {' or '.join(map(repr, names))}, not {_shown(name)}{hint}"
+    raise InputError(unknown(name, options), field=field)
 
 
 def checked(function: Function) -> Function:
@@ -73,7 +65,7 @@ def _hints(function: Callable[..., Any], signature: inspect.Signature) -> dict[s
             continue
         hint = parameter.annotation
         try:
-            names = function.__globals__  # pyright: ignore[reportFunctionMemberAccess]
+            names = inspect.unwrap(function).__globals__
             hints[name] = eval(hint, names) if isinstance(hint, str) else hint
         except NameError:
             continue
@@ -121,7 +113,7 @@ def _problem(value: Any, hint: Any) -> str:
     """Say what an argument takes."""
     names = [name for one in _alternatives(hint) for name in _names(one)]
     if names and isinstance(value, str):
-        return _unknown(value, names)
+        return unknown(value, names)
     words = dict.fromkeys(_words(one) for one in _alternatives(hint))
     return f"must be {' or '.join(words)}, not {_shown(value)}"
 

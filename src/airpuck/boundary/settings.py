@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from functools import cache
@@ -12,6 +12,9 @@ from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import Range
+
+#: Letters that are shown of a value that is too long.
+_SHOWN = 60
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,14 @@ def check_choice(value: Any, choices: tuple[Any, ...], field: str) -> None:
     """Raise InputError if a value is unknown; suggest the nearest choice."""
     if value in choices:
         return
-    near = get_close_matches(str(value), map(str, choices), n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    listed = ", ".join(map(repr, choices))
-    raise InputError(f"is {value!r}; {hint}it takes {listed}", field=field)
+    raise InputError(unknown(value, choices), field=field)
+
+
+def unknown(name: Any, known: Iterable[Any]) -> str:
+    """Return what is wrong with an unknown name: the known names, and the nearest of them."""
+    names = list(map(repr, known))
+    near = get_close_matches(repr(name), names, 1) if isinstance(name, str) else []
+    hint = f"; did you mean {near[0]}?" if near else ""
+    shown = repr(name)
+    shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
+    return f"must be {' or '.join(names)}, not {shown}{hint}"

@@ -185,7 +185,7 @@ def design(
     given, model = model, _as_learned_next(model)
     usual = ExcitationPlan(duration_s=duration)
     grid = [
-        usual.model_copy(update={"amplitude": a, "hold_s": h, "margin_m": m})
+        replace(usual, amplitude=a, hold_s=h, margin_m=m)
         for a in amplitudes
         for h in holds
         for m in _MARGINS
