@@ -159,3 +159,17 @@ def test_it_goes_round_a_puck_that_lies_behind_it():
         assert found[0] < -0.6
         assert abs(found[1]) > PLAY.mallet.radius_m
         assert found[1] * y > 0
+
+
+@pytest.mark.parametrize("y", [0.3, -0.2])
+def test_a_stroke_goes_through_the_puck_at_the_goal(y):
+    puck = PuckState(-0.45, y)
+    angle = math.atan2(-y, PLAY.table.length_m / 2 - puck.x)
+    way = np.array([math.cos(angle), math.sin(angle)])
+    together = PLAY.mallet.radius_m + PLAY.puck.radius_m
+    # From where strokes begin, and on the way to the puck.
+    for behind in (0.1, 0.05, 0.02):
+        own = np.array(puck[:2]) - (together + behind) * way
+        towards = wanted(puck, tuple(own.tolist())) - own
+        assert towards @ way > 0.05
+        np.testing.assert_allclose(towards, (towards @ way) * way, atol=1e-6)

@@ -281,3 +281,22 @@ def test_the_opponents_velocity_is_learned_in_some_frames():
     player.mallet(0.1, np.array([0.0, 0.0, 0.0]))
     stepped(player, passing, 1, start=0.2)
     assert tactic.views[-1].opponent[0] == 0.8
+
+
+def test_a_puck_is_frozen_after_six_repeated_poses():
+    player = Player(MODEL, PLAY)
+    stepped(player, moving, 20)
+    assert player.predicted is not None
+    np.testing.assert_allclose(
+        player.predicted[::20], [[0.4, 0.1], [0.2, 0.1], [0.0, 0.1]], atol=0.05
+    )
+    # Three frames a step: one new place and five repeats, then three more.
+    stepped(player, frozen, 2, start=0.2)
+    assert player.sight == "seen"
+    stepped(player, frozen, 1, start=0.22)
+    assert player.sight == "frozen"
+    assert player.predicted is None
+    # One that rested before may do so.
+    resting = Player(MODEL, PLAY)
+    stepped(resting, frozen, 20)
+    assert resting.sight == "seen"

@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from airpuck.hockey.interception import Outlook, slack
 from airpuck.hockey.possession import Catch, Free, good_place
+from airpuck.hockey.shot import unit
 
 from ..apparatus.hockey_situations import (
     PITCH,
@@ -147,3 +149,25 @@ def test_only_a_slow_puck_at_a_bad_place_within_reach_is_freed():
     assert decided(Free(), view_of((-0.6, 0.51, 0, 0.6, 0, 0)), 6) is None  # fast
     assert decided(Free(), view_of((0.6, 0.51, 0, 0, 0, 0)), 6) is None  # not ours
     assert decided(Free(), view_of((-0.6, 0.51, 0, 0, 0, 0)), 6) is not None
+
+
+def test_a_push_waits_until_nothing_lies_between():
+    kinds = []
+    for place in STUCK:
+        for angle in np.arange(0.0, 6.0, 0.5):
+            x, y = np.array(place) + 0.13 * unit(angle)
+            view = view_of((*place, 0, 0, 0, 0), craft=(x, y, 0, 0, 0, 0))
+            if not PITCH.inside(view.craft[:2]):
+                continue
+            intention = decided(Free(), view, 1)
+            if intention is None:
+                continue
+            if intention.avoid is not None:
+                kinds.append("round")
+                continue
+            time, at, velocity, _ = contact(view, intention)
+            way = CubicHermiteSpline([0.0, time], [(x, y), at], [(0.0, 0.0), velocity])
+            apart = np.linalg.norm(way(np.linspace(0.1, 0.8, 50) * time) - place, axis=1)
+            assert apart.min() > PITCH.contact_distance - 0.01
+            kinds.append("straight")
+    assert {"round", "straight"} == set(kinds)
