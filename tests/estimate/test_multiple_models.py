@@ -73,15 +73,20 @@ def test_evidence_is_tempered_and_outliers_count_less():
 
 def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
     models = MultipleModels(DYNAMICS, NOISE, states(2))
-    means, covariances, weights = belief(2)
+    means, _, weights = belief(2)
+    means[:, 3] = 0.2
     covariances = np.repeat(np.diag([1e-6] * 9 + [1e-2] * 7)[None], 2, axis=0)
     rows, exact = np.eye(SIZE)[3:4], np.array([1e-6])  # the velocity along x
-    before = means, covariances, weights
-    found, *_ = models.measure(np, before, rows, np.ones(1), exact)
-    np.testing.assert_allclose(found[:, 3], weights @ means[:, 3] + 1.0, atol=0.02)
-    # Six deviations are none.
-    near, *_ = models.measure(np, before, rows, np.array([6e-3]), exact)
-    assert np.abs(near[:, 3] - weights @ means[:, 3] - 6e-3).max() > 1e-3
+    # As precise as what is known, a measurement counts half; beyond eight deviations, fully.
+    for deviations, counts in ((4.5, 0.5), (7.5, 0.5), (8.5, 1.0), (50.0, 1.0)):
+        innovation = np.array([deviations * np.sqrt(2e-6)])
+        found, less, _ = models.measure(np, (means, covariances, weights), rows, innovation, exact)
+        np.testing.assert_allclose(found[:, 3], 0.2 + counts * innovation[0], rtol=1e-4)
+        others = np.delete(np.arange(SIZE), 3)
+        np.testing.assert_allclose(found[:, others], means[:, others])
+        # Speed is as unknown as at first, and spin ten times as much.
+        if counts == 1.0:
+            np.testing.assert_allclose(np.diag(less[0])[4:6], [0.25, 25.0], rtol=1e-4)
 
 
 def test_time_mixes_states_and_keeps_the_first_two_moments_of_what_is_known():
