@@ -37,6 +37,8 @@ _PARTS = 32
 _ROUNDINGS = 10 * 2.0**-24
 #: Steps after which the rounding of spins is drawn anew: its error does not add up for longer.
 _REDRAWN = 16
+#: A motor turns the craft if its lever is more than this share of the longest.
+_TURNS = 1e-9
 #: Fewest intervals between the columns of spin.
 _FEWEST_COLUMNS = 8
 
@@ -340,8 +342,9 @@ def frontier(
     """
     forward, left, turn = np.asarray(model.dynamics.configuration)
     push = np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
-    with np.errstate(divide="ignore", invalid="ignore"):
-        prices = np.nan_to_num(-push / turn, nan=0.0, posinf=0.0, neginf=0.0)
+    # Any prices give a bound; those of motors that hardly turn the craft are only rounding.
+    turns = np.abs(turn) > _TURNS * np.abs(turn).max()
+    prices = np.where(turns, -push / np.where(turns, turn, 1.0), 0.0)
     prices = np.append(prices, np.zeros((len(angles), 1)), axis=1)
     terms = push[:, None, :] + prices[:, :, None] * turn
     ceiling = np.where(terms > 0, terms * high, terms * low).sum(axis=-1)
