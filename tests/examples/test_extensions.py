@@ -1,0 +1,72 @@
+"""The worked examples: an effect, an encoder, a tactic and a data format of one's own."""
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.physics.effects import Envelope
+from airpuck.physics.rollout import rollout
+from tests.apparatus.synthetic_flights import fly
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+M3 = airpuck.read_model("paper:M3")
+
+
+def example(name):
+    """Import a file below examples/."""
+    spec = importlib.util.spec_from_file_location(Path(name).stem, EXAMPLES / name)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("own_*/*.py")), ids=lambda path: path.stem)
+def test_an_extension_is_one_short_file(file):
+    lines = [line for line in file.read_text("utf-8").splitlines() if line.strip()]
+    assert len(lines) <= 25
+
+
+def test_friction_stops_a_coasting_craft_where_newton_says():
+    rough = example("own_effect/rough_floor.py").RoughFloor(friction_m_s2=0.3)
+    dynamics = replace(M3.dynamics, effects=(rough,), thrust=0 * M3.dynamics.thrust)
+    start = np.concatenate([[0, 0, 0, 0.6, 0, 0], np.zeros(6)])
+    states = rollout(np, dynamics, start, np.zeros((300, 6)), np.full(300, 0.01))
+    assert states[-1, 0] == pytest.approx(0.6**2 / (2 * 0.3), rel=0.02)  # v² / 2f
+    assert rough.acceleration_bound(Envelope(3.0, 15.0)) == (0.3, 0.0)
+
+
+def test_an_encoder_is_given_to_evaluate():
+    found = airpuck.evaluate(
+        M3, fly(M3, 6.0), encoder=example("own_encoder/last_pose.py").LastPose()
+    )
+    # Exact states, so that only the guess at the motor speeds is wrong.
+    assert 0 < found.rmse[0] < 0.05
+
+
+def test_a_log_of_json_lines_becomes_a_trajectory(tmp_path):
+    flown = airpuck.excite(M3, 5.0, 1)
+    pose, command = flown["pose"], flown["command"]
+    rows = [
+        {"t": (stamp - pose.stamp_ns[0]) * 1e-9, kind: values.tolist()}
+        for kind, stream in (("pose", pose), ("command", command))
+        for stamp, values in zip(stream.stamp_ns, stream.values, strict=True)
+    ]
+    path = tmp_path / "log.jsonl"
+    path.write_text("\n".join(map(json.dumps, rows)), "utf-8")
+    read = airpuck.preprocess(example("own_format/json_lines.py").read_json_lines(path))
+    known = airpuck.preprocess(flown)
+    np.testing.assert_allclose(read.state[:, :3], known.state[:, :3], atol=1e-9)
+    assert read.delay == pytest.approx(known.delay, abs=1 / 240)
+
+
+def test_a_tactic_defends_its_goal(tmp_path):
+    name = f"{EXAMPLES / 'own_tactic' / 'goalie.py'}:Goalie"
+    game = airpuck.Game(airpuck.contestant(name), airpuck.contestant("human:easy"), seed=1)
+    while game.time < 1.0:
+        game.step()
+    assert game.sides[0].state[0] < 0
