@@ -196,7 +196,7 @@ class YawProgram:
                 gains = self._gains(k, self._yaws, changes * unit / step, k % _REDRAWN == 0)
                 bends.append(_steepest(gains, self._yaws) * self._size[k] * step)
                 worth = _pushed(worth, (step * self._size[k] * gains).astype(np.float32), changes)
-        return most + self._roundings(np.array(bends), unit)[:, None]
+        return most + self._roundings(np.array(bends), unit, coasts)[:, None]
 
     def _penalty(self) -> tuple[Float[np.ndarray, " Y"], float]:
         """Return what other yaws at the start cost, at each yaw of the grid, and its curvature."""
@@ -227,12 +227,17 @@ class YawProgram:
             missed = missed + step * offset * size * (spins**2 + (largest * step) ** 2 / 12)
         return missed.astype(np.float32)
 
-    def _roundings(self, bends: Float[np.ndarray, " K"], unit: float) -> Float[np.ndarray, " K"]:
+    def _roundings(
+        self, bends: Float[np.ndarray, " K"], unit: float, coasts: Float[np.ndarray, " T"]
+    ) -> Float[np.ndarray, " K"]:
         """Return what rounding of yaw and spin to the grid may cost, for flights of each length."""
         passed = np.arange(self._count + 1)
         spacing = self._yaws[1] - self._yaws[0]
         shift = self.step * unit
         variance = (passed + 1) * spacing**2 / 4 + _REDRAWN * passed * shift**2 / 4
+        # The yaw at the end is rounded to one of two neighbouring times of coasting, first.
+        coasted = np.diff(coasts).max(initial=0.0) * np.nan_to_num(self._request.goal.state[5])
+        variance += coasted**2 / 4
         curved = self.step * self._size * self._strongest / 2
         lost = np.convolve(curved, variance)[1 : self._count + 1]
         lost += np.convolve(bends / 4, np.minimum(passed, _REDRAWN) * shift)[1 : self._count + 1]
