@@ -73,7 +73,7 @@ def _hints(function: Callable[..., Any], signature: inspect.Signature) -> dict[s
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Return whether a value is of a kind; what cannot be told counts as fitting."""
+    """Return whether a value fits an annotation; undecidable cases fit."""
     origin, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
     if origin is typing.Annotated:
         return _fits(value, inner[0])
@@ -110,7 +110,7 @@ def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
 
 
 def _problem(value: Any, hint: Any) -> str:
-    """Say what an argument takes."""
+    """Return what an argument takes."""
     names = [name for one in _alternatives(hint) for name in _names(one)]
     if names and isinstance(value, str):
         return unknown(value, names)

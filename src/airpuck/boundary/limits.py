@@ -203,7 +203,7 @@ class Archive:
             raise InputError("is encrypted; store it without", file=self._path, field=name)
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise InputError(
-                "is packed by another method than deflate; store it anew",
+                "is packed by another method than deflate; store it again",
                 file=self._path,
                 field=name,
             )
@@ -244,7 +244,7 @@ class Unpacking:
             raise refused(
                 f"unpacks to more than {UNPACKED_RATIO} times its size, or to too many records",
                 self._most // MIB * MIB,
-                "record it anew, or split it",
+                "record it again, or split it",
                 file=self._path,
             )
 

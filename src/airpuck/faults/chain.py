@@ -47,8 +47,8 @@ def stalled(name: str) -> str:
 def fault_chain(faults: Sequence[Fault], names: Sequence[str]) -> Chain:
     """Build the chain.
 
-    A fault goes on for all of its ages before it can end, and motors that stand then go on
-    standing; a held command may also end earlier, or in a stop.
+    A fault lasts for all of its ages before it can end; standing motors then stay standing. A held
+    command may also end earlier, or in a stop.
     """
     first = np.cumsum([1, *(fault.ages for fault in faults)])
     size = int(first[-1]) + 1

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 
 #: Cosine above which a measured and an expected effect agree (26 degrees apart).
 AGREES = 0.9
-#: An effect that is the opposite of one is rather that of another: cables are swapped more often
-#: than propellers are mounted the wrong way round.
+#: An opposite effect is more likely another propeller's effect: cables are swapped more often than
+#: propellers are mounted the wrong way round.
 _OPPOSITE = 0.5
 
 

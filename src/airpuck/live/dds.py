@@ -25,7 +25,7 @@ _LOCAL_PEERS = (
 
 
 def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
-    """Return the number of the DDS domain: the given one, that of the environment, or 0."""
+    """Return the number of the DDS domain: as given, from the environment, or 0."""
     field, number = "--domain", given
     if number is None:
         field, text = _DOMAIN_VARIABLE, environment.get(_DOMAIN_VARIABLE, "").strip() or "0"
@@ -76,7 +76,7 @@ def dds_type(msgtype: str) -> str:
 
 
 def ros_type(name: str) -> str:
-    """Return the ROS message type of a DDS type; other names stay as they are."""
+    """Return the ROS message type of a DDS type; other names do not change."""
     parts = name.split("::")
     if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
         return name

@@ -75,7 +75,7 @@ class EventLog:
     def state(
         self, level: Level, text: str, values: Mapping[str, object], *, name: str = ""
     ) -> None:
-        """Publish a state and some figures; `name` is that of a part of the process."""
+        """Publish a state and some figures; `name` is a part of the process."""
         message = self._heartbeat.message()
         set_stamp(message.header.stamp, time.time_ns())
         status = self._heartbeat.message("diagnostic_msgs/msg/DiagnosticStatus")

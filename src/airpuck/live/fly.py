@@ -134,7 +134,7 @@ def preflight_live(
 
 @runtime_checkable
 class Spectator(Protocol):
-    """Sees a flight while it goes on; it must not hold up the loop."""
+    """Observes a flight while it runs; it must not delay the loop."""
 
     def begin(self, process: Process, pilot: Pilot) -> None:
         """Take note of who flies, before time begins."""
@@ -145,7 +145,7 @@ class Spectator(Protocol):
         ...
 
     def after(self, action: Action) -> None:
-        """Do what is to be done once a period; its command is sent."""
+        """Run once a period, after its command was sent."""
         ...
 
     def to_json(self) -> dict[str, Any]:
@@ -330,7 +330,7 @@ class _Flight:
             self._guard.release("rival")
 
     def _report(self, status: str) -> None:
-        """Report who cannot be heard, and how the loop keeps its time; once a second."""
+        """Report unreadable publishers, and the loop's timing; once a second."""
         for inbox in self._inboxes:
             inbox.report_strangers()
         warning = self._recent.warning()
@@ -355,7 +355,7 @@ def _warm_up(pilot: Pilot, period: float) -> None:
 
 @contextlib.contextmanager
 def keyboard() -> Iterator[Callable[[], str] | None]:
-    """Let keys through as they are pressed; yield what reads them, or None without a terminal."""
+    """Read single key presses; yield their reader, or None without a terminal."""
     # A process in the background would be stopped for reading.
     if not sys.stdin or not sys.stdin.isatty() or os.tcgetpgrp(0) != os.getpgrp():
         yield None

@@ -37,7 +37,7 @@ class Quality:
 #: As in the table's recordings: sensors and commands do not send again.
 SENSOR = Quality(reliable=False)
 STATE = Quality()
-#: That of ``/rosout``.
+#: Quality of ``/rosout``.
 LOG = Quality(transient_local=True, depth=1000, lifespan=10.0)
 
 
@@ -81,7 +81,7 @@ class Subscription:
     """Receives messages of a topic; from `Graph.subscription`."""
 
     def __init__(self, reader: Any, kind: Any, condition: Any) -> None:
-        #: The condition ends `Graph.wait` when a message comes; None for one that does not.
+        #: The condition ends `Graph.wait` when a message comes; None: it does not wake the process.
         self._reader, self._kind, self._condition = reader, kind, condition
 
     def take(self) -> list[Sample]:
@@ -146,7 +146,7 @@ class Graph:
         self._kinds: dict[str, Any] = {}
         self._structs: dict[str, Any] = {}
         self._topics: dict[str, tuple[str, Any]] = {}
-        # Cyclone deletes a writer that nobody refers to.
+        # Cyclone deletes a writer without references.
         self._writers: list[Any] = []
         read = builtin.BuiltinDataReader
         self._participants = read(self._participant, builtin.BuiltinTopicDcpsParticipant)
@@ -193,7 +193,7 @@ class Graph:
         types : mapping
             Definitions by type name.
         quality : Quality
-            What is asked for; senders that offer less are not heard.
+            Requested quality; a publisher that offers less is not matched.
         wakes : bool, default False
             Whether `wait` returns when a message comes; costs a moment for each message.
 
@@ -245,9 +245,9 @@ class Graph:
         Parameters
         ----------
         topic : str, optional
-            Only those of this ROS topic.
+            Restrict to this ROS topic.
         own : bool, default False
-            Whether to include those of this process.
+            Whether to include this process.
 
         Returns
         -------
@@ -334,7 +334,7 @@ class Graph:
     def close(self) -> None:
         """Leave the graph; others see it at once."""
         self._writers.clear()
-        # Cyclone's Python deletes an entity when nobody refers to it, and there is no other way.
+        # Cyclone's Python deletes an entity without references, and offers no other way.
         participant: Any = self._participant
         participant._delete(participant._ref)
 

@@ -16,9 +16,9 @@ from airpuck.twin.twin import Twin
 PAGE = "page"
 #: Where the mallet is at first [m].
 BEGINS = 0.85
-#: A puck that is the other's, or is stuck, is fetched so much later than that is called [s].
+#: Time from the call to fetching a stuck puck, or the opponent's [s].
 _FETCHED = 0.2
-#: The mallet goes to where it is wanted while that was said no longer ago [s].
+#: The mallet follows a target for this long after its message [s].
 _HOLDS = 0.25
 
 
@@ -44,7 +44,7 @@ class Human:
         else:
             self._side.hand = ScriptedHand(twin.settings, SKILLS[skill])
         self._wanted_at = -math.inf
-        # The one who serves keeps neither score nor time.
+        # The server of the puck keeps neither score nor time.
         usual = Rules()
         changes = {"foul_s": usual.foul_s + _FETCHED, "stuck_s": usual.stuck_s + _FETCHED}
         rules = usual.model_copy(update={**changes, "limit_s": math.inf, "goals": math.inf})
@@ -64,7 +64,7 @@ class Human:
                 serve(self._world, side, self._random)
 
     def _follow(self, now: float) -> None:
-        """Take note of where the mallet is wanted; what is old or not finite says nothing."""
+        """Store the mallet's target; old or non-finite targets are ignored."""
         for stamp, (x, y, _) in self.targets.take() if self.targets else ():
             if not (math.isfinite(x) and math.isfinite(y)):
                 text = "refused: a place for the mallet that is not finite"

@@ -31,7 +31,7 @@ class _Topic:
 
 @dataclass(frozen=True)
 class Heard:
-    """A message that was heard."""
+    """A received message."""
 
     #: ROS names.
     topic: str
@@ -100,7 +100,7 @@ class Listener:
         )
 
     def _ask_less(self, topic: _Topic, offered: Quality) -> None:
-        """Subscribe anew if a publisher offers less than is asked for: it would not be heard."""
+        """Resubscribe if a publisher offers less than requested: it would not be matched."""
         asked = topic.quality
         reliable = asked.reliable and offered.reliable
         quality = Quality(reliable, asked.transient_local and offered.transient_local, _DEPTH)

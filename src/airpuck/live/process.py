@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 _QUALITY = {"estimate": STATE, "reference": STATE}
 #: Time between heartbeats [s].
 _HEARTBEAT = 1.0
-#: Time for discovery to find who is there, before one may say that nobody is [s].
+#: Time for discovery to find other processes before concluding that there are none [s].
 _LOOK_AROUND = 0.6
 #: A difference between clocks that is worth a warning [s].
 _NOTABLE_OFFSET = 0.1
-#: A process that did not look for this long stood still [s]; messages that waited for it in the
-#: system's buffers go on coming for this long [s].
+#: A process that did not poll for this long was suspended [s]; messages from the system's buffers
+#: keep arriving for this long afterwards [s].
 _STOOD_STILL, _COMES_LATE = 0.1, 0.05
 #: How often the last message is sent again, for those that came late [s].
 _REMIND = 1.0
@@ -70,7 +70,7 @@ class Process:
         heard = self.graph.subscription(topic, codec.msgtype, codec.types, quality)
         start = time.monotonic()
         while (others := self.graph.publishers(topic)) or self.graph.age < _LOOK_AROUND:
-            # One that was killed says nothing, and leaves the graph after a while.
+            # A killed process is silent, and leaves the graph after its lease.
             silent = time.monotonic() - start
             if others and (heard.take() or silent > LEASE + 1.0):
                 raise InputError(

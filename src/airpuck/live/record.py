@@ -42,7 +42,7 @@ def record(
 
 
 def _record(process: Process, bag: BagFile, motors: tuple[str, ...]) -> dict[str, Any]:
-    """Record while the process goes on."""
+    """Record until the process ends."""
     listener = Listener(process.graph, motors, own=True)
     notes: list[str] = []
     places: dict[str, int] = {}

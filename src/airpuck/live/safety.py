@@ -41,7 +41,7 @@ class Limits:
     settle: float = 0.3
 
 
-#: A craft may lean on a rail, and reach over the centre line, by so much [m].
+#: Largest overlap of a craft with a rail, and with the centre line [m].
 _OVER_RAIL, _OVER_LINE = 0.01, 0.02
 
 
@@ -138,7 +138,7 @@ def played(pilot: Pilot) -> tuple[Literal["puck", "mallet"], ...]:
 class GuardedPilot:
     """A pilot whose commands pass a guard; itself a `Pilot`.
 
-    `idle` is the command of motors that idle, and the least one that is sent.
+    `idle` is the command of idling motors, and the least command that is sent.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class GuardedPilot:
             try:
                 step = checked_step(self.pilot, self.pilot.step(time))
                 self.reference = self.pilot.reference
-            # Whatever goes wrong in a controller, the motors must idle and the loop go on.
+            # After any failure of a controller, the motors must idle and the loop must run.
             except Exception as error:
                 reason = _failure(error)
             else:
@@ -202,5 +202,5 @@ class GuardedPilot:
 
 
 def _failure(error: Exception) -> str:
-    """Say that the controller failed, and how."""
+    """Write how the controller failed."""
     return f"the controller failed: {type(error).__name__}: {error}"

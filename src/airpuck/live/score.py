@@ -1,4 +1,4 @@
-"""The score of a game on the graph, from what the one who flies sees."""
+"""The score of a game on the graph, from what the flying process measures."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from airpuck.hockey.rules import Ruling
 from airpuck.hockey.scorekeeper import Scorekeeper
 from airpuck.live.process import Process
 
-#: Who plays on the left, and on the right.
+#: Players on the left and on the right.
 NAMES = ("airpuck", "human")
-#: What is said of a ruling: of the score, whom it concerns, and the other.
+#: Message of a ruling; filled with the score, the player concerned, and the other.
 _SAID = {
     "goal": "goal for {1}, {0}",
     "foul": "foul of {1}, the puck was too long on its side; {2} serves, {0}",
-    "stuck": "the puck is stuck at the centre line; serve it anew, {0}",
+    "stuck": "the puck is stuck at the centre line; serve it again, {0}",
     "over": "{1} wins {0}; the next serve begins another game",
 }
 
@@ -38,11 +38,11 @@ class Score:
         self._events, self._pilot = process.events, pilot
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a pose; see `Spectator`. It is looked at when the command has left."""
+        """Store a pose until the command has left; see `Spectator`."""
         self._new.append(measurement)
 
     def after(self, action: Action) -> None:
-        """Say what has been called, and how the puck is seen; see `Spectator`."""
+        """Log rulings, and whether the puck is visible; see `Spectator`."""
         self.rulings = []
         # Poses of several bodies come body by body.
         for one in sorted(self._new, key=lambda one: one.stamp):

@@ -27,7 +27,7 @@ class LiveSettings(Settings):
     quiet : bool, default False
         Whether to print no events on standard error.
     topics : Topics, optional
-        Names of the topics; by default those of the authors' table.
+        Names of the topics; the default is the authors' table.
 
     Raises
     ------

@@ -48,7 +48,7 @@ def serve_twin(
         A puck, which comes back there out of a goal; by default there is none.
     human : str, optional
         Skill of a scripted human who plays on the right with a mallet, and serves by the rules, or
-        ``page``: who is at a page moves the mallet; by default there is none.
+        ``page``: the person at a page moves the mallet; by default there is no human.
 
     Returns
     -------

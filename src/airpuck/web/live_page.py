@@ -20,7 +20,7 @@ from airpuck.model.model_file import Model
 from airpuck.web.messages import packed_state
 from airpuck.web.page import Pages, hello_of
 
-#: A pose is shown for so long; then its body is not seen [s].
+#: A body is shown for this long after its last pose [s].
 _SEEN = 0.15
 #: How often to look whether the graph takes a place for the mallet [s].
 _LOOK = 0.5
@@ -29,16 +29,16 @@ _NOWHERE = np.full(3, math.nan)
 
 
 def live_hello(model: Model, play: AirHockey) -> dict[str, Any]:
-    """Return what a page of a game on the graph must know first: nobody pauses or begins it."""
+    """Return the first message to a page of a game on the graph, which no page pauses or starts."""
     return hello_of(model, play) | {"live": True, "levels": [], "names": NAMES}
 
 
 class LivePage:
     """Shows a player's flight to the pages, and sends where they want the mallet; a `Spectator`.
 
-    A page plays only if the process that publishes the mallet's poses also subscribes to where it
-    is wanted, as a twin does that has its human there. Else the human is at the table, and pages
-    only show. A flight does not wait for its pages, nor end with them.
+    A page plays only if the process that publishes the poses of the mallet also subscribes to the
+    mallet's target, as a twin with its human at the page does. Otherwise the human is at the table,
+    and pages only show. A flight neither waits for its pages nor ends with them.
     """
 
     def __init__(self, pages: Pages, score: Score, level: str) -> None:
@@ -46,7 +46,7 @@ class LivePage:
         self._score, self._level = score, level
         self._look = Every(_LOOK)
         self._seated = self._plays = False
-        #: Where the mallet is wanted.
+        #: Target of the mallet.
         self._wanted: tuple[float, float] | None = None
         #: The newest pose of each body, and the one before: stamp [s], pose.
         self._poses: dict[Kind, list[tuple[float, Float[np.ndarray, " 3"]]]] = {}
@@ -66,14 +66,14 @@ class LivePage:
             self._poses[measurement.kind] = [*self._poses.get(measurement.kind, [])[-1:], one]
 
     def after(self, action: Action) -> None:
-        """Hear the pages, and show them what is new; see `Spectator`."""
+        """Read the pages' wishes, and send them the news; see `Spectator`."""
         if self._pages.lost:
             return
         self._hear(self._pages)
         self._tell(self._pages, action)
         if self._pages.lost:
             self._wanted = None
-            self._process.events.log("warning", "the page server has ended; the flight goes on")
+            self._process.events.log("warning", "the page server has ended; the flight continues")
         if self._wanted is not None and self._plays:
             self._targets.send((*self._wanted, 0.0))
 
@@ -94,7 +94,7 @@ class LivePage:
             self._wanted = wish.x, wish.y
 
     def _mallet_is_guided(self) -> bool:
-        """Return whether whose mallet is seen wants to know where a page wants it."""
+        """Return whether the process that publishes the mallet takes its target from pages."""
         graph, topics = self._process.graph, self._process.topics
         senders = {endpoint.participant for endpoint in graph.publishers(topics.mallet)}
         return bool(senders & graph.subscribers(topics.mallet_target))

@@ -1,4 +1,4 @@
-"""A match in the page: two players, in real time, and whoever opens it watches."""
+"""A match in the page: two players, in real time, watched by any page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from airpuck.web.page import (
     state_of,
 )
 
-#: After the end the page shows who has won [s].
+#: The page shows the winner for this long [s].
 _END = 3.0
 
 

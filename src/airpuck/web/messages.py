@@ -39,7 +39,7 @@ class Order(NamedTuple):
     do: Deed
     #: A level, where one is chosen.
     level: str = ""
-    #: Whether thoughts are to be shown.
+    #: Whether to show thoughts.
     on: bool = False
 
 
@@ -67,7 +67,7 @@ def packed_state(
     """Return the message of a state.
 
     Puck: x, y, yaw; mallet: x, y and their rates, or a craft in its place: x, y, yaw, 0; craft, on
-    the left: x, y, yaw. `commands` are those of the crafts from left to right. `heard` is the
+    the left: x, y, yaw. `commands` belong to the craft from left to right. `heard` is the
     number of the newest wish that the game has taken.
     """
     numbers = [*puck[:3], *mallet[:4], *craft[:3], *commands]

@@ -44,7 +44,7 @@ class ArenaSettings:
     browser : bool, default True
         Whether to open the page.
     duration : float, optional
-        How long to go on [s]; by default until SIGINT or SIGTERM.
+        How long to serve [s]; by default until SIGINT or SIGTERM.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class ArenaSettings:
 
 
 class Pages:
-    """The pages of a game: all that is said to them, and what they ask for.
+    """The pages of a game: messages to them, and their wishes.
 
     Where `waits` is false, messages that do not fit into the pipe are dropped: the caller is a
     control loop. When the page server ends, `lost` is set, and all else has no effect.
@@ -152,7 +152,7 @@ def served(
     waits: bool = True,
     without: str = "",
 ) -> Iterator[Pages]:
-    """Serve pages from another process; `hello` is what a page is told at first.
+    """Serve pages from another process; `hello` is the first message to a page.
 
     `without` says how to do without pages, in case websockets is not installed.
     """
@@ -175,7 +175,7 @@ def served(
 
 
 def invite(pages: Pages, arena: ArenaSettings, tell: Any, what: str = "Play") -> None:
-    """Say where the page is, and open it."""
+    """Print the page's address, and open it."""
     tell(f"{what} at {pages.url} (Ctrl-C ends)")
     if arena.browser:
         webbrowser.open(pages.url)
@@ -227,7 +227,7 @@ def state_of(game: Game, heard: int = 0) -> bytes:
 
 
 def news_of(event: GameEvent) -> dict[str, Any] | None:
-    """Return what a page is told of an event that can be heard or is called out, or None."""
+    """Return the message to a page about an audible or announced event, or None."""
     kind = event.kind
     if kind == "hit":
         kind = "craft" if event.side < 0 else "mallet"

@@ -25,7 +25,7 @@ _TIMES = {
     "pose_age_ms": ("age of the pose", 1e3 * DEADLINE),
     "period_jitter_ms": ("period jitter", 1e3 * JITTER_P99),
 }
-#: Prediction error of a full bar: that of the simplest model, M0, on the real table [m, m, rad].
+#: Prediction error of a full bar: the simplest model, M0, on the real table [m, m, rad].
 _FULL_ERROR = (0.016, 0.016, 0.5)
 
 

@@ -1,7 +1,7 @@
 """Who may use a page that moves a craft: only the page itself, under a name that is our own.
 
-Any site that a browser shows may open a WebSocket to this machine, and one whose name is made to
-resolve to loopback seems to be of the same origin. The first is known by its Origin, the second by
+Any site in a browser may open a WebSocket to this machine, and a site whose name resolves to
+loopback seems to be of the same origin. The first is known by its Origin, the second by
 its Host.
 """
 
@@ -19,9 +19,9 @@ _HOST = re.compile(r"(?:\[(?P<six>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(?::[0-9
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], served: str) -> str | None:
-    """Say why a request with these headers is refused, if it is.
+    """Return why a request with these headers is refused, or None.
 
-    A client that is no browser names no origin. It may connect: it could as well send on the graph.
+    A client other than a browser sends no origin. It may connect: it could also send on the graph.
     """
     if len(hosts) != 1 or not _is_ours(hosts[0], served):
         return "This page is not served under that name."

@@ -121,7 +121,7 @@ class _Server:
     ) -> None:
         self._pipe, self._host, self._patience = pipe, host, patience
         self._shared = page == _SHARED
-        #: What a page is told at first: by name, the newest of what does not pass.
+        #: First messages to a page: by name, the newest of those that stay valid.
         self._remembered = {"hello": json.dumps({"is": "hello", **hello})}
         self._pages: list[_Page] = []
         self._player: _Page | None = None
@@ -259,7 +259,7 @@ class _Server:
             self._order(json.dumps(asked._asdict()).encode())
 
     def _count_thinkers(self) -> None:
-        """Tell the game to publish thoughts while any page shows them."""
+        """Ask the game to publish thoughts while any page shows them."""
         thinks = any(page.thinks for page in self._pages)
         if thinks != self._thinks:
             self._thinks = thinks

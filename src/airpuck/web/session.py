@@ -1,4 +1,4 @@
-"""A game in real time, for the page: whose turn it is to do what, and what the page hears of it."""
+"""A game in real time for the page: its phases, and the messages to the page."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from airpuck.web.page import ArenaSettings, Pages, hello_of, invite, news_of, se
 #: Rate limit of new games [1/s], and its burst: starting one stops the physics for 0.2 s. Orders
 #: that come meanwhile count as one.
 _GAMES_RATE, _GAMES_BURST = 1.0, 3.0
-#: Nobody is hurried at the page [s].
+#: Time limit of a game at the page: practically none [s].
 _NO_LIMIT = 1e6
 #: Steps before a game, for what is slow the first time.
 _WARM_UP = 20
-#: For so long the craft goes home when the player has left; then time stands still [steps].
+#: Steps in which the craft flies home after the player has left; then the game pauses.
 _HOMEWARD = 300
 #: Where the puck lies meanwhile: the player begins [m].
 _LAID = 0.3
-#: At least so long others may run in each period [s].
+#: Time left to other processes in each period, at least [s].
 _BREATH = 5e-4
-#: If time is this late, the machine slept: the game goes on from now [s].
+#: If the loop is this late, the machine was suspended: the game resumes from now [s].
 _SLEPT = 0.25
 
 
@@ -56,7 +56,7 @@ def play_in_browser(
     Parameters
     ----------
     model : Model
-        The craft, as it is and as its player believes it to be.
+        The craft; its player believes the same model.
     arena : ArenaSettings, optional
         Where, and for how long.
     level : str, default "medium"
@@ -89,7 +89,7 @@ def play_in_browser(
 
 
 class GoHome:
-    """Nobody plays against it: the craft goes home and waits; a `Tactic`."""
+    """Fly home and wait for a player; a `Tactic`."""
 
     def decide(self, view: View) -> Intention:
         """Return what to do now; see `Tactic`."""
@@ -107,7 +107,7 @@ class Session:
         self._seated = self._runs = False
         self._heard = 0
         self._until_home = 0
-        #: Whether a new game is to run at once when it has started; None: no new game is wanted.
+        #: Whether a requested new game starts running; None: no game is requested.
         self._renewal: bool | None = None
         self._renewals = TokenBucket(_GAMES_RATE, _GAMES_BURST)
         self._clock = Clock()
@@ -251,7 +251,7 @@ class Session:
             puck.place(PuckState(_LAID, 0.0))
 
     def _tell(self, events: Sequence[GameEvent]) -> None:
-        """Tell the page what is new."""
+        """Send the news to the page."""
         game = self._game
         self._until_home = max(self._until_home - 1, 0)
         self._pages.show(state_of(game, self._heard))
@@ -263,5 +263,5 @@ class Session:
             self._pages.think(self._player, game.time)
 
     def _tell_status(self, phase: str) -> None:
-        """Tell the page how the game stands."""
+        """Send the status of the game to the page."""
         self._pages.say_status(phase, self._game.score, self._level)

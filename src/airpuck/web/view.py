@@ -25,7 +25,7 @@ from airpuck.web.panel import panel
 NAME = "airpuck view"
 #: Time between states, and between gauges [s].
 _STATE, _GAUGES = 1 / 60, 0.5
-#: A pose counts as the present one, thrusts are drawn, and a plan is, for so long [s].
+#: How long a pose counts as current, thrusts are drawn, and a plan is drawn [s].
 _SEEN, _COMMANDED, _PLANNED = 0.5, 0.5, 0.5
 #: The controller's process comes first.
 _NICE = 5
@@ -83,7 +83,7 @@ def view_live(
 
 
 def view_hello(model: Model, table: Table) -> dict[str, Any]:
-    """Return what a page of the live view is told at first: thrusts are those of the model."""
+    """Return the first message to a page of the live view, with the model's thrusts."""
     hello = table_of(model, table)
     hello["craft"]["thrust"] = model.dynamics.thrust.tolist()
     return hello | {"reach": table.reach(model.vehicle.radius_m)}
