@@ -278,7 +278,10 @@ def identified(situation: Situation, seed: int, folder: Path) -> Model | str:
             refused.write_text(str(error))
             return str(error)
         fit.model.save(file)
-    return read_model(file)
+    try:
+        return read_model(file)
+    except InputError as error:  # A fit that ran away has numbers that no model file may hold.
+        return str(error)
 
 
 def _name(situation: Situation) -> str:
