@@ -284,3 +284,14 @@ def test_a_served_puck_lies_free_of_all_discs():
                 apart = math.dist(place, (mallet.x, mallet.y))
                 assert apart > mallet.radius + game.settings.puck.radius_m - 1e-9
                 assert abs(place[1]) < game.settings.table.width_m / 2
+
+
+def test_both_sides_of_a_game_have_seeds_of_their_own():
+    def seeded(play, seed):
+        seeds.append(seed)
+        return HARD.hand(play, seed)
+
+    seeds = []
+    for seed in range(3):
+        Game(Contestant("one", hand=seeded), Contestant("other", hand=seeded), seed=seed)
+    assert len(set(seeds)) == 6
