@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from airpuck.boundary.results import plain
 from airpuck.boundary.terminal import escaped
 
 if TYPE_CHECKING:
@@ -119,10 +120,10 @@ def is_stdout(json_file: Path | None) -> bool:
 
 
 def write_json(json_file: Path | None, figures: Any) -> None:
-    """Write figures where --json says."""
+    """Write figures where --json says; null stands for a number that is not finite."""
     if json_file is None:
         return
-    text = json.dumps(_without_nan(figures), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(plain(figures), indent=2, allow_nan=False) + "\n"
     if is_stdout(json_file):
         sys.stdout.write(text)
         return
@@ -130,15 +131,6 @@ def write_json(json_file: Path | None, figures: Any) -> None:
 
     with replacing(json_file) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def _without_nan(figures: Any) -> Any:
-    """Replace numbers that are not finite by null: JSON has no word for them."""
-    if isinstance(figures, dict):
-        return {key: _without_nan(value) for key, value in figures.items()}
-    if isinstance(figures, (list, tuple)):
-        return [_without_nan(value) for value in figures]
-    return None if isinstance(figures, float) and not math.isfinite(figures) else figures
 
 
 @contextmanager

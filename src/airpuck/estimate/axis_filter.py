@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.results import Result
 from airpuck.compute.arrays import small_product
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import motor_step
@@ -18,8 +19,10 @@ from airpuck.physics.rigid_body import Dynamics, acceleration
 
 
 @dataclass(frozen=True)
-class Noise:
+class Noise(Result):
     """Noise of the three axes x, y, γ."""
+
+    JSON = "pose acceleration_density=acceleration disturbance_density=disturbance"
 
     #: Standard deviation of the measured pose [m, m, rad].
     pose: tuple[float, float, float]

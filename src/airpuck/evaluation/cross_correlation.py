@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.results import Result
 from airpuck.evaluation.statistical_tests import (
     BAND,
     LEVEL,
@@ -29,8 +30,13 @@ _NONE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class CrossCorrelation:
+class CrossCorrelation(Result):
     """What one motor's command still says about one channel."""
+
+    JSON = (
+        "channel passed statistic p_value share band degrees_of_freedom=degrees "
+        "motor tested early correlation"
+    )
 
     #: Which.
     channel: str

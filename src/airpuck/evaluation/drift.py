@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import Any
 
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.statistical_tests import holm
 from airpuck.model.model_file import Model
@@ -17,16 +17,16 @@ from airpuck.physics.thrust import FLAT, lowest_slope
 
 #: Chance of any false alarm among all quantities.
 LEVEL = 0.05
-#: What is written of a change.
-_FIGURES = ("label", "unit", "before", "after", "standard_error", "z", "p_value", "held", "moved")
 #: Correlation from which a quantity takes up what one at its bound cannot: there its error is too
 #: small by the factor √(1 − ρ²), at this one by 13 %.
 _TAKES_UP = 0.5
 
 
 @dataclass(frozen=True)
-class Change:
+class Change(Result):
     """One quantity in two models."""
+
+    JSON = "label unit before after standard_error z p_value held moved"
 
     #: Which quantity.
     label: str
@@ -70,7 +70,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Drift:
+class Drift(Result):
     """Two models of one craft.
 
     Attributes
@@ -80,6 +80,8 @@ class Drift:
     notes : tuple of str
         What to know before believing it.
     """
+
+    JSON = "verdicts notes changes"
 
     changes: tuple[Change, ...]
     notes: tuple[str, ...]
@@ -100,21 +102,6 @@ class Drift:
             f"nothing moved: of {len(judged)} quantities {widest.words} changed most, "
             f"by {abs(widest.z):.1f} standard errors"
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``verdicts``, ``notes`` and a list ``changes`` of ``label, unit, before, after,
-            standard_error, z, p_value, held, moved``.
-        """
-        return {
-            "verdicts": self.verdicts,
-            "notes": list(self.notes),
-            "changes": [{name: getattr(c, name) for name in _FIGURES} for c in self.changes],
-        }
 
 
 def drift(earlier: Model, later: Model) -> Drift:

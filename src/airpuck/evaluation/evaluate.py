@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.notebook import html_table
+from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
@@ -86,7 +87,7 @@ def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
 
 
 @dataclass(frozen=True, eq=False)
-class EveryStart:
+class EveryStart(Result):
     """Prediction errors at the horizon from every start, in overlapping windows.
 
     Attributes
@@ -96,6 +97,8 @@ class EveryStart:
     start : array, shape (W,)
         When each prediction starts [s].
     """
+
+    JSON = "windows=start.size rmse:x_m,y_m,yaw_rad"
 
     errors: Float[np.ndarray, "3 W"]
     start: Float[np.ndarray, " W"]
@@ -111,23 +114,21 @@ class EveryStart:
         return rmse_interval(self.errors, self.start)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures."""
-        between = [interval_or_none(bounds) for bounds in self.interval.T]
-        return {
-            "windows": len(self.start),
-            "rmse": by_channel(self.rmse),
-            "interval_95": dict(zip(CHANNELS, between, strict=True)),
+        """Return the figures for ``--json``."""
+        return super().to_json() | {
+            "interval_95": known_intervals(self.interval),
             "block_s": BLOCK_S,
         }
 
 
-def interval_or_none(bounds: Float[np.ndarray, " 2"]) -> list[float] | None:
-    """Return the two ends of an interval for JSON; None where it is not known."""
-    return bounds.tolist() if np.isfinite(bounds).all() else None
+def known_intervals(interval: Float[np.ndarray, "2 3"]) -> dict[str, list[float] | None]:
+    """Return the ends of each channel's interval for JSON; None where it is not known."""
+    ends = [bounds.tolist() if np.isfinite(bounds).all() else None for bounds in interval.T]
+    return dict(zip(CHANNELS, ends, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class Evaluation(Result):
     """Prediction errors of one model on one trajectory.
 
     Attributes
@@ -151,6 +152,11 @@ class Evaluation:
     horizon_step : int
         Number of the step at which errors are reported, counted from 1.
     """
+
+    JSON = (
+        "model protocol=protocol.name encoder horizon_step windows=start.size left_out "
+        "rmse:x_m,y_m,yaw_rad median_abs:x_m,y_m,yaw_rad every_start"
+    )
 
     model: str
     protocol: Protocol
@@ -202,19 +208,9 @@ class Evaluation:
             ``model, protocol, encoder, horizon_s, horizon_step, windows, left_out, rmse,
             median_abs, every_start``, and per step ``rmse_over_horizon``.
         """
-        return {
-            "model": self.model,
-            "protocol": self.protocol.name,
-            "encoder": self.encoder,
-            "horizon_s": self.horizon_step * self.sample_period,
-            "horizon_step": self.horizon_step,
-            "windows": self.errors.shape[2],
-            "left_out": self.left_out,
-            "rmse": by_channel(self.rmse),
-            "median_abs": by_channel(self.median_abs),
-            "every_start": self.every_start.to_json(),
-            "rmse_over_horizon": [by_channel(row) for row in self.rmse_over_horizon],
-        }
+        over_horizon = [plain(by_channel(row)) for row in self.rmse_over_horizon]
+        horizon = {"horizon_s": self.horizon_step * self.sample_period}
+        return super().to_json() | horizon | {"rmse_over_horizon": over_horizon}
 
 
 def evaluate(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import by_channel
 from airpuck.evaluation.innovations import Innovations, free_run, innovations
@@ -22,8 +23,10 @@ RESTART = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class FitMeasures:
+class FitMeasures(Result):
     """Fit of one model to one trajectory."""
+
+    JSON = "k=steps restart_s=restart log_likelihood parameters samples aic bic"
 
     #: k of the k-step prediction [samples].
     steps: int
@@ -53,21 +56,11 @@ class FitMeasures:
         return float(self.parameters * np.log(self.samples) - 2 * self.log_likelihood)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures."""
-        return {
-            "fit_percent": {
-                "k_step": by_channel(self.k_step),
-                "free_run": by_channel(self.free_run),
-                "whole": by_channel(self.whole),
-            },
-            "k": self.steps,
-            "restart_s": self.restart,
-            "log_likelihood": self.log_likelihood,
-            "parameters": self.parameters,
-            "samples": self.samples,
-            "aic": self.aic,
-            "bic": self.bic,
+        """Return the figures for ``--json``."""
+        percent = {
+            name: by_channel(getattr(self, name)) for name in ("k_step", "free_run", "whole")
         }
+        return {"fit_percent": plain(percent), **super().to_json()}
 
 
 def fit_percent(

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.results import Result
 from airpuck.evaluation.block_bootstrap import rmse_ratio
-from airpuck.evaluation.evaluate import CHANNELS, Evaluation, by_channel, interval_or_none
+from airpuck.evaluation.evaluate import Evaluation, known_intervals
 from airpuck.evaluation.statistical_tests import holm
 
 #: Chance of any false alarm among all pairs and channels.
@@ -19,8 +20,13 @@ LEVEL = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class ModelDifference:
+class ModelDifference(Result):
     """Errors of a second model relative to a first, on the same predictions."""
+
+    JSON = (
+        "first second rmse_ratio=ratio:x_m,y_m,yaw_rad p_value:x_m,y_m,yaw_rad "
+        "differs:x_m,y_m,yaw_rad verdict"
+    )
 
     #: Names of the models.
     first: str
@@ -57,18 +63,8 @@ class ModelDifference:
         return f"{self.second} against {self.first}: {', '.join(said)}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures."""
-        between = [interval_or_none(bounds) for bounds in self.interval.T]
-        values = [None if np.isnan(p) else float(p) for p in self.p_value]
-        return {
-            "first": self.first,
-            "second": self.second,
-            "rmse_ratio": by_channel(self.ratio),
-            "interval_95": dict(zip(CHANNELS, between, strict=True)),
-            "p_value": dict(zip(CHANNELS, values, strict=True)),
-            "differs": dict(zip(CHANNELS, self.differs, strict=True)),
-            "verdict": self.verdict,
-        }
+        """Return the figures for ``--json``."""
+        return super().to_json() | {"interval_95": known_intervals(self.interval)}
 
 
 def _change(ratio: float) -> str:

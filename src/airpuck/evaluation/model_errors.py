@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from airpuck.boundary.results import Result, plain
 from airpuck.evaluation.late_packets import LatePackets
 from airpuck.evaluation.statistical_tests import BAND, LEVEL, block_regression, holm
 
@@ -28,8 +29,10 @@ _BLOCK_S = 0.5
 
 
 @dataclass(frozen=True)
-class ModelError:
+class ModelError(Result):
     """One error that a model may have."""
+
+    JSON = "name tested passed p_value"
 
     #: A motor, ``mass``, ``delay`` (with the lag, which delays on average as much) or ``lag``.
     name: str
@@ -78,16 +81,10 @@ class ModelError:
         return f"{self.name} gives {self.size} {word} than modelled"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures."""
+        """Return the figures for ``--json``."""
         unit = "_s" if self.name in _TIMES else ""
-        return {
-            "name": self.name,
-            f"value{unit}": self.value,
-            f"standard_error{unit}": self.standard_error,
-            "tested": self.tested,
-            "passed": self.passed,
-            "p_value": self.p_value,
-        }
+        sizes = {f"value{unit}": self.value, f"standard_error{unit}": self.standard_error}
+        return super().to_json() | plain(sizes)
 
 
 def model_errors(

@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.compute.arrays import register_pytree, scan
 from airpuck.compute.compiled import for_batches, lengthened
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.axis_filter import spread
-from airpuck.evaluation.evaluate import by_channel, delay_for
+from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.fit_measures import RESTART
 from airpuck.evaluation.innovations import Innovations, cut_at_commands, innovations
 from airpuck.model.model_file import Model
@@ -43,7 +44,7 @@ _FEWEST = 64
 
 
 @dataclass(frozen=True, eq=False)
-class PredictionBands:
+class PredictionBands(Result):
     """Predictions of W windows over T samples, with 95 % bands.
 
     Attributes
@@ -65,6 +66,11 @@ class PredictionBands:
         the model does not explain, of the state at the start, and of the measured pose, as root of
         the sum of squares.
     """
+
+    JSON = (
+        "horizon_s=horizon windows=start.size coverage_percent=coverage:x_m,y_m,yaw_rad "
+        "half_band:x_m,y_m,yaw_rad half_band_parameters:x_m,y_m,yaw_rad"
+    )
 
     model: str
     start: Float[np.ndarray, " W"]
@@ -94,25 +100,15 @@ class PredictionBands:
         share = np.full(3, np.nan)
         return np.divide(100.0 * self.covered[-1].sum(axis=1), known, out=share, where=known > 0)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures at the horizon.
+    @property
+    def half_band(self) -> Float[np.ndarray, " 3"]:
+        """Half the total band at the horizon, median of the windows."""
+        return np.median(self.total[-1], axis=1)
 
-        Returns
-        -------
-        dict
-            ``horizon_s, windows, coverage_percent``, and medians over the windows of half the
-            bands: ``half_band``, and ``half_band_parameters`` or None.
-        """
-        by_parameters = self.by_parameters
-        return {
-            "horizon_s": self.horizon,
-            "windows": len(self.start),
-            "coverage_percent": by_channel(self.coverage),
-            "half_band": by_channel(np.median(self.total[-1], axis=1)),
-            "half_band_parameters": None
-            if by_parameters is None
-            else by_channel(np.median(by_parameters[-1], axis=1)),
-        }
+    @property
+    def half_band_parameters(self) -> Float[np.ndarray, " 3"] | None:
+        """Half the band from the parameters at the horizon, median of the windows."""
+        return None if self.by_parameters is None else np.median(self.by_parameters[-1], axis=1)
 
 
 def prediction_bands(

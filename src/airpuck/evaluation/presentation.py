@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.notebook import html_table
+from airpuck.boundary.results import Result
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import RUNGS
@@ -27,8 +28,10 @@ WAYS = (
 
 
 @dataclass(frozen=True)
-class Value:
+class Value(Result):
     """A number with its error."""
+
+    JSON = "label unit value learned standard_error=error interval_95=interval"
 
     #: What it is.
     label: str
@@ -47,6 +50,11 @@ class Value:
         return bool(np.isfinite(self.standard_error) and self.standard_error > 0)
 
     @property
+    def error(self) -> float | None:
+        """The standard error; None where there is none."""
+        return self.standard_error if self.known else None
+
+    @property
     def interval(self) -> tuple[float, float] | None:
         """Ends of the 95 % interval; None where there is no standard error."""
         if not self.known:
@@ -54,15 +62,9 @@ class Value:
         reach = self.quantile * self.standard_error
         return self.value - reach, self.value + reach
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures."""
-        figures = {name: getattr(self, name) for name in ("label", "unit", "value", "learned")}
-        error = self.standard_error if self.known else None
-        return {**figures, "standard_error": error, "interval_95": self.interval}
-
 
 @dataclass(frozen=True)
-class Presentation:
+class Presentation(Result):
     """A model in words and numbers.
 
     Attributes
@@ -79,6 +81,8 @@ class Presentation:
         What the data did not determine, and other warnings.
     """
 
+    JSON = "model=name structure parameters derived conditions notes"
+
     name: str
     structure: tuple[str, ...]
     parameters: tuple[Value, ...]
@@ -93,23 +97,6 @@ class Presentation:
         values = [*self.parameters, *self.derived]
         rows = ((v.label, v.value, v.standard_error, v.unit) for v in values)
         return html_table("; ".join(self.structure[:1]), ("", "value", "± error", "unit"), rows)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``model, structure, parameters, derived, conditions, notes``.
-        """
-        return {
-            "model": self.name,
-            "structure": list(self.structure),
-            "parameters": [value.to_json() for value in self.parameters],
-            "derived": [value.to_json() for value in self.derived],
-            "conditions": dict(self.conditions),
-            "notes": list(self.notes),
-        }
 
 
 def present(model: Model) -> Presentation:

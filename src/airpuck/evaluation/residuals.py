@@ -9,12 +9,12 @@ which error of the model that would be. Late packets and feedback are part of th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.data.trajectory import Trajectory, hold
 from airpuck.evaluation.cross_correlation import CrossCorrelation, cross_correlations
 from airpuck.evaluation.evaluate import delay_for
@@ -34,7 +34,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualTests:
+class ResidualTests(Result):
     """Residual tests of one model on one trajectory.
 
     Attributes
@@ -58,6 +58,12 @@ class ResidualTests:
     late : LatePackets
         Innovations of the filter that allows for late packets: what was tested.
     """
+
+    JSON = (
+        "model samples sample_period_s=sample_period passed verdicts noise=innovations.noise "
+        "jitter_s=late.jitter whiteness cross_correlation=correlations model_errors=errors "
+        "structure"
+    )
 
     model: str
     samples: int
@@ -92,52 +98,6 @@ class ResidualTests:
             names = ", ".join(dict.fromkeys(one.regressor for one in self.structure))
             said.append(f"residuals depend on none of {names}")
         return said
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures.
-
-        Returns
-        -------
-        dict
-            ``model, samples, sample_period_s, passed, verdicts, noise, jitter_s``, and lists
-            ``whiteness``, ``cross_correlation``, ``model_errors`` and ``structure``.
-        """
-        noise = self.innovations.noise
-        return {
-            "model": self.model,
-            "samples": self.samples,
-            "sample_period_s": self.sample_period,
-            "passed": self.passed,
-            "verdicts": self.verdicts,
-            "noise": {
-                "pose": list(noise.pose),
-                "acceleration_density": list(noise.acceleration),
-                "disturbance_density": list(noise.disturbance),
-            },
-            "jitter_s": self.late.jitter.tolist(),
-            "whiteness": [
-                {**_figures(test), "autocorrelation": test.autocorrelation.tolist()}
-                for test in self.whiteness
-            ],
-            "cross_correlation": [
-                {
-                    **_figures(test),
-                    "motor": test.motor,
-                    "tested": test.tested,
-                    "early": test.early,
-                    "correlation": test.correlation.tolist(),
-                }
-                for test in self.correlations
-            ],
-            "model_errors": [error.to_json() for error in self.errors],
-            "structure": [one.to_json() for one in self.structure],
-        }
-
-
-def _figures(test: Whiteness | CrossCorrelation) -> dict[str, Any]:
-    """Return what all tests have."""
-    names = ("channel", "passed", "statistic", "p_value", "share", "band")
-    return {name: getattr(test, name) for name in names} | {"degrees_of_freedom": test.degrees}
 
 
 def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> ResidualTests:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.results import Result
+
 #: Level of the residual tests.
 LEVEL = 0.01
 #: Share of a channel's variance below which what is left does not count.
@@ -20,8 +22,10 @@ BAND = 2.5758293035489004
 
 
 @dataclass(frozen=True, eq=False)
-class Whiteness:
+class Whiteness(Result):
     """Autocorrelation of one channel."""
+
+    JSON = "channel passed statistic p_value share band degrees_of_freedom=degrees autocorrelation"
 
     #: Which.
     channel: str

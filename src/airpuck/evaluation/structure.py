@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.late_packets import LatePackets
@@ -45,8 +46,10 @@ _CHANNELS = {"body": ("forward", "left", "yaw"), "world": ("x", "y", "yaw")}
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class Structure(Result):
     """Means of one channel's residuals over the bins of one regressor."""
+
+    JSON = "regressor regressor_unit channel passed shown p_value share middle"
 
     regressor: str
     regressor_unit: str
@@ -95,21 +98,10 @@ class Structure:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures."""
+        """Return the figures for ``--json``."""
         unit = "rad_s2" if self.channel == "yaw" else "m_s2"
-        return {
-            "regressor": self.regressor,
-            "regressor_unit": self.regressor_unit,
-            "channel": self.channel,
-            "passed": self.passed,
-            "shown": self.shown,
-            "p_value": self.p_value,
-            f"size_{unit}": self.size,
-            "share": self.share,
-            "middle": self.middle.tolist(),
-            f"mean_{unit}": self.mean.tolist(),
-            f"half_band_{unit}": self.half_band.tolist(),
-        }
+        sizes = {name: getattr(self, name) for name in ("size", "mean", "half_band")}
+        return super().to_json() | {f"{name}_{unit}": plain(v) for name, v in sizes.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.zero_order_hold import hold
@@ -51,8 +51,13 @@ class PropellerCheck:
 
 
 @dataclass(frozen=True)
-class LayoutCheck:
+class LayoutCheck(Result):
     """Result of `check_layout`."""
+
+    JSON = (
+        "agrees conclusive explained delay_s=delay rotation_rad=rotation length_ratio mirrored "
+        "flipped=signs.flipped propellers"
+    )
 
     #: One for each propeller.
     propellers: tuple[PropellerCheck, ...]
@@ -124,20 +129,6 @@ class LayoutCheck:
                 both = AxisSigns(-self.signs.x, -self.signs.y, self.signs.yaw)
                 remarks.append(f"or {both.remark(self.axes)}")
         return tuple(remarks)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        return {
-            "agrees": self.agrees,
-            "conclusive": self.conclusive,
-            "explained": self.explained,
-            "delay_s": self.delay,
-            "rotation_rad": self.rotation,
-            "length_ratio": self.length_ratio,
-            "mirrored": self.mirrored,
-            "flipped": list(self.signs.flipped),
-            "propellers": [vars(propeller) for propeller in self.propellers],
-        }
 
 
 def check_layout(

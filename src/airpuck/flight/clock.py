@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
 import numpy as np
 
+from airpuck.boundary.results import Result
 from airpuck.recording.conversion import SECOND_NS
 
 #: A stamp may lie this far ahead of its arrival: clocks of one laboratory agree to this [s].
@@ -168,8 +168,13 @@ class Histogram:
         return {"p50": 1e3 * p50, "p99": 1e3 * p99, "max": 1e3 * self.longest}
 
 
-class LoopTiming:
+class LoopTiming(Result):
     """Timing of a loop that should act once a period."""
+
+    JSON = (
+        "periods=latency.count missed_deadlines=missed period_jitter_ms=jitter "
+        "pose_to_command_ms=latency pose_age_ms=pose_age"
+    )
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -206,13 +211,3 @@ class LoopTiming:
         }
         problems = ", ".join(words for words, is_late in late.items() if is_late)
         return f"the loop is late: {problems} (99th percentiles)" if problems else None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        return {
-            "periods": self.latency.count,
-            "missed_deadlines": self.missed,
-            "period_jitter_ms": self.jitter.to_json(),
-            "pose_to_command_ms": self.latency.to_json(),
-            "pose_age_ms": self.pose_age.to_json(),
-        }

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.results import Result
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import match_columns
 from airpuck.faults.effect_match import AGREES, Match, cosines, match_effects, rotation, turned
@@ -64,8 +65,10 @@ class Check:
 
 
 @dataclass(frozen=True, eq=False)
-class Preflight:
+class Preflight(Result):
     """Result of `preflight`."""
+
+    JSON = "ready checks strength=strengths delay_s=delay"
 
     #: In the order in which to mend them.
     checks: tuple[Check, ...]
@@ -77,19 +80,14 @@ class Preflight:
     delay: float
 
     @property
+    def strengths(self) -> dict[str, float]:
+        """`strength` of each propeller, by name."""
+        return dict(zip(self.names, self.strength.tolist(), strict=True))
+
+    @property
     def ready(self) -> bool:
         """Whether nothing is wrong."""
         return all(check.verdict != "wrong" for check in self.checks)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        strength = [None if np.isnan(share) else float(share) for share in self.strength]
-        return {
-            "ready": self.ready,
-            "checks": [asdict(check) for check in self.checks],
-            "strength": dict(zip(self.names, strength, strict=True)),
-            "delay_s": None if np.isnan(self.delay) else self.delay,
-        }
 
 
 def preflight(

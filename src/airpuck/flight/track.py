@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.control.reference import SetPoints
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.zero_order_hold import hold
@@ -27,8 +28,13 @@ _LEAD_S = 0.5
 
 
 @dataclass(frozen=True)
-class SetPointResult:
+class SetPointResult(Result):
     """How the craft reached one set point."""
+
+    JSON = (
+        "start_s=start stop_s=stop set_point=pose:x_m,y_m,yaw_rad settling_time_s=settling_time "
+        "overshoot:x_m,y_m,yaw_rad steady_state_error:x_m,y_m,yaw_rad effort"
+    )
 
     #: When it was in force [s].
     start: float
@@ -44,18 +50,6 @@ class SetPointResult:
     steady_state_error: tuple[float, ...] | None
     #: Mean over the dwell of the sum of squared commands above the lowest.
     effort: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        return {
-            "start_s": self.start,
-            "stop_s": self.stop,
-            "set_point": _named(self.pose),
-            "settling_time_s": self.settling_time,
-            "overshoot": _named(self.overshoot),
-            "steady_state_error": self.steady_state_error and _named(self.steady_state_error),
-            "effort": self.effort,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +186,3 @@ def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     times, poses = times[last], logged.values[last, :3]
     new = np.append(True, (np.diff(poses, axis=0) != 0).any(axis=1))
     return SetPoints(times[new].tolist(), [tuple(pose) for pose in poses[new].tolist()])
-
-
-def _named(values: tuple[float, ...]) -> dict[str, float]:
-    """Name the channels."""
-    return dict(zip(("x_m", "y_m", "yaw_rad"), values, strict=True))

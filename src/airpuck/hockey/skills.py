@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.craft.table import AirHockey
 from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.flight.loop import control
@@ -45,7 +46,7 @@ SKILLS: tuple[SkillName, ...] = ("defend", "hit", "prepare")
 
 
 @dataclass(frozen=True)
-class Skill:
+class Skill(Result):
     """Episodes of one kind, and how many of them succeeded.
 
     Attributes
@@ -56,6 +57,8 @@ class Skill:
         Those that ended with a puck under control on the own half.
     """
 
+    JSON = "successes episodes stopped interval_95"
+
     successes: int
     episodes: int
     stopped: int
@@ -64,15 +67,6 @@ class Skill:
     def interval_95(self) -> tuple[float, float]:
         """Wilson's interval of the probability of success."""
         return wilson_interval(self.successes, self.episodes)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        return {
-            "successes": self.successes,
-            "episodes": self.episodes,
-            "stopped": self.stopped,
-            "interval_95": list(self.interval_95),
-        }
 
 
 def skills(

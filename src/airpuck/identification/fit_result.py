@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from airpuck.boundary.results import Result
 from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.presentation import delay_words
@@ -30,7 +31,7 @@ _FAR = 3 / 240
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(Result):
     """Result of `airpuck.identify`.
 
     Attributes
@@ -62,6 +63,11 @@ class Fit:
         What was minimised last: the windows, as prepared, and how much each counts; `identify`
         always sets it.
     """
+
+    JSON = (
+        "model=model.name loss iterations converged windows wall_s warnings identifiability "
+        "delay_jitter=model.delay_jitter faults=exclusion history"
+    )
 
     model: Model
     loss: float
@@ -121,18 +127,8 @@ class Fit:
             ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
             uncertainty, identifiability, delay_jitter, faults, history``.
         """
-        figures = ("loss", "iterations", "converged", "windows", "wall_s")
-        return {
-            "model": self.model.name,
-            **{name: getattr(self, name) for name in figures},
-            "warnings": list(self.warnings),
-            "parameters": _parameters_json(self.model),
-            "uncertainty": _uncertainty_json(self.uncertainty),
-            "identifiability": self.identifiability and self.identifiability.to_json(),
-            "delay_jitter": self.model.delay_jitter and self.model.delay_jitter.model_dump(),
-            "faults": self.exclusion and self.exclusion.to_json(),
-            "history": [asdict(iteration) for iteration in self.history],
-        }
+        known = {"uncertainty": _uncertainty_json(self.uncertainty)}
+        return super().to_json() | {"parameters": _parameters_json(self.model)} | known
 
 
 def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:

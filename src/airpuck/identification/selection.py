@@ -23,11 +23,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.data.windows import Windows, make_windows
 from airpuck.evaluation.block_bootstrap import log_mean_square_errors, rmse_ratio
-from airpuck.evaluation.evaluate import by_channel, hold_for, prediction_errors
+from airpuck.evaluation.evaluate import hold_for, prediction_errors
 from airpuck.identification.fault_exclusion import Exclusion
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
@@ -51,7 +52,7 @@ _FOLD_FIT = LevenbergMarquardt(max_iterations=15, tolerance=1e-4)
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(Result):
     """A rung that was tried.
 
     Attributes
@@ -70,6 +71,11 @@ class Candidate:
     standard_error : float
         Of `excess`.
     """
+
+    JSON = (
+        "model=name free rmse:x_m,y_m,yaw_rad excess excess_standard_error=standard_error "
+        "within_one_standard_error=within"
+    )
 
     model: Model
     errors: Float[np.ndarray, "4 W"]
@@ -98,9 +104,16 @@ class Candidate:
         """Whether it is within one standard error of the best, or as good."""
         return self.excess <= max(self.standard_error, _NEGLIGIBLE)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        changes = {"change": self.change}
+        changes |= dict(zip(("change_lower_95", "change_upper_95"), self.interval, strict=True))
+        first = bool(np.isnan(self.change).any())
+        return super().to_json() | {k: None if first else _by_error(v) for k, v in changes.items()}
+
 
 @dataclass(frozen=True, eq=False)
-class Selection:
+class Selection(Result):
     """The ladder, tried on held-out blocks of the data.
 
     Attributes
@@ -115,6 +128,8 @@ class Selection:
         When each held-out prediction starts [s].
     """
 
+    JSON = "chosen=fit.model.name best=best.name folds predictions=start.size rungs=candidates"
+
     candidates: tuple[Candidate, ...]
     fit: Fit
     folds: int
@@ -124,39 +139,6 @@ class Selection:
     def best(self) -> Candidate:
         """The rung with the least held-out error."""
         return min(self.candidates, key=lambda candidate: candidate.excess)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
-
-        Returns
-        -------
-        dict
-            ``chosen, best, folds, predictions, rungs``.
-        """
-        return {
-            "chosen": self.fit.model.name,
-            "best": self.best.name,
-            "folds": self.folds,
-            "predictions": len(self.start),
-            "rungs": [_figures(candidate) for candidate in self.candidates],
-        }
-
-
-def _figures(candidate: Candidate) -> dict[str, Any]:
-    """Return the figures of one rung."""
-    low, high = candidate.interval
-    first = bool(np.isnan(candidate.change).any())
-    return {
-        "model": candidate.name,
-        "free": candidate.free,
-        "rmse": by_channel(candidate.rmse),
-        "change": None if first else _by_error(candidate.change),
-        "change_lower_95": None if first else _by_error(low),
-        "change_upper_95": None if first else _by_error(high),
-        "excess": candidate.excess,
-        "excess_standard_error": candidate.standard_error,
-        "within_one_standard_error": candidate.within,
-    }
 
 
 def _by_error(values: Float[np.ndarray, " 4"]) -> dict[str, float]:

@@ -11,12 +11,12 @@ is the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from airpuck.boundary.results import Result
 from airpuck.data.windows import Windows
 from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
 from airpuck.model.gauge import gauge_constraints, gauge_directions
@@ -269,8 +269,10 @@ def _notes(space: Subspace) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Identifiability:
+class Identifiability(Result):
     """Which parameters of a model data determine."""
+
+    JSON = "free rank condition weakest correlated notes"
 
     #: Number of free parameters.
     free: int
@@ -284,11 +286,6 @@ class Identifiability:
     correlated: tuple[tuple[str, str, float], ...]
     #: What is not determined, or hard to tell apart, in sentences.
     notes: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        condition = self.condition if np.isfinite(self.condition) else None
-        return {**asdict(self), "condition": condition}
 
 
 def identifiability_of(

@@ -101,7 +101,7 @@ def _bands_section(bands: Sequence[PredictionBands]) -> Section:
             f"{one.horizon:.1f} s",
             str(len(one.start)),
             *(f"{share:.0f}" for share in one.coverage),
-            *(f"{half:.3g}" for half in one.to_json()["half_band"].values()),
+            *(f"{half:.3g}" for half in one.half_band),
         ]
         for one in bands
     ]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -49,7 +50,7 @@ _COURSES: dict[Course, tuple[Sequence[float], Sequence[float], Sequence[Sequence
 
 
 @dataclass(frozen=True, eq=False)
-class Race:
+class Race(Result):
     """A plan and its flights.
 
     Attributes
@@ -71,6 +72,11 @@ class Race:
         Of the first flight of the plan.
     """
 
+    JSON = (
+        "planned_s=plan.duration flown_s=flown lower_bound_s=plan.lower_bound contacts "
+        "touches set_point_s=set_point reserve=plan.reserve"
+    )
+
     plan: Plan
     flown: tuple[float | None, ...]
     set_point: tuple[float | None, ...] | None
@@ -78,18 +84,6 @@ class Race:
     touches: int
     paths: tuple[Float[np.ndarray, "N 2"], ...]
     recording: Recording
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
-        return {
-            "planned_s": self.plan.duration,
-            "flown_s": list(self.flown),
-            "lower_bound_s": self.plan.lower_bound,
-            "contacts": self.contacts,
-            "touches": self.touches,
-            "set_point_s": None if self.set_point is None else list(self.set_point),
-            "reserve": self.plan.reserve,
-        }
 
 
 def course_plan(course: Course, model: Model, settings: TwinSettings, reserve: float) -> Plan:

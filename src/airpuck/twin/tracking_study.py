@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
+from airpuck.boundary.results import Result, plain
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.tuning import Tuning, default_tuning
@@ -34,8 +35,10 @@ _LEAD, DWELL = 0.9, 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Tracked:
+class Tracked(Result):
     """One flight to the set points."""
+
+    JSON = "model pilot regulator gains setpoints=results outcomes"
 
     #: Name of the model that the controller believed.
     model: str
@@ -104,26 +107,19 @@ class Tracked:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``."""
-        figures: dict[str, Any] = {
-            "model": self.model,
-            "pilot": self.pilot,
-            "regulator": self.regulator,
-            "gains": None if self.gains is None else vars(self.gains),
-            "setpoints": [result.to_json() for result in self.results],
-            "outcomes": dict(self.outcomes),
+        figures = super().to_json() | {
             "saturated": float(self.saturated.mean()),
             "clearance_m": float(self.clearance.min()),
             "step_ms": dict(zip(("p50", "p99", "max"), self.step_times, strict=True)),
         }
         if self.real is not None and self.rmse is not None:
-            names = ("x_m", "y_m", "yaw_rad")
             figures["against_flight"] = {
-                "rmse": dict(zip(names, self.rmse.tolist(), strict=True)),
+                "rmse": dict(zip(("x_m", "y_m", "yaw_rad"), self.rmse.tolist(), strict=True)),
                 # On the figure's axis, which begins at this time of the flight.
                 "span_s": [0.5, 6.5],
                 "origin_s": self.origin,
             }
-            figures["flight_setpoints"] = [result.to_json() for result in self.real.moves()]
+            figures["flight_setpoints"] = plain(self.real.moves())
         return figures
 
 

@@ -1,0 +1,56 @@
+"""Results as JSON: each class declares its figures, one function converts all values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from operator import attrgetter
+from typing import Any, ClassVar
+
+
+class Result:
+    """Base of results, whose `to_json` returns the figures that a class declares in `JSON`.
+
+    Each word of `JSON` is a figure: ``loss``, or ``delay_s=model.delay`` where the key adds a unit
+    or the value belongs to an attribute. ``rmse:x_m,y_m`` names the entries of an array.
+    """
+
+    JSON: ClassVar[str] = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            Values that JSON knows; None stands for a number that is not finite.
+        """
+        figures = {}
+        for word in self.JSON.split():
+            declared, _, entries = word.partition(":")
+            key, _, path = declared.partition("=")
+            value = plain(attrgetter(path or key)(self))
+            if entries and value is not None:
+                value = dict(zip(entries.split(","), value, strict=True))
+            figures[key] = value
+        return figures
+
+
+def plain(value: Any) -> Any:
+    """Convert arrays, results and numbers that are not finite to values that JSON knows."""
+    if hasattr(value, "tolist"):  # NumPy's, which this package does not import
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if hasattr(value, "to_json"):
+        return value.to_json()
+    if hasattr(value, "model_dump"):
+        return value.model_dump(mode="json")
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return value

@@ -1,0 +1,54 @@
+"""Results declare their figures once, and JSON holds nothing that JSON does not know."""
+
+import json
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+
+from airpuck.boundary.results import Result, plain
+
+
+@dataclass(frozen=True)
+class Inner:
+    number: int
+
+
+@dataclass(frozen=True, eq=False)
+class Outer(Result):
+    JSON = "loss delay_s=model.delay rmse:x_m,y_m parts kept missing"
+
+    loss: float
+    model: SimpleNamespace
+    rmse: np.ndarray | None
+    parts: tuple[Inner, ...]
+    hidden: np.ndarray
+
+    @property
+    def kept(self) -> np.bool_:
+        return np.bool_(True)
+
+    @property
+    def missing(self) -> np.ndarray:
+        return np.array([[1.0, np.nan], [-np.inf, 2.0]])
+
+
+def test_figures_are_those_declared_and_valid_json():
+    outer = Outer(0.5, SimpleNamespace(delay=np.float64(0.02)), np.ones(2), (Inner(3),), np.ones(9))
+    figures = outer.to_json()
+    assert figures == {
+        "loss": 0.5,
+        "delay_s": 0.02,
+        "rmse": {"x_m": 1.0, "y_m": 1.0},
+        "parts": [{"number": 3}],
+        "kept": True,
+        "missing": [[1.0, None], [None, 2.0]],
+    }
+    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
+
+
+def test_what_is_not_known_stays_none_and_results_nest():
+    outer = Outer(np.nan, SimpleNamespace(delay=1), None, (), np.ones(1))
+    written = plain({"outer": [outer]})["outer"][0]
+    assert written["loss"] is None
+    assert written["rmse"] is None
