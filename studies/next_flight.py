@@ -18,7 +18,7 @@ import numpy as np
 from airpuck.experiment_design.design import design
 from airpuck.experiment_design.trials import CheckedFlights, check_design
 from airpuck.model.model_file import published_model
-from airpuck.report.design_figure import write_design_figure
+from airpuck.report.fit_figures import write_design_figure
 
 
 def show_progress(done: int, total: int) -> None:

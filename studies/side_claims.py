@@ -40,8 +40,8 @@ from airpuck.evaluation.gauge import physical_thrust
 from airpuck.model.model_file import published_model
 from airpuck.physics.thrust import lowest_slope
 from airpuck.recording.dataset import dataset_folder
-from airpuck.report.judged_sections import errors_as_text
-from airpuck.report.page import Picture, Section, Table, write_page
+from airpuck.report.evaluation_report import errors_as_text
+from airpuck.report.page import PageSection, PageTable, Picture, write_page
 from airpuck.report.reproduce import TRAINING, VALIDATION
 
 _PROTOCOL = "Errors: protocol “paper” on the validation recording; losses: on the training one."
@@ -115,7 +115,7 @@ def about_thrusts(thrusts: Mapping[str, Mapping[str, Float[np.ndarray, " n"]]]) 
     )
 
 
-def trial_table(caption: str, trials: Sequence[Trial]) -> Table:
+def trial_table(caption: str, trials: Sequence[Trial]) -> PageTable:
     """Tabulate losses and errors of several fits."""
     headings = ["fit", "iterations", "converged", "loss", "x mm", "y mm", "γ rad"]
     rows = [
@@ -128,7 +128,7 @@ def trial_table(caption: str, trials: Sequence[Trial]) -> Table:
         ]
         for trial in trials
     ]
-    return Table(f"{caption} {_PROTOCOL}", headings, rows)
+    return PageTable(f"{caption} {_PROTOCOL}", headings, rows)
 
 
 def side_claims(out: Path) -> dict[str, Any]:
@@ -172,7 +172,7 @@ def side_claims(out: Path) -> dict[str, Any]:
         out,
         "Side claims of the paper, tested again",
         "Claims that the paper makes in passing, tested on its recordings.",
-        [Section("side-claims", "Side claims", blocks)],
+        [PageSection("side-claims", "Side claims", blocks)],
     )
     numbers: dict[str, Any] = {
         "degrees": [trial.to_json() for trial in degrees],

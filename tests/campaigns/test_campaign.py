@@ -17,7 +17,7 @@ from airpuck.campaigns import campaign as module
 from airpuck.campaigns.campaign import Campaign, read_result, statistics, write_result
 from airpuck.campaigns.items import Fleet
 from airpuck.campaigns.spec import Entry
-from airpuck.campaigns.workers import Result, compute
+from airpuck.campaigns.workers import ItemResult, compute
 
 from ..apparatus.commands import airpuck, refused
 
@@ -26,9 +26,9 @@ ENTRIES = tuple(
     for number, spread in enumerate((0.1, 0.1, 0.2))
 )
 RESULTS = (
-    Result(rows=({"x_m": 1.0, "y_m": math.nan}, {"x_m": 2.0, "y_m": 5.0}), wall_s=0.5),
-    Result(rows=(), failure="is not to be had", wall_s=0.1),
-    Result(rows=({"x_m": 4.0, "y_m": 1e-300},), wall_s=0.5),
+    ItemResult(rows=({"x_m": 1.0, "y_m": math.nan}, {"x_m": 2.0, "y_m": 5.0}), wall_s=0.5),
+    ItemResult(rows=(), failure="is not to be had", wall_s=0.1),
+    ItemResult(rows=({"x_m": 4.0, "y_m": 1e-300},), wall_s=0.5),
 )
 SPEC = 'kind = "tracking"\nseeds = {seeds}\nbase.dwell_s = 0.2\n'
 

@@ -14,7 +14,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.identification.selection import Candidate, Selection
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
-from airpuck.report.fit_sections import selection_section
+from airpuck.report.fit_report import selection_section
 
 from ..apparatus.commands import airpuck, refused
 from ..apparatus.synthetic_flights import record

@@ -16,7 +16,7 @@ from airpuck.experiment_design.design import Candidate, Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
 from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial
 from airpuck.model.model_file import published_model
-from airpuck.report.design_figure import design_figure
+from airpuck.report.fit_figures import design_figure
 
 PUBLISHED = published_model("M3")
 #: As the next fit will learn it.

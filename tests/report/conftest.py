@@ -6,8 +6,8 @@ import pytest
 
 from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import compare
-from airpuck.report.fit_sections import FitStudy
-from airpuck.report.judged_sections import Judged
+from airpuck.report.evaluation_report import JudgedModels
+from airpuck.report.fit_report import FitStudy
 from airpuck.report.reproduce import Reproduction, reproduce
 
 from ..apparatus.models import VEHICLES, fit_of, model_of
@@ -27,10 +27,10 @@ def study(request) -> FitStudy:
 
 
 @pytest.fixture(scope="session")
-def judged(study) -> Judged:
+def judged(study) -> JudgedModels:
     """The models of the study on another flight."""
     validation = fly(model_of(study.models[0].vehicle, "M3"), 8.0, seed=2)
-    return Judged(
+    return JudgedModels(
         validation,
         tuple(compare(study.models, validation)),
         tuple(compare(list(study.reference.values()), validation)),

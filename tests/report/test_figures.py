@@ -15,13 +15,14 @@ from PIL import Image
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.physics.thrust import thrust
 from airpuck.report.craft import craft_figure
-from airpuck.report.error_figures import (
+from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
+from airpuck.report.prediction_figures import (
     error_distribution_figure,
     error_timeline_figure,
     horizon_figure,
+    path_figure,
+    prediction_figure,
 )
-from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
-from airpuck.report.flight_figures import path_figure, prediction_figure
 from airpuck.report.style import RESOLUTION, drawn, png, propeller_colors, propeller_groups
 
 from ..apparatus.models import fit_of, model_of

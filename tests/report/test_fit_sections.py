@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.report.fit_sections import FitStudy, sources_section, study_sections
+from airpuck.report.evaluation_report import sources_section
+from airpuck.report.fit_report import FitStudy, study_sections
 
 from ..apparatus.models import fit_of, model_of
 

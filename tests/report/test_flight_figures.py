@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
-from airpuck.report.flight_figures import SHOWN_S, path_figure, prediction_figure, typical_stretch
+from airpuck.report.prediction_figures import (
+    SHOWN_S,
+    path_figure,
+    prediction_figure,
+    typical_stretch,
+)
 
 
 def test_predictions_are_drawn_where_the_model_put_them(judged):

@@ -12,9 +12,14 @@ from airpuck.flight.loop import FlightLog
 from airpuck.flight.track import Track
 from airpuck.report import style
 from airpuck.report.animation import animate
-from airpuck.report.animation_frames import plan_at, read_scene
-from airpuck.report.law_report import clearance_figure, path_figure, summary
-from airpuck.report.tracking_report import tracking_report, tracking_sections
+from airpuck.report.control_report import (
+    clearance_figure,
+    summary,
+    tracking_report,
+    tracking_sections,
+)
+from airpuck.report.plan_figures import path_figure
+from airpuck.report.scene import plan_at, read_scene
 from airpuck.twin.tracking_study import Tracked
 
 from ..apparatus.drawn_flights import CRAFT, flight
@@ -62,7 +67,7 @@ def test_words_say_the_same_of_each_law(flights):
     (text,) = summary(flights).blocks
     said = " ".join(text.paragraphs)
     assert f"Nearest to a rail: M4 lqr {1e3 * flights[0].clearance.min():.0f} mm; M4 mpc" in said
-    assert "1.7 % of the commands (one motor at least: 10 % of the time)" in said
+    assert "1.7 % of commands (at least one motor: 10 % of the time)" in said
     assert "M4 mpc 2.00 and 2.98 ms" in said
 
 

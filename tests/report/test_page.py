@@ -8,9 +8,9 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.uncertainty import DelayJitter
+from airpuck.report.evaluation_report import JudgedModels
 from airpuck.report.fit_report import fit_report
-from airpuck.report.judged_sections import Judged
-from airpuck.report.page import Picture, Section, Table, Text, write_page
+from airpuck.report.page import PageSection, PageTable, Picture, Text, write_page
 from airpuck.report.style import new_figure
 
 from ..apparatus.models import model_of
@@ -21,12 +21,12 @@ def sections():
     figure = new_figure(3, 2)
     figure.add_subplot()
     return [
-        Section(
+        PageSection(
             "first",
             "First & last",
             (
                 Text(["<b>not bold</b>"], bullets=True),
-                Table("a table", ["name", "value"], [["x", "1"]], [("", 1), ("group", 1)]),
+                PageTable("a table", ["name", "value"], [["x", "1"]], [("", 1), ("group", 1)]),
                 Picture("picture", figure, 'a "caption" <here>'),
                 Picture("drawing", '<svg xmlns="http://www.w3.org/2000/svg"/>', "drawn by hand"),
             ),
@@ -109,7 +109,7 @@ def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path, undrawn)
 
 
 def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path, undrawn):
-    alone = Judged(judged.trajectory, judged.evaluations[3:4])
+    alone = JudgedModels(judged.trajectory, judged.evaluations[3:4])
     path = fit_report(study.fits[3], study.training, tmp_path, judged=alone)
     page = check_self_contained(path.read_text(encoding="utf-8"))
     assert "figure-parameters" not in page.ids

@@ -9,7 +9,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.torch_archive import read_authors_experiment
-from airpuck.report.error_figures import touched_by
+from airpuck.report.prediction_figures import touched_by
 from airpuck.report.reproduce import FAULTS, PRINTED, TRAINING, VALIDATION, reproduce
 
 from ..apparatus.pages import check_self_contained

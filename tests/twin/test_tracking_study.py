@@ -9,7 +9,7 @@ from airpuck.cli.flying import track_lines
 from airpuck.cli.output import write_json
 from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
-from airpuck.report.tracking_report import tracking_sections
+from airpuck.report.control_report import tracking_sections
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings

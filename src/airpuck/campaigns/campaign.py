@@ -22,7 +22,7 @@ from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing
 from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry, read_spec
-from airpuck.campaigns.workers import Result, dispatch
+from airpuck.campaigns.workers import ItemResult, dispatch
 
 _STATISTICS = ("count", "mean", "sd", "min", "q05", "q50", "q95", "max")
 
@@ -34,7 +34,7 @@ class Campaign:
     #: Its items.
     entries: tuple[Entry, ...]
     #: What became of each.
-    results: tuple[Result, ...]
+    results: tuple[ItemResult, ...]
     #: Number of items that had no result before.
     computed: int
 
@@ -132,7 +132,7 @@ def campaign(
 def completed(
     entries: Sequence[Entry],
     folder: Path,
-    compute: Callable[..., Iterable[tuple[Entry, Result]]],
+    compute: Callable[..., Iterable[tuple[Entry, ItemResult]]],
     *,
     retry: bool = False,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
@@ -164,24 +164,24 @@ def completed(
     return Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
 
 
-def _is_whole(item: Item, result: Result) -> bool:
+def _is_whole(item: Item, result: ItemResult) -> bool:
     """Return whether what an item wrote is there, as it wrote it."""
     return item.written() in (None, result.written)
 
 
-def read_result(folder: Path, key: str) -> Result | None:
+def read_result(folder: Path, key: str) -> ItemResult | None:
     """Read the result of an item, if it has one."""
     path = folder / "items" / f"{key}.json"
     if not path.exists():
         return None
     text = read_text(path)
     try:
-        return Result.model_validate_json(text, strict=True)
+        return ItemResult.model_validate_json(text, strict=True)
     except ValueError as error:
         raise InputError(f"is no result of a campaign ({error}); remove it", file=path) from error
 
 
-def write_result(folder: Path, entry: Entry, result: Result) -> None:
+def write_result(folder: Path, entry: Entry, result: ItemResult) -> None:
     """Write the result of an item, in one step."""
     content = {
         "airpuck": __version__,
@@ -193,7 +193,7 @@ def write_result(folder: Path, entry: Entry, result: Result) -> None:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _summary(setting: dict[str, Any], results: list[Result]) -> dict[str, Any]:
+def _summary(setting: dict[str, Any], results: list[ItemResult]) -> dict[str, Any]:
     """Sum up the results of one setting."""
     rows = [row for result in results for row in result.rows]
     names = dict.fromkeys(name for row in rows for name in row)
@@ -213,7 +213,7 @@ def statistics(values: list[float]) -> dict[str, float]:
     return dict(zip(_STATISTICS, map(float, (count, mean, sd, *quantiles)), strict=True))
 
 
-def _lines(entry: Entry, result: Result) -> Iterator[dict[str, Any]]:
+def _lines(entry: Entry, result: ItemResult) -> Iterator[dict[str, Any]]:
     """Lay out the rows of one item, or its failure, for the table."""
     common = {"key": entry.key, "seed": entry.item.seed, "failure": result.failure}
     for field, value in entry.setting.items():

@@ -151,7 +151,7 @@ def _identity(
     return known[fingerprint, file] + (attribute.group() if attribute else "")
 
 
-class Flight(Item):
+class TwinItem(Item):
     """Base of items that fly a twin."""
 
     SOURCES: ClassVar = {"truth": of_file}
@@ -182,7 +182,7 @@ class Identification(Item):
         return Loss(spacing=spacing, robust=self.robust)
 
 
-class Tracking(Flight):
+class Tracking(TwinItem):
     """One flight of the twin to the paper's set points, in closed loop."""
 
     SOURCES: ClassVar = {"model": of_file, "truth": of_file}
@@ -215,7 +215,7 @@ class Tracking(Flight):
         return [{**flight_figures(flown), "clearance_m": float(flown.clearance.min())}]
 
 
-class Recovery(Flight, Identification):
+class Recovery(TwinItem, Identification):
     """One excitation flight of the twin, identified, and compared with the truth."""
 
     duration_s: Duration = 90.0

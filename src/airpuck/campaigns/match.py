@@ -18,7 +18,7 @@ from airpuck.campaigns.campaign import completed
 from airpuck.campaigns.items import Row
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
-from airpuck.campaigns.workers import Result, compute, dispatch
+from airpuck.campaigns.workers import ItemResult, compute, dispatch
 from airpuck.compute.process import usable_cores
 from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.hockey.contestant import contestant
@@ -195,7 +195,7 @@ def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
 
 def _here(
     entries: list[Entry], tell: Callable[[str, float], None]
-) -> Iterator[tuple[Entry, Result]]:
+) -> Iterator[tuple[Entry, ItemResult]]:
     """Play one after the other."""
     for entry in entries:
         yield entry, compute(entry.item, partial(tell, entry.key))

@@ -37,7 +37,7 @@ _SETTINGS = {
 }
 
 
-class Result(pydantic.BaseModel):
+class ItemResult(pydantic.BaseModel):
     """What became of an item; a figure that is not finite is null in its file, and then nan."""
 
     rows: tuple[Row, ...]
@@ -55,7 +55,7 @@ def dispatch(
     scheduler: str | None = None,
     workers: int | None = None,
     tell: Callable[[str, float], None] = lambda key, share: None,
-) -> Iterator[tuple[Entry, Result]]:
+) -> Iterator[tuple[Entry, ItemResult]]:
     """Compute items on workers, and yield each with its result, in any order.
 
     What they tell of items under way goes to `tell`: key and share done. No more items are under
@@ -110,7 +110,7 @@ def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
             signal.signal(number, before[number])
 
 
-def compute(item: Item, tell: Callable[[float], None] = lambda share: None) -> Result:
+def compute(item: Item, tell: Callable[[float], None] = lambda share: None) -> ItemResult:
     """Compute one item; runs on a worker."""
     started, rows, written, failure = time.perf_counter(), (), None, None
     try:
@@ -119,7 +119,7 @@ def compute(item: Item, tell: Callable[[float], None] = lambda share: None) -> R
     except Exception as error:
         failure = _described(error)
     wall = time.perf_counter() - started
-    return Result(rows=rows, written=written, failure=failure, wall_s=wall)
+    return ItemResult(rows=rows, written=written, failure=failure, wall_s=wall)
 
 
 def _tell(key: str, share: float) -> None:
@@ -137,7 +137,7 @@ def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _result(future: Any) -> Result:
+def _result(future: Any) -> ItemResult:
     """Take a result, or find out why there is none."""
     from distributed.scheduler import KilledWorker
 
@@ -149,7 +149,7 @@ def _result(future: Any) -> Result:
     why = _described(error)
     if isinstance(error, KilledWorker):
         why = f"its worker died {DEADLY} times (out of memory, a crash, a kill)"
-    return Result(rows=(), failure=why)
+    return ItemResult(rows=(), failure=why)
 
 
 @contextlib.contextmanager

@@ -90,7 +90,7 @@ def design(
     if output is not None:
         found.proposal.plan.save(output)
     if figure is not None:
-        from airpuck.report.design_figure import write_design_figure
+        from airpuck.report.fit_figures import write_design_figure
 
         write_design_figure(found, checked, figure)
     tables = _candidate_table(found), error_table(found, checked)

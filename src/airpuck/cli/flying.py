@@ -59,7 +59,7 @@ def replay(
     )
     page = None
     if output is not None:
-        from airpuck.report.replay_report import replay_report
+        from airpuck.report.control_report import replay_report
 
         page = replay_report(result, craft, settings.period_s, output, origin())
     report(result.to_json(), json_file, *_replay_lines(result), page)
@@ -194,7 +194,7 @@ def track(
     )
     page = None
     if output is not None:
-        from airpuck.report.tracking_report import tracking_report
+        from airpuck.report.control_report import tracking_report
 
         of = "the paper" if setpoints is None else setpoints.name
         page = tracking_report(tracked, plant.name, output, origin(), set_points=of)
@@ -227,7 +227,7 @@ def animate(
     twin: options.TwinFile = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
-    from airpuck.report.animation_frames import TABLE
+    from airpuck.report.scene import TABLE
 
     if twin is not None:
         inputs.refuse_others(animate, "--twin", {"table": table})

@@ -301,11 +301,10 @@ def _write_report(
     folder: Path,
 ) -> None:
     """Write a page on a fit, how it predicts another recording, and what it was chosen from."""
-    from airpuck.report.fit_report import fit_report
-    from airpuck.report.fit_sections import selection_section
-    from airpuck.report.judged_sections import Judged
+    from airpuck.report.evaluation_report import JudgedModels
+    from airpuck.report.fit_report import fit_report, selection_section
 
-    judged = None if other is None or found is None else Judged(other, (found,))
+    judged = None if other is None or found is None else JudgedModels(other, (found,))
     more = () if selection is None else (selection_section(selection),)
     fit_report(fit, training, folder, judged=judged, more=more, origin=origin())
 

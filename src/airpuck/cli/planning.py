@@ -107,7 +107,7 @@ def plan(
     if output is not None:
         found.save(output)
     if figure is not None:
-        from airpuck.report.plan_figure import write_plan_figure
+        from airpuck.report.plan_figures import write_plan_figure
 
         write_plan_figure(found, figure, rails)
     report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, figure)
@@ -169,7 +169,7 @@ def race(
             progress=progress,
         )
     if figure is not None:
-        from airpuck.report.race_figure import write_race_figure
+        from airpuck.report.plan_figures import write_race_figure
 
         write_race_figure(found, figure, settings.table)
     if animation is not None:

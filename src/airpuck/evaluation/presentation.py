@@ -81,7 +81,7 @@ class Presentation(Result):
         What the data did not determine, and other warnings.
     """
 
-    JSON = "model=name structure parameters derived conditions notes"
+    JSON = "model=name structure parameters derived notes"
 
     name: str
     structure: tuple[str, ...]
@@ -97,6 +97,10 @@ class Presentation(Result):
         values = [*self.parameters, *self.derived]
         rows = ((v.label, v.value, v.standard_error, v.unit) for v in values)
         return html_table("; ".join(self.structure[:1]), ("", "value", "± error", "unit"), rows)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json``."""
+        return super().to_json() | {"conditions": dict(self.conditions)}
 
 
 def present(model: Model) -> Presentation:

@@ -12,7 +12,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
-from airpuck.report.animation_frames import TABLE, read_scene
+from airpuck.report.scene import TABLE, read_scene
 
 #: A GIF of more frames would be hundreds of megabytes.
 _MOST_FRAMES = 10_000
@@ -88,7 +88,7 @@ def animate(
 
             write_animation_gif(scene, temporary, speed=speed, frames_per_second=frames_per_second)
         else:
-            from airpuck.report.animation_page import write_animation_page
+            from airpuck.report.table_canvas import write_animation_page
 
             write_animation_page(scene, temporary, speed=speed)
     return target

@@ -21,10 +21,9 @@ from matplotlib.ticker import MaxNLocator
 from PIL import GifImagePlugin, Image
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.report import animation_frames as moments
+from airpuck.report import scene as moments
 from airpuck.report import style
-from airpuck.report.animation_frames import Frames, Scene
-from airpuck.report.game_frames import PAUSE, GameScene
+from airpuck.report.scene import PAUSE, FlightScene, Frames, GameScene
 
 #: Width of the picture, largest size of the table, and what is around it [in].
 _WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
@@ -40,7 +39,7 @@ _DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "cli
 
 
 def write_animation_gif(
-    scene: Scene, path: Path, *, speed: float, frames_per_second: float
+    scene: FlightScene, path: Path, *, speed: float, frames_per_second: float
 ) -> None:
     """Write a GIF."""
     times = moments.frame_times(scene.start, scene.stop, speed, frames_per_second)
@@ -96,7 +95,7 @@ def _write_gif(
 class _Stage:
     """A figure that stands still, on which each frame is drawn anew."""
 
-    def __init__(self, scene: Scene, frames: Frames, speed: float) -> None:
+    def __init__(self, scene: FlightScene, frames: Frames, speed: float) -> None:
         self.scene, self.frames = scene, frames
         self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
         self.colors += style.BOUND_COLORS.values() if scene.plans else ()
@@ -146,7 +145,7 @@ def _draw(axes: Axes, artist: Artist) -> None:
 
 
 def _moving_on_table(
-    scene: Scene, frames: Frames, arrows: Float[np.ndarray, "n 2 2"], k: int
+    scene: FlightScene, frames: Frames, arrows: Float[np.ndarray, "n 2 2"], k: int
 ) -> Iterator[Artist]:
     """Give what moves on the table, from the back to the front."""
     vehicle, pose = scene.vehicle, frames.pose[k]
@@ -220,7 +219,7 @@ def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
 
 
 @style.styled
-def _scenery(scene: Scene, speed: float) -> Figure:
+def _scenery(scene: FlightScene, speed: float) -> Figure:
     """Draw what stands still: table, panels for x, y, yaw and the motors, legend."""
     x0, x1, y0, y1 = scene.view
     width, height = x1 - x0 + 2 * _RAIL, y1 - y0 + 2 * _RAIL
@@ -251,7 +250,7 @@ def _scenery(scene: Scene, speed: float) -> Figure:
     return figure
 
 
-def _draw_table(axes: Axes, scene: Scene) -> None:
+def _draw_table(axes: Axes, scene: FlightScene) -> None:
     """Draw the floor, the rails and a grid."""
     x0, x1, y0, y1 = scene.view
     axes.set(xlim=(x0 - _RAIL, x1 + _RAIL), ylim=(y0 - _RAIL, y1 + _RAIL))
@@ -298,7 +297,7 @@ def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " tick
     return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
 
 
-def _draw_panels(panels: list[Axes], scene: Scene) -> None:
+def _draw_panels(panels: list[Axes], scene: FlightScene) -> None:
     """Draw the state beside the set point, and the commands, over time."""
     known = np.diff(scene.time, append=np.inf) <= scene.pause
     # A NaN after each stretch breaks the line there.
@@ -321,7 +320,7 @@ def _draw_panels(panels: list[Axes], scene: Scene) -> None:
     _draw_motors(panels[-1], scene)
 
 
-def _draw_motors(axes: Axes, scene: Scene) -> None:
+def _draw_motors(axes: Axes, scene: FlightScene) -> None:
     """Draw the commands as rows, the first on top."""
     n, colors = scene.vehicle.n_propellers, style.propeller_colors(scene.vehicle)
     edges = np.append(scene.command_time, scene.stop)
@@ -340,7 +339,7 @@ def _draw_motors(axes: Axes, scene: Scene) -> None:
         text.set_color(color)
 
 
-def _draw_legend(axes: Axes, scene: Scene, scale: float) -> None:
+def _draw_legend(axes: Axes, scene: FlightScene, scale: float) -> None:
     """Draw what is what, in inches; the arrow has the table's scale."""
     axes.set_axis_off()
     share = np.linspace(0, 1, 13)

@@ -13,6 +13,7 @@ from matplotlib.patches import Arc, Circle, Wedge
 from airpuck.craft.vehicle import Vehicle
 from airpuck.physics.angle import wrapped
 from airpuck.report import style
+from airpuck.report.page import PageSection, Picture, packaged_text
 
 #: Propellers whose radii or half-angles agree this well get one common annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
@@ -25,6 +26,33 @@ def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
     formats: dict[str, Literal["svg", "png", "pdf"]]
     formats = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
     return style.drawn(craft_figure(vehicle), formats[suffix])
+
+
+def craft_section(vehicle: Vehicle) -> PageSection:
+    """Show the craft and its frames."""
+    layout = (
+        "Propeller layout, to scale, seen from above. An arrow is the force of a propeller on the "
+        "craft; ↺ and ↻ show which way it turns the craft. "
+    )
+    paired = 2 * len(vehicle.pairs)
+    if paired:
+        layout += (
+            "The two propellers of a pair have one colour and push against each other, so that a "
+            "pair can push either way. "
+        )
+    if paired < vehicle.n_propellers:
+        layout += "A propeller without a partner has a colour of its own. "
+    layout += "From the vehicle file: measured, not learned."
+    frames = (
+        "Schematic, whatever the craft has for propellers. Left: position p and yaw γ of the body "
+        "frame in the world frame. Right: α is the rotation of the propeller layout against the "
+        "measured yaw, r the offset of the centre of mass from the geometric centre; exaggerated."
+    )
+    pictures = (
+        Picture("craft", craft_figure(vehicle), layout),
+        Picture("frames", packaged_text("frames.svg"), frames),
+    )
+    return PageSection("craft", "The craft", pictures)
 
 
 @style.styled

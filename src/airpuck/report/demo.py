@@ -69,9 +69,9 @@ def demo(
     """
     from airpuck.evaluation.evaluate import compare
     from airpuck.preprocessing.pipeline import load_trajectory
+    from airpuck.report.control_report import tracking_sections
+    from airpuck.report.evaluation_report import JudgedModels, errors_as_text
     from airpuck.report.fit_report import fit_report
-    from airpuck.report.judged_sections import Judged, errors_as_text
-    from airpuck.report.tracking_report import tracking_sections
     from airpuck.twin.tracking_study import tracking_study
 
     out = Path(out)
@@ -94,7 +94,7 @@ def demo(
     *evaluations, best_possible = compare(
         [*(fit.model for fit in fits), truth], trajectories["validation"]
     )
-    judged = Judged(trajectories["validation"], tuple(evaluations), (best_possible,), "true")
+    judged = JudgedModels(trajectories["validation"], tuple(evaluations), (best_possible,), "true")
     for evaluation in evaluations:
         x, y, yaw = errors_as_text(evaluation.rmse)
         progress(f"{evaluation.model}: after 0.2 s off by {x} mm, {y} mm, {yaw} rad")

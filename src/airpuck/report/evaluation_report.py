@@ -1,21 +1,264 @@
-"""A page on how well models predict a recording: `airpuck evaluate -o` and `compare -o`."""
+"""How well models predict a recording: the page of `airpuck evaluate -o` and `compare -o`."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
-from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import Evaluation
-from airpuck.evaluation.fit_measures import FitMeasures
-from airpuck.evaluation.verdict import verdict
+import numpy as np
+
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.left_out import left_out_words
+from airpuck.data.trajectory import Span, Trajectory
+from airpuck.evaluation.evaluate import Evaluation, coasting
+from airpuck.evaluation.fit_measures import FitMeasures, fit_text
+from airpuck.evaluation.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
+from airpuck.report.craft import craft_section
 from airpuck.report.fit_figures import thrust_figure
-from airpuck.report.fit_sections import craft_section, sources_section
-from airpuck.report.judged_sections import Judged, fit_table, judged_sections, verdict_section
-from airpuck.report.page import Origin, Picture, Section, Text, write_page
+from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
+from airpuck.report.prediction_figures import (
+    SHOWN_S,
+    WORST,
+    error_distribution_figure,
+    error_timeline_figure,
+    horizon_figure,
+    path_figure,
+    prediction_figure,
+    squares_held,
+    touched_by,
+    worst_windows,
+)
+
+#: Headings of errors in tables.
+_CHANNELS = ("x mm", "y mm", "γ rad")
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedModels:
+    """Models judged on one recording."""
+
+    #: What they were judged on.
+    trajectory: Trajectory
+    #: How well they predict it; each is named by its `model`.
+    evaluations: tuple[Evaluation, ...]
+    #: How well those predict it that they are compared with.
+    reference: tuple[Evaluation, ...] = ()
+    #: What the reference is, in a word.
+    reference_label: str = "published"
+    #: Known faults of the recording.
+    faults: tuple[Span, ...] = ()
+
+    @cached_property
+    def best(self) -> Evaluation:
+        """The model whose three errors are lowest on geometric average."""
+        return min(self.evaluations, key=lambda e: float(np.log(np.maximum(e.rmse, 1e-300)).sum()))
+
+
+def errors_as_text(values: np.ndarray) -> list[str]:
+    """Format errors of x, y [m] and yaw [rad] as millimetres and radians."""
+    x, y, yaw = values
+    return [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
+
+
+def verdict_section(verdicts: Mapping[str, Verdict], best: str) -> PageSection:
+    """Say in words which models can be trusted: the best in full, of others what is wrong."""
+    sentences = list(verdicts[best].sentences)
+    sentences += [" ".join(one.sentences[:2]) for name, one in verdicts.items() if name != best]
+    return PageSection("summary", "In short", (Text(sentences, bullets=True),))
+
+
+def judged_sections(
+    judged: JudgedModels, vehicle: Vehicle, error_table: PageTable | None = None
+) -> list[PageSection]:
+    """Show a flight and its predictions, how large errors are, and where in time.
+
+    The table of errors can be replaced.
+    """
+    return [
+        _flight_section(judged, vehicle),
+        _prediction_section(judged, error_table),
+        _timeline_section(judged),
+    ]
+
+
+def path_section(trajectory: Trajectory, vehicle: Vehicle) -> PageSection:
+    """Show a flight where no model was judged on one."""
+    return PageSection("flight", "The flight", (_path_picture(trajectory, vehicle),))
+
+
+def _path_picture(trajectory: Trajectory, vehicle: Vehicle) -> Picture:
+    """Show the way of a flight from above."""
+    caption = "The flight from above; the craft, to scale, where it started. Grey: rails, if near."
+    return Picture("path", path_figure(trajectory, vehicle), caption)
+
+
+def _flight_section(judged: JudgedModels, vehicle: Vehicle) -> PageSection:
+    """Show what was measured beside what was predicted."""
+    best, first = judged.best, judged.evaluations[0]
+    # More than a few lines hide each other.
+    shown = judged.evaluations if len(judged.evaluations) <= 3 else (first, best)
+    shown = (*(one for one in shown if one is not best), best)
+    ahead = best.sample_period * len(best.errors)
+    caption = (
+        f"{SHOWN_S:g} s of the flight with errors of the usual size. A prediction starts at each "
+        f"dot from the measured state, and runs for {ahead:.2f} s on the commands alone."
+    )
+    predicted = Picture("prediction", prediction_figure(judged.trajectory, shown), caption)
+    blocks = (predicted, _path_picture(judged.trajectory, vehicle))
+    return PageSection("flight", "Measured against predicted", blocks)
+
+
+def _prediction_section(judged: JudgedModels, table: PageTable | None) -> PageSection:
+    """Show how far predictions are off."""
+    evaluations, label = judged.evaluations, judged.reference_label
+    horizon = "Root mean square error over the time predicted."
+    if judged.reference:
+        horizon += (
+            " Where broad and dashed lines of a colour coincide, our fit predicts like the "
+            f"{label} parameters."
+        )
+    ranks = [100 * np.mean(np.abs(e.at_horizon) <= e.rmse[:, None], axis=1) for e in evaluations]
+    distribution = (
+        "Share of windows whose error is smaller than a value. The RMSE (dots) "
+        f"lies above {np.min(ranks):.0f} to {np.max(ranks):.0f} % of the windows: the higher, the "
+        "more it is ruled by a few, and the less it says about the typical window, at 50 %."
+    )
+    shares = error_distribution_figure(evaluations)
+    curves = horizon_figure(evaluations, judged.reference, label)
+    blocks = (
+        Text([_protocol_words(evaluations[0])]),
+        *([table, _median_table(judged)] if table else [_error_table(judged)]),
+        Picture("horizon", curves, horizon),
+        Picture("error_distribution", shares, distribution),
+    )
+    return PageSection("prediction", "Prediction error", blocks)
+
+
+def _timeline_section(judged: JudgedModels) -> PageSection:
+    """Show where in time the errors of the best model are."""
+    best = judged.best
+    shares = squares_held(best.at_horizon, worst_windows(best.at_horizon))
+    caption = (
+        f"Absolute error of each window of {best.model}. The worst {100 * WORST:.0f} % of "
+        f"the windows, chosen for each channel, hold {shares} % of the squared error of "
+        "x / y / yaw."
+    )
+    if judged.faults:
+        touched = touched_by(best, judged.faults)
+        caption += (
+            " Shaded: known faults of this recording, where the craft accelerates far less than "
+            "any model expects from the commands, because motors are off, the radio link is out or "
+            f"a motor does not spin up. The {touched.sum()} of {len(touched)} windows that touch "
+            f"them hold {squares_held(best.at_horizon, touched)} % of it; none is left out."
+        )
+    figure = error_timeline_figure(best, judged.faults)
+    picture = Picture("error_timeline", figure, caption)
+    return PageSection("time", "Where in time the errors are", (picture,))
+
+
+def _protocol_words(evaluation: Evaluation) -> str:
+    """Describe in a sentence how errors were measured."""
+    protocol = evaluation.protocol
+    after = evaluation.horizon_step * evaluation.sample_period
+    before = round(protocol.encoder_time / evaluation.sample_period)
+    return (
+        f"Protocol “{protocol.name}”, encoder “{evaluation.encoder}”: "
+        f"{evaluation.errors.shape[2]} windows that do not overlap, of {before} samples for the "
+        f"encoder and {len(evaluation.errors)} steps to predict; errors after step "
+        f"{evaluation.horizon_step} ({after:.3f} s)."
+    )
+
+
+def _error_table(judged: JudgedModels) -> PageTable:
+    """Tabulate errors of all models."""
+    named = [(f"{e.model}, {judged.reference_label}", e) for e in judged.reference]
+    named += [(e.model, e) for e in judged.evaluations]
+    baseline = coasting(judged.evaluations[0], judged.trajectory)
+    named.append((baseline.model, baseline))
+    rows = [
+        [name, *errors_as_text(e.rmse), *errors_as_text(e.median_abs), *_intervals_as_text(e)]
+        for name, e in named
+    ]
+    kinds = (
+        "root mean square",
+        "median: the typical window",
+        "RMS from every start, 95 % interval",
+    )
+    caption = (
+        "Errors of the predicted poses. From every start: windows that overlap, so that it does "
+        "not matter where the first begins. Constant velocity: a craft that coasts."
+    )
+    groups = [("", 1), *((kind, 3) for kind in kinds)]
+    return PageTable(caption, ["model", *3 * _CHANNELS], rows, groups)
+
+
+def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
+    """Tabulate fit percentages and information criteria of models on one recording."""
+    caption = (
+        "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent, predicted by the estimates of a filter and "
+        "simulated; below zero a simulation is further off than the mean. Likelihood of the "
+        "one-step innovations, with the parameters fitted in model and noise: lower AIC and BIC "
+        "are better; only differences between models on the same recording mean something."
+    )
+    first = fits[0]
+    kinds = (
+        f"{first.steps} steps ahead",
+        f"simulated {first.restart:g} s at a time",
+        "simulated throughout",
+    )
+    groups = [("", 1), *((kind, 3) for kind in kinds), ("one-step innovations", 4)]
+    headings = ["model", *3 * ("x %", "y %", "γ %"), "parameters", "log L", "AIC", "BIC"]
+    rows = [
+        [
+            name,
+            *fit_text(np.concatenate([fit.k_step, fit.free_run, fit.whole])),
+            str(fit.parameters),
+            *(f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)),
+        ]
+        for name, fit in zip(names, fits, strict=True)
+    ]
+    return PageTable(caption, headings, rows, groups)
+
+
+def _intervals_as_text(evaluation: Evaluation) -> list[str]:
+    """Format the intervals of the errors from every start; a dash where there is none."""
+    low, high = map(errors_as_text, evaluation.every_start.interval)
+    return [f"{a} … {b}" if a != "nan" else "–" for a, b in zip(low, high, strict=True)]
+
+
+def _median_table(judged: JudgedModels) -> PageTable:
+    """Tabulate median errors, the reference's beside the models'."""
+    caption = "Median absolute error: the typical window."
+    reference = {e.model: errors_as_text(e.median_abs) for e in judged.reference}
+    rows = [
+        [e.model, *reference.get(e.model, ("", "", "")), *errors_as_text(e.median_abs)]
+        for e in judged.evaluations
+    ]
+    groups = [("", 1), (f"{judged.reference_label} parameters", 3), ("fitted here", 3)]
+    return PageTable(caption, ["model", *_CHANNELS, *_CHANNELS], rows, groups)
+
+
+def sources_section(*trajectories: Trajectory) -> PageSection:
+    """List what the numbers come from."""
+    from airpuck import __version__
+
+    rows = [
+        [
+            "/".join(Path(t.source).parts[-2:]),
+            str(len(t)),
+            f"{t.duration:.2f}",
+            " ".join(t.hashes.values()) or "none",
+            left_out_words(t).removeprefix("left out: "),
+        ]
+        for t in trajectories
+    ]
+    caption = f"Recordings behind these numbers; computed by airpuck {__version__}."
+    headings = ["recording", "samples", "seconds", "SHA-256", "left out"]
+    return PageSection("sources", "Sources", (PageTable(caption, headings, rows),))
 
 
 def evaluation_report(
@@ -63,7 +306,7 @@ def evaluation_report(
     names = names or [model.name for model in models]
     models = [replace(model, name=name) for model, name in zip(models, names, strict=True)]
     named = [replace(one, model=name) for one, name in zip(evaluations, names, strict=True)]
-    judged = Judged(trajectory, tuple(named))
+    judged = JudgedModels(trajectory, tuple(named))
     verdicts = {
         model.name: verdict(model, trajectory, one)
         for model, one in zip(models, named, strict=True)
@@ -72,9 +315,9 @@ def evaluation_report(
     sections = [verdict_section(verdicts, judged.best.model), *judged_sections(judged, vehicle)]
     if differences:
         text = Text(differences, bullets=True)
-        sections.append(Section("differences", "Do the models differ?", (text,)))
+        sections.append(PageSection("differences", "Do the models differ?", (text,)))
     if fits:
-        sections.append(Section("fit", "Fit", (fit_table(names, fits),)))
+        sections.append(PageSection("fit", "Fit", (fit_table(names, fits),)))
     curves = Picture(
         "thrust",
         thrust_figure(models, trajectory, commands="commands of this flight"),
@@ -82,7 +325,7 @@ def evaluation_report(
         "each command, in twentieths of the range.",
     )
     sections += [
-        Section("thrust", "Thrust curves", (curves,)),
+        PageSection("thrust", "Thrust curves", (curves,)),
         craft_section(vehicle),
         sources_section(trajectory),
     ]

@@ -15,8 +15,8 @@ from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
 from airpuck.faults.find import CONTACT, NOT_ARMED
 from airpuck.model.model_file import Model
 from airpuck.report import style
-from airpuck.report.error_figures import squares_held, touched_by
-from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
+from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
+from airpuck.report.prediction_figures import squares_held, touched_by
 
 _COLORS = {
     NOT_ARMED: style.PURPLE,
@@ -28,12 +28,12 @@ _COLORS = {
 _FAINTEST = 0.25
 
 
-def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> Section:
+def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> PageSection:
     """Show when a recording cannot be trusted."""
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
     if not spans:
         words = f"None was found in {trajectory.duration:.1f} s with {model.name}."
-        return Section("faults", "Faults", (Text([words]),))
+        return PageSection("faults", "Faults", (Text([words]),))
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
     words = (
@@ -49,8 +49,8 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
         for s in spans
     ]
     headings = ["cause", "from [s]", "to [s]", "duration [s]", "confidence"]
-    table = Table("What no model should be learned from.", headings, rows)
-    return Section("faults", "Faults", (Picture("fault_timeline", figure, words), table))
+    table = PageTable("What no model should be learned from.", headings, rows)
+    return PageSection("faults", "Faults", (Picture("fault_timeline", figure, words), table))
 
 
 def confidence(span: Span) -> str:

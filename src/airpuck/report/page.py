@@ -32,7 +32,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table."""
 
     #: Plain text.
@@ -70,14 +70,14 @@ class Details:
     #: What it holds.
     summary: str
     #: Its content.
-    blocks: Sequence[Table | Text]
+    blocks: Sequence[PageTable | Text]
 
 
-Block = Picture | Table | Text | Details
+Block = Picture | PageTable | Text | Details
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A section of a page."""
 
     #: Its name in links.
@@ -102,7 +102,7 @@ def write_page(
     out: str | os.PathLike[str],
     title: str,
     lead: str,
-    sections: Sequence[Section],
+    sections: Sequence[PageSection],
     origin: Origin | None = None,
 ) -> Path:
     """Write a page as ``index.html`` and its pictures as files in ``figures``.
@@ -117,7 +117,7 @@ def write_page(
         Folder to write to.
     title, lead : str
         Plain text.
-    sections : sequence of Section
+    sections : sequence of PageSection
         Content.
     origin : Origin, optional
         Command line and date, for the foot of the page.

@@ -12,7 +12,7 @@ from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantit
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import named_rung
-from airpuck.report.page import Table
+from airpuck.report.page import PageTable
 
 #: Quantities in the order of the paper's table:models.
 _LADDER = [quantity for quantity in QUANTITIES if quantity.rungs]
@@ -41,16 +41,16 @@ def parameter_table(
     headings: Sequence[str],
     rows: Sequence[Row],
     groups: Sequence[tuple[str, int]] = (),
-) -> Table:
+) -> PageTable:
     """Lay out rows as a table of a page; what was learned is bold."""
     texts = [[row.label, row.unit, *(cell.text for cell in row.cells)] for row in rows]
     learned = frozenset(
         (i, j + 2) for i, row in enumerate(rows) for j, cell in enumerate(row.cells) if cell.free
     )
-    return Table(caption, headings, texts, groups, learned)
+    return PageTable(caption, headings, texts, groups, learned)
 
 
-def ladder_table(models: Sequence[Model]) -> Table:
+def ladder_table(models: Sequence[Model]) -> PageTable:
     """Tabulate which parameters each rung has free (table:models)."""
     rows = []
     for model in models:

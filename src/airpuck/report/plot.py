@@ -13,9 +13,13 @@ from matplotlib.axes import Axes
 
 from airpuck.boundary.errors import InputError
 from airpuck.report import style
-from airpuck.report.error_figures import draw_error_distribution, draw_horizon
 from airpuck.report.fit_figures import draw_thrusts
-from airpuck.report.flight_figures import draw_path, draw_predictions
+from airpuck.report.prediction_figures import (
+    draw_error_distribution,
+    draw_horizon,
+    draw_path,
+    draw_predictions,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure

@@ -20,11 +20,25 @@ from airpuck.evaluation.verdict import verdict
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
-from airpuck.report.error_figures import WORST, squares_held, worst_windows
-from airpuck.report.fit_sections import FitStudy, craft_section, sources_section, study_sections
-from airpuck.report.judged_sections import Judged, errors_as_text, judged_sections
-from airpuck.report.page import Origin, Picture, Section, Table, Text, packaged_text, write_page
+from airpuck.report.craft import craft_section
+from airpuck.report.evaluation_report import (
+    JudgedModels,
+    errors_as_text,
+    judged_sections,
+    sources_section,
+)
+from airpuck.report.fit_report import FitStudy, study_sections
+from airpuck.report.page import (
+    Origin,
+    PageSection,
+    PageTable,
+    Picture,
+    Text,
+    packaged_text,
+    write_page,
+)
 from airpuck.report.parameter_table import ladder_table
+from airpuck.report.prediction_figures import WORST, squares_held, worst_windows
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
@@ -85,7 +99,7 @@ class Reproduction:
     #: Fits and published models.
     study: FitStudy
     #: How well both predict.
-    judged: Judged
+    judged: JudgedModels
     #: The report.
     page: Path
     #: Time that everything took [s].
@@ -157,7 +171,7 @@ def reproduce(
         progress(f"identified {name} in {fits[-1].wall_s:.1f} s, {fits[-1].iterations} iterations")
     study = FitStudy(training, tuple(fits), published)
     fitted = tuple(compare(study.models, validation))
-    judged = Judged(validation, fitted, reference, faults=FAULTS)
+    judged = JudgedModels(validation, fitted, reference, faults=FAULTS)
     computed = time.perf_counter() - started
 
     progress("drawing")
@@ -190,7 +204,7 @@ def _experiments(data: str | os.PathLike[str] | None) -> tuple[Trajectory, Traje
 
 
 def _write_report(
-    out: Path, study: FitStudy, judged: Judged, wall_s: float, origin: Origin | None
+    out: Path, study: FitStudy, judged: JudgedModels, wall_s: float, origin: Origin | None
 ) -> Path:
     """Write the page."""
     vehicle = study.models[0].vehicle
@@ -200,7 +214,7 @@ def _write_report(
         craft_section(vehicle),
         _learning_section(study),
         *study_sections(study),
-        Section("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),)),
+        PageSection("conventions", "Conventions", (Text(_CONVENTIONS, bullets=True),)),
         sources_section(study.training, judged.trajectory),
     ]
     return write_page(
@@ -215,7 +229,7 @@ def _write_report(
     )
 
 
-def _summary_section(study: FitStudy, judged: Judged, wall_s: float) -> Section:
+def _summary_section(study: FitStudy, judged: JudgedModels, wall_s: float) -> PageSection:
     """Summarise the findings in a few lines."""
     published, forms = judged.reference, (".1f", ".1f", ".3f")
     agree = sum(
@@ -243,10 +257,10 @@ def _summary_section(study: FitStudy, judged: Judged, wall_s: float) -> Section:
         "lie at faults of the recording.",
         " ".join(verdict(model, judged.trajectory, best).sentences),
     )
-    return Section("summary", "In short", (Text(findings, bullets=True),))
+    return PageSection("summary", "In short", (Text(findings, bullets=True),))
 
 
-def _learning_section(study: FitStudy) -> Section:
+def _learning_section(study: FitStudy) -> PageSection:
     """Show Table 1 and how a model is learned (fig:learning_architecture)."""
     caption = (
         "From a recording to parameters. The encoder estimates position, velocity and motor speeds "
@@ -256,10 +270,10 @@ def _learning_section(study: FitStudy) -> Section:
     )
     diagram = packaged_text("learning_architecture.svg")
     blocks = (ladder_table(study.models), Picture("learning_architecture", diagram, caption))
-    return Section("learning", "The models, and how they are learned", blocks)
+    return PageSection("learning", "The models, and how they are learned", blocks)
 
 
-def _table_2(judged: Judged) -> Table:
+def _table_2(judged: JudgedModels) -> PageTable:
     """Tabulate the paper's Table 2: published parameters against ours."""
     rows = [
         [
@@ -272,7 +286,7 @@ def _table_2(judged: Judged) -> Table:
         for ours, theirs in zip(judged.evaluations, judged.reference, strict=True)
     ]
     groups = ["as printed", "published parameters, here", "fitted here", "fitted against published"]
-    return Table(
+    return PageTable(
         "Table 2 of the paper: root mean square prediction error on the validation recording. "
         "Published parameters with the published encoder convention, ours with the consistent one "
         "(see Conventions).",

@@ -21,9 +21,8 @@ from airpuck.evaluation.residuals import ResidualTests
 from airpuck.evaluation.structure import Structure
 from airpuck.model.model_file import Model
 from airpuck.report import style
-from airpuck.report.fit_sections import sources_section
-from airpuck.report.judged_sections import fit_table
-from airpuck.report.page import Origin, Picture, Section, Table, Text, write_page
+from airpuck.report.evaluation_report import fit_table, sources_section
+from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 
 _STRUCTURE = (
     "Acceleration that the model lacks, in bins of as many samples each, with 99 % bands, each by "
@@ -59,10 +58,10 @@ def residual_report(
     residuals = Picture("residuals", residual_figure(tests, model.vehicle), caption)
     structure = Picture("structure", structure_figure(tests), _STRUCTURE)
     sections = [
-        Section("tests", "Residual tests", (Text(tests.verdicts, bullets=True), residuals)),
-        Section("structure", "What residuals depend on", (structure,)),
+        PageSection("tests", "Residual tests", (Text(tests.verdicts, bullets=True), residuals)),
+        PageSection("structure", "What residuals depend on", (structure,)),
         *([_bands_section(bands)] if bands else []),
-        Section("fit", "Fit", (fit_table([model.name], [fit]), _noise_table(tests))),
+        PageSection("fit", "Fit", (fit_table([model.name], [fit]), _noise_table(tests))),
         sources_section(trajectory),
     ]
     verdict = "nothing was rejected" if tests.passed else "the model does not explain all there is"
@@ -74,7 +73,7 @@ def residual_report(
     return write_page(out, f"Residuals of {model.name}", lead, sections, origin)
 
 
-def _bands_section(bands: Sequence[PredictionBands]) -> Section:
+def _bands_section(bands: Sequence[PredictionBands]) -> PageSection:
     """Show predicted against measured trajectories."""
     parameters = (
         "the dark part is what the parameters' standard errors alone make of it. "
@@ -105,17 +104,17 @@ def _bands_section(bands: Sequence[PredictionBands]) -> Section:
         ]
         for one in bands
     ]
-    table = Table(
+    table = PageTable(
         "Poses at the end of a prediction: share within the 95 % band, of all predictions that do "
         "not overlap; median half width of the bands.",
         ["ahead", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
         rows,
     )
     picture = Picture("prediction_bands", prediction_bands_figure(bands[0], bands[-1]), caption)
-    return Section("bands", "Predictions", (picture, table))
+    return PageSection("bands", "Predictions", (picture, table))
 
 
-def _noise_table(tests: ResidualTests) -> Table:
+def _noise_table(tests: ResidualTests) -> PageTable:
     """Tabulate the noise that was found."""
     noise = tests.innovations.noise
     kinds = (
@@ -125,7 +124,7 @@ def _noise_table(tests: ResidualTests) -> Table:
     )
     rows = [[name, *(f"{v:.3g}" for v in values), unit] for name, values, unit in kinds]
     caption = "Noise of the largest likelihood: standard deviation of the poses, densities."
-    return Table(caption, ["", "x", "y", "γ", "unit"], rows)
+    return PageTable(caption, ["", "x", "y", "γ", "unit"], rows)
 
 
 @style.styled

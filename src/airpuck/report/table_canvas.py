@@ -1,15 +1,22 @@
-"""What `packaged/table_canvas.js` is given: colours, the shape of a craft, goals and discs."""
+"""Data for `packaged/table_canvas.js`, and an animation as one self-contained page."""
 
 from __future__ import annotations
 
+import json
+import math
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
-from airpuck.report import animation_frames as moments
+from airpuck.report import scene as moments
 from airpuck.report import style
+from airpuck.report.page import packaged_text, render
+from airpuck.report.scene import PAUSE, FlightScene, GameScene, PlannedPath, Way
 
 COLORS: dict[str, Any] = {
     "ink": style.BLACK,
@@ -56,3 +63,113 @@ def hockey_shape(play: AirHockey) -> dict[str, float]:
         "puck": play.puck.radius_m,
         "mallet": play.mallet.radius_m,
     }
+
+
+#: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
+_UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
+#: Speeds to choose from.
+_PACES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+
+
+def write_animation_page(scene: FlightScene, path: Path, *, speed: float) -> None:
+    """Write an HTML page with the flight within it."""
+    import markupsafe
+
+    x0, x1, y0, y1 = scene.view
+    flight = json.dumps(flight_data(scene), separators=(",", ":"), allow_nan=False)
+    page = render(
+        "animation.html.jinja",
+        craft=scene.vehicle.name,
+        recording=scene.name,
+        colors=COLORS,
+        aspect=f"{(x1 - x0 + (0.14 if scene.game is None else 0.26)) / (y1 - y0 + 0.13):.4f}",
+        motors_height=f"{2.4 + max(5.4, 1.1 * scene.vehicle.n_propellers):.2f}",
+        paces=sorted({*_PACES, float(speed)}),
+        speed=float(speed),
+        trail=moments.TRAIL,
+        key=moments.round_thrust(scene.vehicle),
+        has_reference=len(scene.reference) > 0,
+        is_game=scene.game is not None and len(scene.game.score_time) > 0,
+        plans={style.BOUND_WORDS[k]: style.BOUND_COLORS[k] for k in style.BOUND_WORDS}
+        if scene.plans
+        else {},
+        states=style.POSE,
+        table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
+        # Within a script only "<" could end it; in a string of JSON this is the same letter.
+        flight=markupsafe.Markup(flight.replace("<", "\\u003c")),
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def flight_data(scene: FlightScene) -> dict[str, Any]:
+    """Return what the page's script draws, as JSON values."""
+    shown = moments.thinned(scene)
+    return {
+        "start": round(scene.start, 6),
+        "stop": round(scene.stop, 6),
+        "units": _UNITS,
+        "pose": _poses(shown.time, shown.pose),
+        "pause": scene.pause + _UNITS["time"],
+        "command": {
+            "time": _changes(scene.command_time, "time"),
+            "motors": [_changes(motor, "command") for motor in scene.command.T],
+        },
+        "commandPause": scene.command_pause if math.isfinite(scene.command_pause) else None,
+        "reference": _poses(scene.reference_time, scene.reference),
+        "plans": [_plan(plan) for plan in scene.plans],
+        "planLasts": moments.PLAN_LASTS,
+        "table": scene.table,
+        "view": scene.view,
+        "trail": moments.TRAIL,
+        "craft": craft_shape(scene.vehicle),
+        "colors": COLORS,
+        "hockey": scene.game and hockey_shape(scene.game.play),
+        "game": scene.game and _game(scene.game),
+    }
+
+
+def _game(game: GameScene) -> dict[str, Any]:
+    """Return what is drawn of a game, as JSON values."""
+    other = game.other
+    return {
+        "puck": _poses(*_sparse(game.puck)),
+        "pause": PAUSE,
+        "other": other and _poses(*_sparse(other)),
+        "otherFlies": game.other_flies,
+        "side": game.side,
+        "score": {
+            "time": game.score_time.round(3).tolist(),
+            "goals": game.score.astype(int).tolist(),
+        },
+    }
+
+
+def _sparse(way: Way) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 3"]]:
+    """Return every second pose; those beside a gap stay."""
+    gap = np.diff(way.time) > PAUSE
+    kept = np.arange(len(way.time)) % 2 == 0
+    kept |= np.append(gap, True) | np.insert(gap, 0, True)
+    return way.time[kept], way.pose[kept]
+
+
+def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dict[str, list[int]]:
+    """Return times and poses as differences."""
+    return {
+        "time": _changes(time, "time"),
+        "x": _changes(pose[:, 0], "length"),
+        "y": _changes(pose[:, 1], "length"),
+        "yaw": _changes(pose[:, 2], "angle"),
+    }
+
+
+def _plan(plan: PlannedPath) -> dict[str, Any]:
+    """Return a plan's time, positions as differences, and colour."""
+    x, y = plan.points.T
+    ways = {"x": _changes(x, "length"), "y": _changes(y, "length")}
+    return {"time": round(plan.time, 4), **ways, "color": style.BOUND_COLORS[plan.bound]}
+
+
+def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:
+    """Return numbers as differences in whole units: short, and errors do not add up."""
+    whole = np.rint(values / _UNITS[unit]).astype(np.int64)
+    return np.diff(whole, prepend=0).tolist()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from airpuck.report.error_figures import squares_held, worst_windows
+from airpuck.report.prediction_figures import squares_held, worst_windows
 
 
 def test_worst_windows_are_the_largest_whatever_their_sign():

@@ -1,7 +1,8 @@
-"""What an animation of a flight shows: where everything is at any moment, and its shapes."""
+"""What an animation of a flight or a game shows, at any moment."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +27,6 @@ from airpuck.preprocessing.quality import (
     find_frozen,
 )
 from airpuck.recording.stream import Recording, Stream
-from airpuck.report.game_frames import GameScene, read_game
 
 #: The authors' air-hockey table; its centre is the origin.
 TABLE = AirHockey()
@@ -47,7 +47,7 @@ _BEYOND_RAILS = 0.05
 _MARGIN = 0.15
 
 
-class Plan(NamedTuple):
+class PlannedPath(NamedTuple):
     """Where a predictive law expected the craft to go."""
 
     #: When [s].
@@ -59,7 +59,7 @@ class Plan(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class FlightScene:
     """A part of a flight, ready to be shown."""
 
     #: The craft.
@@ -90,7 +90,7 @@ class Scene:
     #: What to show: least and largest x, least and largest y [m].
     view: tuple[float, float, float, float]
     #: In the order of their times.
-    plans: tuple[Plan, ...] = ()
+    plans: tuple[PlannedPath, ...] = ()
     #: Puck, the other's disc and the score, where it is a game.
     game: GameScene | None = None
 
@@ -117,7 +117,7 @@ def read_scene(
     span: tuple[float, float] = (0.0, 1.0),
     play: AirHockey = TABLE,
     log: FlightLog | None = None,
-) -> Scene:
+) -> FlightScene:
     """Take from a recording what an animation shows.
 
     Poses that are not finite are left out, and so are poses that repeat exactly for longer than the
@@ -159,7 +159,7 @@ def read_scene(
     if game is None:  # who plays stays on the table, whatever it is asked for
         places = np.concatenate([places, reference[asked, :2]])
     rails, view = _surroundings(places, vehicle.radius_m, (play.table.length_m, play.table.width_m))
-    return Scene(
+    return FlightScene(
         vehicle=vehicle,
         name=Path(recording.source).name,
         start=start,
@@ -179,17 +179,17 @@ def read_scene(
     )
 
 
-def _plans(log: FlightLog, begin: float, start: float, stop: float) -> tuple[Plan, ...]:
+def _plans(log: FlightLog, begin: float, start: float, stop: float) -> tuple[PlannedPath, ...]:
     """Return the plans of a span; the first command was sent at `begin` [s]."""
     since = begin - float(log.time[0])
     found = [
-        Plan(float(log.time[k]) + since, plan.states[:, :2], plan.bound_by)
+        PlannedPath(float(log.time[k]) + since, plan.states[:, :2], plan.bound_by)
         for k, plan in log.predictions.items()
     ]
     return tuple(plan for plan in found if start <= plan.time <= stop)
 
 
-def plan_at(scene: Scene, time: float) -> Plan | None:
+def plan_at(scene: FlightScene, time: float) -> PlannedPath | None:
     """Return the newest plan at a moment [s], while it lasts."""
     made = [plan for plan in scene.plans if time - PLAN_LASTS < plan.time <= time]
     return made[-1] if made else None
@@ -263,7 +263,7 @@ def frame_times(
     return start + step * np.arange(int((stop - start) / step * (1 + 1e-9)) + 1)
 
 
-def frames_at(scene: Scene, time: Float[np.ndarray, " F"]) -> Frames:
+def frames_at(scene: FlightScene, time: Float[np.ndarray, " F"]) -> Frames:
     """Compute where everything is at given moments [s]."""
     pose, known = poses_at(scene.time, scene.pose, scene.pause, time)
     reference = _held(scene.reference_time, scene.reference, time, np.inf)
@@ -304,7 +304,7 @@ def _held(
     return held
 
 
-def thinned(scene: Scene, rate: float = 120.0) -> Scene:
+def thinned(scene: FlightScene, rate: float = 120.0) -> FlightScene:
     """Return a scene with no more poses than a screen can show."""
     every = max(1, int(1 / (rate * _period(scene.time)) * (1 + 1e-6)))
     jump = np.diff(scene.time) > scene.pause
@@ -315,7 +315,7 @@ def thinned(scene: Scene, rate: float = 120.0) -> Scene:
 
 
 def trail(
-    scene: Scene, until: float, seconds: float
+    scene: FlightScene, until: float, seconds: float
 ) -> tuple[Float[np.ndarray, "S 2 2"], Float[np.ndarray, " S"]]:
     """Return the last `seconds` of the path: line segments [m] and their ages, 0 to 1 (oldest)."""
     since = until - seconds
@@ -391,3 +391,76 @@ def short_names(names: tuple[str, ...]) -> list[str]:
     alike = [len({word[k] for word in words}) == 1 for k in range(most)]
     cut = alike.index(False) if False in alike else most
     return [" ".join(word[cut:]) for word in words]
+
+
+#: Poses farther apart in time are not joined: the puck was in a goal [s].
+PAUSE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Where something was, over time."""
+
+    #: Strictly increasing [s].
+    time: Float[np.ndarray, " N"]
+    #: x, y [m], yaw (continuous) [rad].
+    pose: Float[np.ndarray, "N 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class GameScene:
+    """A part of a game."""
+
+    #: Sizes.
+    play: AirHockey
+    puck: Way
+    #: The disc on the other side, where it was recorded.
+    other: Way | None
+    #: Whether that is a craft, not a mallet.
+    other_flies: bool
+    #: Sign of the x of the craft's half.
+    side: int
+    #: When the score changed [s], and goals of left and right from then on.
+    score_time: Float[np.ndarray, " G"]
+    score: Float[np.ndarray, "G 2"]
+
+    def score_at(self, time: float) -> tuple[int, int] | None:
+        """Return the goals of left and right at a moment [s]; None where nobody counts."""
+        k = int(np.searchsorted(self.score_time, time, side="right")) - 1
+        if k < 0:
+            return (0, 0) if len(self.score_time) else None
+        left, right = self.score[k].astype(int).tolist()
+        return left, right
+
+
+def read_game(
+    recording: Recording,
+    play: AirHockey,
+    usable: Callable[[Stream, str], tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N k"]]],
+    side: int,
+    span: tuple[float, float],
+) -> GameScene | None:
+    """Take from a recording what belongs to a game; None without a puck.
+
+    `usable` gives times on the axis of the scene, and values, of what can be used of a stream.
+    """
+
+    def way(name: str) -> Way | None:
+        if not len(recording.streams.get(name, ())):
+            return None
+        time, pose = usable(recording[name], name)
+        inside = (time >= span[0]) & (time <= span[1])
+        if not inside.any():
+            return None
+        yaw = np.unwrap(pose[inside, 2])
+        return Way(time[inside], np.column_stack([pose[inside, :2], yaw]))
+
+    puck = way("puck")
+    if puck is None:
+        return None
+    time, score = np.zeros(0), np.zeros((0, 2))
+    if len(recording.streams.get("game", ())):
+        time, events = usable(recording["game"], "game")
+        score = events[:, :2]
+    flies = "opponent_command" in recording.streams
+    return GameScene(play, puck, way("mallet"), flies, side, time, score)

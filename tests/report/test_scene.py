@@ -9,7 +9,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
 from airpuck.recording.stream import Recording, Stream
 from airpuck.report.animation import animate
-from airpuck.report.animation_frames import (
+from airpuck.report.scene import (
     arrow_shapes,
     frame_times,
     frames_at,

@@ -1,0 +1,500 @@
+"""Reports on controllers: `airpuck replay -o` and `airpuck track -o`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from airpuck.control.discretization import rotation_error
+from airpuck.data.trajectory import runs
+from airpuck.flight.replay import Replay
+from airpuck.flight.track import TOLERANCE, SetPointResult, Track
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import wrapped
+from airpuck.report import style
+from airpuck.report.animation import animate
+from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
+from airpuck.report.plan_figures import path_figure
+from airpuck.twin.tracking_study import Tracked
+
+#: Meaning of each outcome of a control step.
+OUTCOMES = {
+    "exact": "the requested acceleration is met",
+    "scaled": "the linear or angular acceleration is scaled down, in the same direction",
+    "nearest": "no scaled acceleration is feasible; the nearest one is applied",
+    "optimal": "the best commands over the horizon, within all limits",
+    "softened": "as optimal, but a motion limit is exceeded by as little as possible",
+    "iteration limit": "the solver failed; the previous plan continues",
+    "fallback": "the previous plan has ended; an LQR takes over",
+    "open loop": "the pilot has no control law",
+    "failed": "the solver failed; motors idle",
+    "no pose": "no pose has arrived yet; motors idle",
+    "stale pose": "the last pose is too old; motors idle",
+    "jumping pose": "the last poses are farther off than the craft can fly; motors idle",
+    "bad input": "a pose or the time is not finite; motors idle",
+    "unsafe": "the safety guard rejects the command; motors idle",
+}
+
+
+def replay_report(
+    replay: Replay,
+    model: Model,
+    period: float,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
+) -> Path:
+    """Write a page on a flight replayed with a control period [s]."""
+    figures = replay.to_json()
+    used = replay.time[replay.compared]
+    commands = (
+        "At each step the controller received the poses that had arrived by then. Its memory holds "
+        "the recorded commands instead of its own, so differences do not accumulate."
+    )
+    turning = (
+        "The discretisation assumes that a force keeps its direction over a control period h. It "
+        "turns with the craft by θ = ωh, so the velocity gained has a relative error of about θ/2."
+    )
+    error = rotation_error_figure(_fastest_spin(replay), period)
+    corrected = "The next measurement corrects this error; it affects the one-step prediction only."
+    asked = Picture("replay_flight", flight_figure(replay), "Pose and set point.")
+    compared = Picture("replay_commands", command_figure(replay), commands)
+    neglected = (Picture("rotation_error", error, turning), Text([corrected]))
+    sections = [
+        PageSection("commands", "Commands", (_agreement_table(replay), compared)),
+        PageSection("flight", "Flight", (asked,)),
+        PageSection("controller", "Controller", _controller_tables(replay)),
+        PageSection("discretisation", "What the discretisation neglects", neglected),
+    ]
+    lead = (
+        f"{model.name}, {figures['steps']} commands between {used[0]:.1f} and {used[-1]:.1f} s: "
+        f"median difference {figures['median_abs']:.4f}, lowest correlation "
+        f"{min(m['correlation'] for m in figures['motors']):.3f}."
+    )
+    return write_page(out, "Replay of a recorded flight", lead, sections, origin)
+
+
+def _agreement_table(replay: Replay) -> PageTable:
+    """Tabulate the agreement of recorded and computed commands."""
+    figures, size = replay.to_json(), np.abs(replay.difference)
+    rows = [
+        [m["name"], f"{m['correlation']:.4f}", f"{m['median_abs']:.4f}", f"{widest:.4f}"]
+        for m, widest in zip(figures["motors"], np.quantile(size, 0.9, axis=0), strict=True)
+    ]
+    return PageTable(
+        "Agreement of recorded and computed commands, for each motor.",
+        ["motor", "correlation", "median |difference|", "90 % |difference|"],
+        [*rows, ["all", "", f"{figures['median_abs']:.4f}", ""]],
+    )
+
+
+def _outcome_table(caption: str, outcomes: Mapping[str, Mapping[str, int]]) -> PageTable:
+    """Tabulate how the control steps of each flight ended."""
+    rows = [
+        [flight, status, str(count), OUTCOMES[status]]
+        for flight, counts in outcomes.items()
+        for status, count in counts.items()
+    ]
+    return PageTable(caption, ["flight", "outcome", "steps", "meaning"], rows)
+
+
+def _controller_tables(replay: Replay) -> list[PageTable]:
+    """Tabulate the gains of an LQR and the outcomes of the control steps."""
+    tables = []
+    if replay.gains is not None:
+        g, fitted = replay.gains, ", fitted to the recorded commands" if replay.fitted else ""
+        tables.append(
+            PageTable(
+                f"Gains of the regulator{fitted}.",
+                ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
+                [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
+            )
+        )
+    caption = "Outcomes of the control steps in this span."
+    return [*tables, _outcome_table(caption, {"replay": replay.outcomes})]
+
+
+def _fastest_spin(replay: Replay) -> float:
+    """Return the largest spin of the flight, from differences of yaw [rad/s]."""
+    known = np.isfinite(replay.pose[:, 2])
+    yaw, time = np.unwrap(replay.pose[known, 2]), replay.time[known]
+    # Differences over five periods, because noise in single ones would count as spin.
+    turned, taken = yaw[5:] - yaw[:-5], time[5:] - time[:-5]
+    return float(np.max(np.abs(turned / taken), initial=0.0)) if (taken > 0).all() else 0.0
+
+
+@style.styled
+def command_figure(replay: Replay) -> Figure:
+    """Draw the recorded and computed commands of every motor over time."""
+    n = len(replay.motors)
+    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.35 * ((n + 1) // 2))
+    titles = [
+        f"{m['name']}: r = {m['correlation']:.3f}, median |Δ| {m['median_abs']:.4f}"
+        for m in replay.to_json()["motors"]
+    ]
+    time = np.append(replay.time, replay.time[-1])
+    outside = [time[[a, b]].tolist() for a, b in runs(~replay.compared)]
+    for i, axes in enumerate(style.motor_panels(figure, titles)):
+        axes.plot(replay.time, replay.sent[:, i], color=style.GREY, linewidth=2.2)
+        axes.plot(replay.time, replay.computed[:, i], color=style.VERMILLION, linewidth=0.9)
+        for start, stop in outside:
+            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, alpha=0.6)
+        axes.set_xlim(replay.time[0], replay.time[-1])
+    handles: list[Artist] = [
+        style.key("sent in the flight", style.GREY, linewidth=2.2),
+        style.key("computed by this controller", style.VERMILLION, linewidth=0.9),
+    ]
+    if outside:
+        handles.append(Patch(color=style.LIGHT, alpha=0.6, label="not compared"))
+    style.top_legend(figure, handles)
+    return figure
+
+
+@style.styled
+def flight_figure(replay: Replay) -> Figure:
+    """Draw the pose and the set point over time."""
+    figure = style.new_figure(style.PAGE_WIDTH, 4.4)
+    panels = style.pose_panels(figure)
+    pose, asked = replay.pose.copy(), replay.reference.copy()
+    # The yaw is unwrapped, and each set point is drawn in the turn nearest to the craft.
+    known = np.isfinite(pose[:, 2])
+    pose[known, 2] = np.unwrap(pose[known, 2])
+    asked[known, 2] = (pose[:, 2] - wrapped(np, pose[:, 2] - asked[:, 2]))[known]
+    for i, axes in enumerate(panels):
+        axes.plot(replay.time, asked[:, i], color=style.BLACK, linewidth=1.0, linestyle="--")
+        axes.plot(replay.time, pose[:, i], color=style.BLUE)
+    panels[-1].set_xlim(replay.time[0], replay.time[-1])
+    craft = style.key("pose, as the controller saw it", style.BLUE)
+    style.top_legend(figure, [craft, style.key("set point", linewidth=1.0, linestyle="--")])
+    return figure
+
+
+@style.styled
+def rotation_error_figure(fastest: float, period: float) -> Figure:
+    """Draw the error of a discretisation that neglects turning within a control period."""
+    figure = style.new_figure(0.75 * style.PAGE_WIDTH, 3.0)
+    axes = figure.subplots()
+    spin = np.geomspace(0.1, 50, 200)
+    periods = sorted({0.002, 0.005, 0.01, 0.02, 0.05, period})
+    for shade, h in zip(np.linspace(0.25, 1.0, len(periods)), periods, strict=True):
+        error = 100 * rotation_error(spin, np.full_like(spin, h))
+        flown: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 2.2}
+        other: dict[str, Any] = {"color": style.BLUE, "linewidth": 1.2, "alpha": shade}
+        axes.loglog(spin, error, **flown if h == period else other)
+        style.note(axes, f"{1e3 * h:g} ms", (spin[-1], error[-1]), (4, 0), va="center", fontsize=8)
+    if fastest > 0:
+        at = 100 * float(rotation_error(np.array(fastest), np.array(period)))
+        axes.plot([fastest], [at], "o", color=style.ORANGE, markeredgecolor=style.BLACK, zorder=5)
+        words = f"fastest spin flown: {fastest:.1f} rad/s, {at:.1f} %"
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        style.note(axes, words, (fastest, at), (8, -12), va="top", bbox=box)
+    axes.set(xlim=(spin[0], 75), xlabel="spin |ω| [rad/s]")
+    axes.set_ylabel("relative error of the\nvelocity gained in a period [%]")
+    axes.set_title("Neglected turning within a control period", loc="left")
+    return figure
+
+
+def predicts(flights: Sequence[Tracked]) -> bool:
+    """Return whether any flight used the predictive law."""
+    return any(flight.regulator == "mpc" for flight in flights)
+
+
+def flight_colors(flights: Sequence[Tracked]) -> list[str]:
+    """Return a colour for each flight: by law where laws differ, otherwise by model."""
+    if not predicts(flights):
+        return [style.rung_color(flight.model) for flight in flights]
+    colors = style.model_colors(flight.label for flight in flights)
+    return [colors[flight.label] for flight in flights]
+
+
+def summary(flights: Sequence[Tracked]) -> PageSection:
+    """Compare the flights in words."""
+    bullets = [
+        _joined("Settling", flights, _settled),
+        _joined("Distance from the set point, root mean square", flights, _distance),
+        _joined("Motors at full command", flights, _saturated),
+        _joined("Nearest to a rail", flights, lambda f: f"{1e3 * f.clearance.min():.0f} mm"),
+        _joined(
+            "Time per control step, median and 99 %",
+            flights,
+            lambda f: f"{f.step_times[0]:.2f} and {f.step_times[1]:.2f} ms",
+        ),
+    ]
+    return PageSection("words", "In short", [Text(bullets, bullets=True)])
+
+
+def _joined(what: str, flights: Sequence[Tracked], say: Callable[[Tracked], str]) -> str:
+    """List one finding for every flight."""
+    return f"{what}: {'; '.join(f'{flight.label} {say(flight)}' for flight in flights)}."
+
+
+def _settled(flight: Tracked) -> str:
+    """Describe where a flight settled, and how fast."""
+    times = [result.settling_time for result in flight.results]
+    done = [time for time in times if time is not None]
+    if not done:
+        return "at none of the set points"
+    where = "at every set point" if len(done) == len(times) else f"at {len(done)} of {len(times)}"
+    return f"{where}, after {np.mean(done):.2f} s on average"
+
+
+def _distance(flight: Tracked) -> str:
+    """Describe the distance of a flight from its set points."""
+    x, y, yaw = np.sqrt(np.mean(flight.twin.errors**2, axis=0))
+    return f"{1e3 * np.hypot(x, y):.0f} mm and {yaw:.2f} rad"
+
+
+def _saturated(flight: Tracked) -> str:
+    """Describe how often motors were at full command."""
+    each, some = flight.saturated.mean(), flight.saturated.any(axis=1).mean()
+    return (
+        f"{100 * each:.1f} % of the commands (at least one motor: {100 * some:.0f} % of the time)"
+    )
+
+
+def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
+    """Return the sections that compare control laws."""
+    planned = (
+        "Every tenth plan of the predictive law over its horizon, coloured by its active limit; a "
+        "dot marks its end. Broad line: path flown. Outer frame: rails; dashed: limit of the "
+        "craft's centre."
+    )
+    nearest = "Clearance between the craft's edge and the nearest rail; zero is contact."
+    return [
+        PageSection(
+            "errors",
+            "Distance from the set point",
+            [Picture("errors", error_figure(flights), "Pose minus the set point in force.")],
+        ),
+        PageSection(
+            "above",
+            "Paths and plans from above",
+            [Picture("above", path_figure(flights), planned), _limits_table(flights)],
+        ),
+        PageSection("rails", "Rails", [Picture("rails", clearance_figure(flights), nearest)]),
+        PageSection("time", "Control steps: time and outcome", _step_tables(flights)),
+    ]
+
+
+def _limits_table(flights: Sequence[Tracked]) -> PageTable:
+    """Tabulate how often plans reached each limit."""
+    kinds = ("motor", "rail", "disc", "speed", "spin")
+    rows = []
+    for flight in flights:
+        plans = list(flight.log.predictions.values())
+        if plans:
+            shares = [np.mean([kind in plan.active for plan in plans]) for kind in kinds]
+            rows.append([flight.label, *(f"{100 * share:.0f} %" for share in shares)])
+    return PageTable(
+        "Share of plans that reach a limit anywhere on their horizon.", ["flight", *kinds], rows
+    )
+
+
+def _step_tables(flights: Sequence[Tracked]) -> list[PageTable]:
+    """Tabulate the time and the outcome of control steps."""
+    times = [[flight.label, *(f"{ms:.2f}" for ms in flight.step_times)] for flight in flights]
+    taken = PageTable(
+        "Time per control step on this machine, next to its other load. airpuck fly asks the "
+        "operating system for priority.",
+        ["flight", "median [ms]", "99 % [ms]", "longest [ms]"],
+        times,
+    )
+    outcomes = {flight.label: flight.outcomes for flight in flights}
+    return [taken, _outcome_table("Outcomes of the control steps.", outcomes)]
+
+
+@style.styled
+def error_figure(flights: Sequence[Tracked]) -> Figure:
+    """Draw pose minus set point over time."""
+    figure = style.new_figure(style.PAGE_WIDTH, 4.6)
+    axes = style.panels(figure, 3, 1, sharex=True)
+    for one, (name, unit, factor), channel in zip(axes, style.ERRORS, range(3), strict=True):
+        one.axhline(0.0, color=style.GREY, linewidth=0.8)
+        for flight, color in zip(flights, flight_colors(flights), strict=True):
+            time = flight.twin.time - flight.origin
+            one.plot(time, factor * flight.twin.errors[:, channel], color=color, linewidth=1.4)
+        one.set_ylabel(f"{name} [{unit}]")
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(0.0, _end(flights))
+    style.top_legend(figure, _keys(flights))
+    return figure
+
+
+@style.styled
+def clearance_figure(flights: Sequence[Tracked]) -> Figure:
+    """Draw the distance to the nearest rail over time."""
+    figure = style.new_figure(style.PAGE_WIDTH, 2.6)
+    axes = figure.subplots()
+    axes.axhline(0.0, color=style.RAIL, linewidth=3.0)
+    for flight, color in zip(flights, flight_colors(flights), strict=True):
+        axes.plot(flight.twin.time - flight.origin, 1e3 * flight.clearance, color=color)
+    axes.set(xlabel="time [s]", ylabel="to the nearest rail [mm]", xlim=(0.0, _end(flights)))
+    style.top_legend(figure, [*_keys(flights), style.key("rail", style.RAIL, linewidth=3.0)])
+    return figure
+
+
+def _end(flights: Sequence[Tracked]) -> float:
+    """Return the end of the time axis [s]."""
+    return max(float(flight.twin.time[-1]) - flight.origin for flight in flights)
+
+
+def _keys(flights: Sequence[Tracked]) -> list[Artist]:
+    """Return a legend entry for each flight."""
+    named = zip(flights, flight_colors(flights), strict=True)
+    return [style.key(flight.label, color) for flight, color in named]
+
+
+_LINES: dict[str, Any] = {
+    "twin": {"linewidth": 1.5},
+    "real flight": {"linewidth": 1.2, "linestyle": style.DASHED, "alpha": 0.8},
+}
+#: Line styles of commands; the broader line lies below.
+_COMMANDS: dict[str, Any] = {
+    "twin": {"color": style.VERMILLION, "linewidth": 0.9, "zorder": 2.1},
+    "real flight": {"color": style.GREY, "linewidth": 2.0},
+}
+
+
+def tracking_report(
+    flights: Sequence[Tracked],
+    truth: str,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
+    *,
+    set_points: str = "the paper",
+) -> Path:
+    """Write a page on a tracking study; `set_points` names the source of the set points."""
+    names = " and ".join(flight.label for flight in flights)
+    lead = f"The set points of {set_points}, flown with {names} on a twin of {truth}."
+    for flight in flights:
+        if flight.log.predictions:
+            table = flight.table.length_m, flight.table.width_m
+            path = Path(out) / f"flight_{_file_name(flight)}.html"
+            animate(flight.recording, path, vehicle=flight.vehicle, table=table, log=flight.log)
+            lead += f" {path.name} beside this page shows {flight.label} in motion."
+    return write_page(out, "Tracking of set points", lead, tracking_sections(flights), origin)
+
+
+def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
+    """Return the sections of a tracking study."""
+    rows = [
+        [f"{flight.label}, {kind}", *_row(result)]
+        for flight in flights
+        for kind, track in _tracks(flight).items()
+        for result in track.moves()
+    ]
+    results = PageTable(
+        f"Results at each set point. Settling time: until the craft stays within "
+        f"{1e3 * TOLERANCE[0]:g} mm and {TOLERANCE[2]:g} rad. Steady-state error: mean over the "
+        "last second, or the last quarter of a short dwell. Effort: mean sum of squared commands "
+        "above idle.",
+        ["flight", "set point", "settling time [s]", "overshoot", "steady-state error", "effort"],
+        rows,
+    )
+    caption = (
+        "An accurate model brings the craft to its set points. A poor one leaves an offset, unless "
+        "the controller rejects disturbances."
+    )
+    if predicts(flights):
+        caption = "All laws fly the same truth, seed and set points."
+    blocks = [Picture("tracking", tracking_figure(flights), caption), results]
+    apart = [
+        [f.model, *(f"{1e3 * error:.1f}" for error in f.rmse[:2]), f"{f.rmse[2]:.3f}"]
+        for f in flights
+        if f.rmse is not None
+    ]
+    if apart:
+        words = "RMS difference between twin and real flight, 0.5 to 6.5 s on the time axis."
+        blocks.append(PageTable(words, ["flight", "x [mm]", "y [mm]", "yaw [rad]"], apart))
+    inputs = [
+        Picture(
+            f"inputs_{_file_name(flight)}",
+            input_figure(flight),
+            f"Commands of {flight.label}. Shaded: the twin's motor is at full command.",
+        )
+        for flight in flights
+    ]
+    tracking = PageSection("tracking", "Tracking", blocks)
+    commands = PageSection("inputs", "Commands", inputs)
+    if not predicts(flights):
+        return [tracking, commands]
+    return [summary(flights), tracking, *law_sections(flights), commands]
+
+
+def _file_name(flight: Tracked) -> str:
+    """Return the part of file names that distinguishes flights."""
+    return flight.model if flight.regulator != "mpc" else f"{flight.model}_mpc"
+
+
+def _tracks(flight: Tracked) -> dict[str, Track]:
+    """Return the flight on the twin and, if there is one, the real flight."""
+    return {"twin": flight.twin} | ({"real flight": flight.real} if flight.real is not None else {})
+
+
+def _row(result: SetPointResult) -> list[str]:
+    """Lay out the results at one set point."""
+    settled = "never" if result.settling_time is None else f"{result.settling_time:.2f}"
+    return [
+        f"{result.pose[0]:.1f}, {result.pose[1]:.1f} m, {result.pose[2]:.1f} rad",
+        settled,
+        _triple(result.overshoot),
+        "no poses" if result.steady_state_error is None else _triple(result.steady_state_error),
+        f"{result.effort:.3f}",
+    ]
+
+
+def _triple(values: tuple[float, ...]) -> str:
+    """Format x, y and yaw."""
+    x, y, yaw = values
+    return f"{1e3 * x:.1f}, {1e3 * y:.1f} mm, {yaw:.3f} rad"
+
+
+@style.styled
+def tracking_figure(flights: Sequence[Tracked]) -> Figure:
+    """Draw pose and set points over time, for all models (fig:control_lqr).
+
+    Real flights start at different times. Each is drawn from half a second before its first new
+    set point (`Track.origin`).
+    """
+    figure = style.new_figure(style.PAGE_WIDTH, 5.0)
+    panels = style.pose_panels(figure)
+    handles = [style.key("set point", linewidth=0.9, linestyle=":")]
+    track, origin = flights[0].twin, flights[0].origin
+    times = np.append(track.set_points.times, track.time[-1]) - origin
+    poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
+    for axes, values in zip(panels, poses.T, strict=True):
+        axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
+    for flight, color in zip(flights, flight_colors(flights), strict=True):
+        for kind, track in _tracks(flight).items():
+            line = _LINES[kind]
+            for axes, values in zip(panels, track.pose.T, strict=True):
+                axes.plot(track.time - flight.origin, values, color=color, **line)
+            handles.append(style.key(f"{flight.label}, {kind}", color, **line))
+    panels[-1].set_xlim(0.0, max(float(f.twin.time[-1]) - f.origin for f in flights))
+    style.top_legend(figure, handles)
+    return figure
+
+
+@style.styled
+def input_figure(flight: Tracked) -> Figure:
+    """Draw the commands of one flight."""
+    motors = flight.twin.motors
+    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
+    tracks = _tracks(flight)
+    for i, axes in enumerate(style.motor_panels(figure, motors)):
+        for kind, track in tracks.items():
+            time = track.command_time - flight.origin
+            axes.step(time, track.command[:, i], where="post", **_COMMANDS[kind])
+        for first, last in runs(flight.saturated[:, i]):
+            span = flight.log.time[[first, min(last, len(flight.log.time) - 1)]]
+            start, stop = (span - flight.log.time[0] - flight.origin).tolist()
+            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, zorder=1)
+        axes.set_xlim(0.0, float(flight.twin.time[-1]) - flight.origin)
+    style.top_legend(figure, [style.key(kind, **_COMMANDS[kind]) for kind in tracks])
+    return figure
