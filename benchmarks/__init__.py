@@ -1,4 +1,4 @@
-"""What the README and docs/results.md say about speed, measured by one command.
+"""The speeds stated in the README and docs/results.md, measured by one command.
 
 python -m benchmarks
 """

@@ -4,9 +4,9 @@
     AIRPUCK_DATA=... python -m benchmarks --only identify   # rows whose name begins so
     AIRPUCK_DATA=... python -m benchmarks --long --authors ~/holohover-sysid
 
-Prints the table and stores it as out/benchmarks.json and out/benchmarks.md. Processes are timed
-from their start to their end, the interpreter's included, with an empty compilation cache unless
-said; medians. JAX_PLATFORMS=cpu or cuda says where it computes.
+Prints the table and stores it as out/benchmarks.json and out/benchmarks.md. Values are medians.
+Processes are timed from start to end, including the interpreter's start, with an empty compilation
+cache unless stated otherwise. JAX_PLATFORMS=cpu or cuda chooses the device.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ Row = dict[str, object]
 
 
 class Table:
-    """Rows as they are measured.
+    """The measured rows.
 
     Parameters
     ----------
     runs : int
-        Of each row.
+        Runs of each row.
     only : sequence of str
-        Beginnings of the names of rows to measure; none: all.
+        Prefixes of the names of rows to measure; empty: all.
     """
 
     def __init__(self, runs: int, only: Sequence[str]) -> None:
@@ -63,7 +63,7 @@ class Table:
         target: str = "",
         runs: int | None = None,
     ) -> None:
-        """Measure a row: a number a run, several of one run, or a reason why there is none."""
+        """Measure a row: a number per run, several of one run, or the reason why there is none."""
         if self.only and not name.startswith(self.only):
             return
         values: list[float] = []
@@ -149,7 +149,7 @@ def inside(table: Table, folder: Path) -> None:
 
 
 def scripts(table: Table, folder: Path) -> None:
-    """Run the scripts beside this one, and read what they print."""
+    """Run the scripts beside this one, and read their output."""
 
     def printed(pattern: str, script: str, *arguments: str) -> Callable[[], Sequence[float] | str]:
         def measure() -> Sequence[float] | str:
@@ -179,7 +179,7 @@ def scripts(table: Table, folder: Path) -> None:
 
 
 def peers(table: Table, folder: Path, checkout: Path | None) -> None:
-    """Measure what else one could do."""
+    """Measure the alternatives."""
 
     def peer() -> float:
         return float(workload("peer").figures["wall_s"])
@@ -196,7 +196,7 @@ def peers(table: Table, folder: Path, checkout: Path | None) -> None:
 
 
 def long(table: Table, folder: Path) -> None:
-    """Measure what takes minutes."""
+    """Measure the slow rows, which take minutes."""
     peaks: dict[int, float] = {}
 
     def hour(seconds: int) -> float:
@@ -222,7 +222,7 @@ def long(table: Table, folder: Path) -> None:
 
 
 def machine() -> dict[str, object]:
-    """Say where, when and with what."""
+    """Return machine, versions and date in words."""
     versions = {}
     for package in PACKAGES:
         try:

@@ -2,8 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/allocation.py --count 1000000
 
-Feasible is what both solvers say of the hard problem (eq. force_qp). Where it is, their answers are
-compared; where it is not, a sample is compared with the bounded least squares of scipy.
+Both solvers decide whether the hard problem (eq. force_qp) is feasible. If it is, their answers are
+compared; otherwise a sample is compared with the bounded least squares of scipy.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
-#: One in so many infeasible requests is checked by scipy.
+#: One infeasible request out of this number is checked with scipy.
 CHECKED = 2000
 
 

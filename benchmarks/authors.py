@@ -9,14 +9,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-#: What their training prints after each epoch.
+#: Pattern of the line that their training prints after each epoch.
 EPOCH = re.compile(r"Epoch (\d+):\s*elapse time = ([\d.]+)")
 
 
 def epochs(checkout: Path, count: int = 2) -> list[float] | str:
-    """Time epochs of ``run_learning.py``, as it is configured there; or say why not.
+    """Time epochs of ``run_learning.py`` with its own settings, or return why that is impossible.
 
-    It runs in a folder of links to the checkout, so that what it writes is not left there, and is
+    It runs in a folder of links to the checkout, so that its output does not stay there. It is
     stopped after `count` epochs.
     """
     script = checkout / "run_learning.py"

@@ -2,8 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 taskset -c 0 python benchmarks/control_step.py --steps 100000
 
-The controller flies the nominal plant through set points, so that requests are as in flight. With
---processor times are the processor's: others on the machine do not count.
+The controller flies the nominal plant through set points, so requests are as in flight. With
+--processor the script measures processor time, so other programs do not count.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class Craft:
         self._acting, self._pending = idle, deque[tuple[float, np.ndarray]]()
 
     def sent(self, time: float, command: np.ndarray) -> None:
-        """Take a command on its way."""
+        """Accept a command in transit."""
         self._pending.append((time + self.model.transport_delay, command))
 
     def fly(self, until: float) -> None:
-        """Move on to a time."""
+        """Advance to a time."""
         while self._pending and self._pending[0][0] <= until:
             begins, command = self._pending.popleft()
             self._step(begins)
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--solver", default="daqp", choices=("daqp", "piqp"), help="of the law")
     parser.add_argument("--regulator", default="lqr", choices=REGULATORS)
     parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
-    parser.add_argument("--processor", action="store_true", help="count the processor's time")
+    parser.add_argument("--processor", action="store_true", help="measure processor time")
     options = parser.parse_args()
     clock = time.process_time_ns if options.processor else time.perf_counter_ns
 

@@ -2,10 +2,10 @@
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.horizon_solvers --steps 1000
 
-The predictive law flies the nominal plant through set points. Each of its programs goes to DAQP on
-the commands alone, from the last active set; to OSQP (of CasADi's wheel) on the same, from the
-last answer, with a slack for every limit of the craft's motion; and to PIQP with all states. Times
-are the processor's, so that others on the machine do not count.
+The predictive law flies the nominal plant through set points. Each of its programs goes to three
+solvers: DAQP on the commands alone, from the last active set; OSQP (of CasADi's wheel) on the same
+program, from the last answer, with a slack for every limit of the craft's motion; and PIQP with all
+states. Times are processor times, so other programs on the machine do not count.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Osqp:
         slacks, limits = ca.DM.eye(rows), ca.DM.ones(rows, motors)
         limited = ca.blockcat([[limits, slacks], [limits, -slacks]])
         self._shape = {"h": hessian.sparsity(), "a": limited.sparsity()}
-        #: Processor time, without setting up the matrices [s].
+        #: Processor time, without the set-up of the matrices [s].
         self.spent: list[float] = []
         settings = {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 20_000}
         settings |= {"verbose": False}

@@ -1,7 +1,7 @@
-"""The peer: what a competent user writes in an afternoon with NumPy and SciPy.
+"""The peer: a competent user's afternoon of work with NumPy and SciPy.
 
 All windows at once, Runge-Kutta steps, exact motor lag, the batch as last axis; then
-`scipy.optimize.least_squares` with finite differences. It shares no code with airpuck but the data.
+`scipy.optimize.least_squares` with finite differences. It shares only the data with airpuck.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Time of one step of a player: decision and control, while pucks come.
+"""Time of one step of a player: decision and control, with pucks coming in.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/player_step.py --pucks 60
 
-A new puck every three seconds: shots at the goal, slow ones, ones at rest. Beside the time on the
-clock it prints the processor's, which other programs on a busy machine do not lengthen.
+A new puck appears every three seconds: a shot at the goal, a slow puck, or a puck at rest. The
+script prints wall time and processor time; other programs do not lengthen the latter.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from airpuck.twin.twin import Twin
 
 
 def served(rng: np.random.Generator) -> PuckState:
-    """Return a puck: a shot, a slow one, or one at rest."""
+    """Return a puck: a shot, a slow puck, or a puck at rest."""
     kind, y = rng.integers(3), rng.uniform(-0.4, 0.4)
     if kind == 0:
         speed, angle = rng.uniform(1.0, 4.0), rng.uniform(-0.4, 0.4)

@@ -1,4 +1,4 @@
-"""Whole processes: their time, their peak memory, and what they print."""
+"""Whole processes: their time, their peak memory, and their output."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Run:
     Attributes
     ----------
     wall_s : float
-        From its start to its end, with the interpreter's start.
+        From its start to its end, including the interpreter's start.
     peak_mib : float
         Largest resident set.
     output : str
-        What it printed.
+        Its standard output.
     """
 
     wall_s: float
@@ -40,7 +40,7 @@ class Run:
 
 
 def run(command: Sequence[Any], **environment: str) -> Run:
-    """Run a command to its end, with variables of the environment; raises where it fails."""
+    """Run a command to its end, with environment variables; raises if it fails."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         started = time.perf_counter()
         process = subprocess.Popen(
@@ -57,5 +57,5 @@ def run(command: Sequence[Any], **environment: str) -> Run:
 
 
 def workload(name: str, *arguments: Any, **environment: str) -> Run:
-    """Run one of `benchmarks.workloads` in a process of its own."""
+    """Run one of `benchmarks.workloads` in a separate process."""
     return run([sys.executable, "-m", "benchmarks.workloads", name, *arguments], **environment)

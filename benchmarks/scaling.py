@@ -1,4 +1,4 @@
-"""How cost grows with windows, horizon, parameters and recordings: a figure, and exponents.
+"""Growth of cost with windows, horizon, parameters and recordings: a figure, and exponents.
 
 AIRPUCK_DATA=... python -m benchmarks.scaling -o docs/images/scaling.png
 """
@@ -19,7 +19,7 @@ from airpuck.report.style import png
 
 from .process import workload
 
-#: What grows: label, the option of the workload, its values, what it grows to.
+#: Swept quantity: option of the workload, its values, figure with the size (None: the value).
 AXES = {
     "windows": ("--share", (0.0625, 0.125, 0.25, 0.5, 1.0), "windows"),
     "horizon": ("--horizon", (12, 25, 50, 100, 200), None),

@@ -1,9 +1,9 @@
-"""Steps of the integration per second of a fleet of twins.
+"""Integration steps per second of a fleet of twins.
 
     python benchmarks/twin_throughput.py
 
-Every craft has its own radio, so that each steps at times of its own; of each, every 24th frame is
-kept. Medians; "same radio" is the same without these differences.
+Every craft has a separate radio, so each steps at different times; every 24th frame is kept. Values
+are medians. "same radio" means that all craft share their step times.
 """
 
 from __future__ import annotations

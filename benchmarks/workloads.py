@@ -1,4 +1,4 @@
-"""What is measured inside a process: each prints its figures as one line of JSON.
+"""Workloads measured inside a process: each prints its figures as one line of JSON.
 
 python -m benchmarks.workloads step --stride 1
 """
@@ -31,7 +31,7 @@ for name in ("M0", "M1", "M2", "M3", "M4"):
 
 
 def training(copies: int = 1):
-    """Return the paper's training experiment, several times where asked."""
+    """Return the paper's training experiment, repeated if requested."""
     from dataclasses import replace
 
     from airpuck import load_trajectory
@@ -58,7 +58,7 @@ def problem(stride: int = 7, horizon: int = 50, copies: int = 1, share: float = 
 
 
 def repeated(function, runs: int) -> list[float]:
-    """Time a function, after one call that compiles."""
+    """Time a function after one call that compiles it."""
     function()
     times = []
     for _ in range(runs):
@@ -78,7 +78,7 @@ def identify_again(options):
 
 
 def step(options):
-    """One Gauss-Newton step: loss, gradient and Hessian, and the factorisation is nothing."""
+    """Time one Gauss-Newton step: loss, gradient and Hessian; the factorisation is negligible."""
     from airpuck.model.rungs import named_rung
 
     loss = problem(options.stride, options.horizon, options.copies, options.share)
@@ -121,7 +121,7 @@ def peer(options):
 
 
 def adam(options):
-    """Adam with the settings of the published fits, until its loss is that of the peer's fit."""
+    """Run Adam with the published fits' settings, until it reaches the loss of the peer's fit."""
     from airpuck import Adam, Loss, identify
 
     class Reached(Exception):
@@ -150,7 +150,7 @@ def adam(options):
 
 
 def bootstrap(options):
-    """Fits of M3 to resampled data from the fit to all: on a GPU where JAX sees one."""
+    """Fit M3 to resampled data, starting from the full fit; on a GPU if JAX sees one."""
     import jax
 
     from airpuck import identify
@@ -178,7 +178,7 @@ def bag(options):
 
 
 def _repeated(stream, repeats: int, lasting: int):
-    """Say the same messages again and again, each time later."""
+    """Repeat the same messages, each time later."""
     from dataclasses import fields, replace
 
     later = lasting * np.repeat(np.arange(repeats), len(stream))

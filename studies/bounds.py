@@ -3,10 +3,10 @@
     python studies/bounds.py --cases 1000 -o bounds.json
 
 Every flight is simulated within the limits, so its end can be reached in its time. Its motors
-switch as those of a fastest flight do: on where weight and price of the moment favour them. So a
-bound comes close, and one that is too high is seen (`--mutate 0.98` lowers what thrusts can give).
-Of every case the program refutes, or does not, the flight's own time; of every tenth
-`lower_bound` searches for the highest time that it refutes.
+switch as in a fastest flight: a motor is on where the weight and the price of the moment favour it.
+So the bound is close, and a bound that is too high is detected (`--mutate 0.98` reduces the
+thrusts). In every case the program tries to refute the flight's own time; in every tenth case
+`lower_bound` searches for the longest time that it refutes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from airpuck.planning.yaw_program import Weight
 
 #: Steps of the simulation [s].
 STEP = 2.5e-3
-#: Coefficients of each effect, as large as they may be found.
+#: Largest coefficients of each effect.
 COEFFICIENTS = {
     "drag": (0.2, 0.1, 0.5, 0.02),
     "inflow": 0.05,
@@ -80,7 +80,7 @@ def vars_of(model: Model) -> dict:
 
 
 def craft(random, kind: int) -> Model:
-    """Draw a craft: three, four, six or eight propellers, strong or weak, quick or slow."""
+    """Draw a craft: three, four, six or eight propellers, strong or weak, fast or slow."""
     scale, lag = random.uniform(0.4, 1.6), random.uniform(0.01, 0.1)
     offset = random.uniform(-4e-3, 4e-3, 2) * (random.random() < 0.5)
     if kind == 6:
@@ -160,7 +160,7 @@ def flown(random, model: Model, limits: Limits) -> tuple[np.ndarray, Weight]:
 
 
 def case(seed: int) -> tuple[dict, Request, Weight, float]:
-    """Draw a flight and what it answers: its request, its weight and its time."""
+    """Draw a flight; return its request, its weight and its time."""
     random = np.random.default_rng(seed)
     kind = (3, 4, 6, 8)[seed % 4]
     name, model = with_effect(craft(random, kind), seed // 4)
@@ -203,7 +203,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--mutate", type=float, default=1.0, help="Factor of what thrusts give.")
+    parser.add_argument("--mutate", type=float, default=1.0, help="Factor on the thrusts.")
     parser.add_argument("-o", "--output", required=True)
     given = parser.parse_args()
     rows = []

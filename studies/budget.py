@@ -1,11 +1,11 @@
-"""Where does the prediction error come from? The true model on the twin, one cause after the other.
+"""Where does the prediction error come from? The true model on the twin, one cause at a time.
 
     AIRPUCK_DATA=... python studies/budget.py
 
-First on the twin: every row is the error after 0.2 s of the model that is the twin's truth, so that
-nothing of it is the model's. `known start`: from the true state and motor speeds; what is left is
-what happens after the present, the floor for any predictor that looks at the past only. Then the
-real validation experiment, by the faults that its data show.
+First on the twin: every row is the error after 0.2 s of the twin's own model, so the model adds no
+error. `known start` begins at the true state and motor speeds. Its error is due to events after the
+present, the floor for any predictor that uses past data only. Then the real validation experiment,
+by the known faults in its data.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HOW = (
     ("actuation", "paper-long"),
     ("actuation", "causal"),
 )
-#: Faults of the paper's validation experiment, as its data show them [s].
+#: Known faults of the paper's validation experiment [s].
 FAULTS = {
     "motors not armed": ((0.0, 2.2),),
     "radio out": ((28.2, 28.9), (58.0, 58.8), (87.9, 88.7)),
@@ -63,7 +63,7 @@ def flown(settings: TwinSettings, seed: int) -> tuple[Trajectory, np.ndarray]:
 
 
 def from_known_start(model: Model, trajectory: Trajectory, states: np.ndarray) -> np.ndarray:
-    """Predict from the true state and motor speeds, with commands held as they are known."""
+    """Predict from the true state and motor speeds, with the known commands held."""
     windows = make_windows(trajectory, 20, 50, 70)
     commands, durations, _ = windows.future()
     predicted = rollout(np, model.dynamics, states[windows.present].T, commands, durations)
@@ -106,7 +106,7 @@ def main() -> None:
 
 
 def by_fault() -> None:
-    """Print who holds the squared error of the real validation experiment."""
+    """Print which windows contain the squared error of the real validation experiment."""
     folder = dataset_folder() / "experiments"
     training, validation = (
         load_trajectory(folder / name / "data.pt")

@@ -1,10 +1,10 @@
-"""Do 95 % intervals hold the truth? Excitation flights of a known craft, identified one by one.
+"""Do 95 % intervals contain the truth? Excitation flights of a known craft, identified one by one.
 
     python studies/coverage.py --flights 200 --duration 60 [--robust]
 
-Prints for every parameter, and for thrust at half and full speed, how often the interval holds the
-truth, and the bias in standard errors; at the end, what is outside of the bounds. The truth of the
-transport delay is the mean of the radio's, whose packets wait for each other.
+Prints for every parameter, and for thrust at half and full speed, the coverage of its interval and
+the bias in standard errors. At the end it lists values outside their limits. The true transport
+delay is the mean of the radio's delays, whose packets wait for each other.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from airpuck.twin.experiments import excite
 
 #: Speeds at which thrust is compared.
 SPEEDS = np.array([0.5, 1.0])
-#: Least and greatest coverage of a parameter's intervals and of all together [%], largest bias in
+#: Limits on the coverage of one parameter's intervals and of all together [%], and on the bias in
 #: standard errors.
 EACH, POOLED, BIAS = (88.5, 99.0), (93.0, 97.0), 1 / 3
 
@@ -62,7 +62,7 @@ def errors_of(seed: int, duration: float, replicates: int, robust: bool) -> np.n
 
 
 def covered(error: np.ndarray, spread: np.ndarray, quantile: np.ndarray) -> float:
-    """Return how often intervals hold the truth, in percent."""
+    """Return the coverage of intervals, in percent."""
     known = np.isfinite(spread)
     return 100 * float(np.mean(np.abs(error[known]) <= (quantile * spread)[known]))
 

@@ -1,10 +1,10 @@
-"""How often does `drift` see what did not happen, and what did? Pairs of flights on the twin.
+"""How often does `drift` report false and true changes? Pairs of flights on the twin.
 
     python studies/drift_rates.py --pairs 20 --duration 60
 
-Each pair is one craft flown twice, and a third flight with the propeller `--motor` weakened by
-`--loss`. Prints how often anything moved between the first two (5 % is what the test allows), how
-often the weakened propeller is found between the first and the third, and what else was accused.
+Each pair is one craft flown twice. In a third flight the propeller `--motor` is weakened by
+`--loss`. Prints how often anything moved between the first two (the test allows 5 %), how often the
+weakened propeller is found between the first and the third, and which others are named wrongly.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def truth() -> Model:
 
 
 def weakened(model: Model, motor: str, loss: float) -> Model:
-    """Return the craft with one propeller that pushes less."""
+    """Return the craft with one weakened propeller."""
     thrust = np.array(model.parameters.thrust)
     thrust[model.vehicle.propeller_names.index(motor)] *= 1 - loss
     return replace(model, parameters=replace(model.parameters, thrust=thrust))
@@ -41,12 +41,12 @@ def learned(model: Model, seed: int, duration: float) -> Model:
 
 
 def moved(found: Drift) -> list[str]:
-    """Return what is said to have moved."""
+    """Return the quantities that drift reports as moved."""
     return [change.words for change in found.changes if change.moved]
 
 
 def pair(number: int, motor: str, loss: float, duration: float) -> tuple[list[str], list[str]]:
-    """Fly three times; return what moved where nothing did, and where one propeller did."""
+    """Fly three times; return the changes reported without and with a weakened propeller."""
     model = truth()
     crafts = model, model, weakened(model, motor, loss)
     before, same, weak = (

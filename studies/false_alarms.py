@@ -1,11 +1,11 @@
-"""False alarms of resid and watch on healthy craft, and what they find where something is wrong.
+"""False alarms of resid and watch on healthy craft, and their detections of wrong models.
 
     OPENBLAS_NUM_THREADS=1 python studies/false_alarms.py --seeds 12 --out false_alarms.jsonl
 
-The twin with its packaged radio and noise, and its true model: crafts with four, six and eight
-propellers, each flying the excitation experiment, hovering, and going through set points, 20 s
-each. `watch` is asked every second, like its user. Then models that are wrong, on the flights of
-the first seeds. A line of JSON for each flight, and rates with exact 95 % intervals (Clopper and
+The twin flies with its packaged radio and noise, and its true model. Crafts with four, six and
+eight propellers fly the excitation experiment, hover, and go through set points, 20 s each. `watch`
+is evaluated every second, as in use. Then wrong models are tested on the flights of the first
+seeds. Prints a line of JSON for each flight, and rates with exact 95 % intervals (Clopper and
 Pearson).
 """
 
@@ -38,8 +38,7 @@ WRONG = ("motor", "delay", "mass")
 #: Length of a flight, and time at a set point [s].
 DURATION, DWELL = 20.0, 2.0
 POINTS = [(0.0, 0.0, 0.0), (0.3, 0.1, 1.0), (0.0, -0.2, -0.5), (0.3, -0.1, 0.7)] * 4
-#: The motor that is modelled too strong, so that it gives this share; a delay and a mass that are
-#: wrong by this much [s, 1].
+#: The true share of the modelled thrust of one motor; errors of a delay and a mass [s, 1].
 MOTOR, SHARE, DELAY, MASS = 1, 0.8, 0.01, 0.1
 
 
@@ -94,7 +93,7 @@ def flown(propellers: int, kind: str, seed: int) -> Recording:
 
 
 def wrong(model: Model, what: str) -> Model:
-    """Return a model that is wrong, and says that it knows its delay."""
+    """Return a wrong model that claims to know its delay."""
     free = model.free | model.parameters.mask(frozenset({"transport_delay"}))
     model = replace(model, free=free)
     if what == "motor":
@@ -108,7 +107,7 @@ def wrong(model: Model, what: str) -> Model:
 
 
 def watched(recording: Recording, model: Model) -> list[str]:
-    """Return all that a monitor finds, asked once a second."""
+    """Return all findings of a monitor that is evaluated once a second."""
     monitor, begin = HealthMonitor(model), int(recording["pose"].stamp_ns[0])
     heard = [
         ((int(stamp) - begin) / 1e9, kind == "pose", values)
@@ -127,7 +126,7 @@ def watched(recording: Recording, model: Model) -> list[str]:
 def judged(
     propellers: int, kind: str, seed: int, what: str, recording: Recording
 ) -> dict[str, Any]:
-    """Return what both commands say of one flight and one model."""
+    """Return the findings of both commands on one flight and one model."""
     true = craft(propellers)
     model = true if what == "nothing" else wrong(true, what)
     tests = resid(model, preprocess(recording, true.vehicle))
@@ -147,7 +146,7 @@ def judged(
 
 
 def one_flight(item: tuple[int, int, str, bool]) -> list[dict[str, Any]]:
-    """Fly and judge; with wrong models, too, where asked."""
+    """Fly and judge, with wrong models as well if requested."""
     seed, propellers, kind, power = item
     recording = flown(propellers, kind, seed)
     models = ("nothing", *WRONG) if power else ("nothing",)
@@ -163,7 +162,7 @@ def rate(found: Sequence[bool]) -> str:
 
 
 def report(rows: Sequence[dict[str, Any]]) -> None:
-    """Print rates of false alarms, and what of wrong models is found."""
+    """Print the rates of false alarms and of detections."""
     families = ("whiteness", "correlation", "errors", "structure")
     healthy = [row for row in rows if row["wrong"] == "nothing"]
     for kind in (*KINDS, "all"):

@@ -1,9 +1,9 @@
-"""How fast, and how near to what is possible: plans for random pairs of states.
+"""How fast are plans, and how close to their bounds? Plans for random pairs of states.
 
     python studies/fastest.py --pairs 200 -o fastest.json
 
 Half of the pairs are from rest to rest, half moving at the start, a quarter at the goal, too.
-Pairs that no control can fly (a rail that cannot be avoided) are refused and drawn anew.
+Pairs that no control can fly (a rail that cannot be avoided) are rejected and redrawn.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def pair(model, random, moving: bool, arriving: bool):
 
 
 def warm(model, start, goal, neighbour) -> float | None:
-    """Return how long a search takes from the plan for a start 20 mm away, in processor time."""
+    """Return the processor time of a search from the plan for a start 20 mm away."""
     moved = start - np.sign(start[0]) * np.array([0.02, 0, 0, 0, 0, 0])
     try:
         request = checked_request(model, moved, goal, (), Table(), (), Limits())
@@ -80,7 +80,7 @@ def main() -> None:
         with open(given.output, "w", encoding="utf-8") as file:  # noqa: PTH123
             json.dump({"rows": rows, "refused": refused}, file)
     gaps = np.array([row["gap"] for row in rows if "gap" in row])
-    print(f"{len(gaps)} of {len(rows)} solved; {refused} drawn anew")
+    print(f"{len(gaps)} of {len(rows)} solved; {refused} redrawn")
     print(f"gap to the bound: median {np.median(gaps):.1%}, worst {gaps.max():.1%}")
     for name, key in (
         ("search, cold", "search_s"),

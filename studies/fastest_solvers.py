@@ -2,9 +2,9 @@
 
     python studies/fastest_solvers.py --pairs 8
 
-Fatrop wants each stage to know only its own variables. So the duration becomes a state that does
-not change, and the command before the present one another: the same formulation, once more for
-both solvers, beside the package's own layout. All begin straight, on 40 intervals.
+In fatrop, each stage has only its own variables. So the duration becomes a constant state, and the
+previous command another state. Both solvers get this formulation; IPOPT also gets the package's own
+layout. All searches begin with a straight guess, on 40 intervals.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from airpuck.planning.request import Limits, checked_request
 from airpuck.planning.starts import starts
 
 INTERVALS = 40
-#: On either side of a given state at the end.
+#: Tolerance on either side of a given final state.
 _ROOM = 1e-5
 
 
 class Staged:
-    """The same program with stages that know nothing of each other."""
+    """The same program with stages that share no variable."""
 
     def __init__(self, model: airpuck.Model, solver: str) -> None:
         n = self.n = model.vehicle.n_propellers
@@ -65,7 +65,7 @@ class Staged:
         return duration, bool(self._solver.stats()["success"])
 
     def _laid_out(self, program, values) -> np.ndarray:
-        """Give every stage the duration, and the command before; at the start any."""
+        """Give every stage the duration and the previous command, which is free at the start."""
         states, commands, durations = program._unpacked(values)
         before = np.vstack([commands[:1], commands])
         whole = np.column_stack([states, np.full(len(states), durations[0]), before])

@@ -1,12 +1,12 @@
-"""Are faults found that the twin was given? Flights with random faults, and healthy ones.
+"""Does the search find the faults given to the twin? Flights with random faults, and healthy ones.
 
     python studies/faults_found.py --flights 40
 
-Every flight is identified (M3) as a user would, and its faults are searched with that fit; no truth
-goes in. A fault *shows* when for at least 50 ms some motor's thrust is a tenth of a newton away
-from what it was told to give; a radio that is out while the command does not change does nothing
-that anybody could find. Prints by kind how many faults were found (by a span of the right cause
-that overlaps), how much of their time, and for spans how many were no fault (precision).
+Every flight is identified (M3) as a user would do it, and searched with that fit; the search uses
+no truth. A fault is *visible* if some motor's thrust differs by a tenth of a newton from its
+command for at least 50 ms. A radio outage while the command does not change has no visible effect.
+Prints by kind the share of faults found (by a span with the right cause that overlaps), the share
+of their time, and the share of spans that were no fault (precision).
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from airpuck.twin.twin import Twin
 
 KINDS = ("stalled", "radio out", "frozen pose", "stalled", "radio out", "jumping pose")
 DURATIONS = (0.15, 0.2, 0.3, 0.5, 1.0)
-#: A thrust that is missing for so long shows [N, s].
+#: Thrust error, and its duration, from which a fault is visible [N, s].
 SHOWS, FOR = 0.1, 0.05
-#: Time from one fault to the next, and around one of the cameras where others may be told [s].
+#: Time between faults, and around a camera fault in which others may be reported [s].
 APART, AROUND = 3.0, 0.05
 
 
@@ -90,7 +90,7 @@ def settings_with(faults: Sequence[Injected]) -> TwinSettings:
 def with_bad_poses(
     recording: Recording, faults: Sequence[Injected], rng: np.random.Generator
 ) -> Recording:
-    """Freeze poses, and let them jump by some centimetres and back."""
+    """Freeze poses, and make them jump by some centimetres and back."""
     pose = recording["pose"]
     time = (pose.stamp_ns - EPOCH_NS) / 1e9
     values = pose.values.copy()
@@ -105,7 +105,7 @@ def with_bad_poses(
 
 
 def shows(twin: Twin, told: np.ndarray) -> np.ndarray:
-    """Say at which frames of the twin a motor's thrust is not what it was told to give."""
+    """Return the frames of the twin at which a motor's thrust differs from its command."""
     time, states = twin.truth
     curves = np.asarray(twin.model.parameters.thrust)
     expected = motor_speeds(time, told, float(twin.model.parameters.motor_time_constant))
@@ -119,18 +119,18 @@ def shows(twin: Twin, told: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one flight.
+    """Result of one flight.
 
     Attributes
     ----------
     faults : tuple of (Injected, bool, bool, float)
-        Whether each shows, whether it was found, and the share of its time that is marked.
+        For each fault: whether it is visible, whether it was found, the marked share of its time.
     told : int
-        Spans that were told of motors and radio.
+        Spans reported for motors and radio.
     wrong : int
-        Those of them that overlap no fault and no contact with a rail.
+        Reported spans that overlap no fault and no contact with a rail.
     lost : float
-        Share of the windows of a fit that the told spans take [-].
+        Share of the windows of a fit that the reported spans remove [-].
     """
 
     faults: tuple[tuple[Injected, bool, bool, float], ...]
@@ -140,7 +140,7 @@ class Outcome:
 
 
 def flown(seed: int, duration: float, healthy: bool) -> Outcome:
-    """Fly, identify, search; compare with what was done to the twin."""
+    """Fly, identify, search; compare with the injected faults."""
     rng = np.random.default_rng([seed, 5])
     model = truth()
     faults = [] if healthy else drawn(duration, model.vehicle.propeller_names, rng)
@@ -170,14 +170,14 @@ def flown(seed: int, duration: float, healthy: bool) -> Outcome:
 
 
 def overlap(span: Span, fault: Injected) -> bool:
-    """Say whether a span and a fault have a time in common."""
+    """Return whether a span and a fault overlap."""
     return span.start <= fault.stop + AROUND and span.stop >= fault.start - AROUND
 
 
 def judged(
     fault: Injected, time: np.ndarray, visible: np.ndarray, spans: Sequence[Span]
 ) -> tuple[Injected, bool, bool, float]:
-    """Say whether a fault shows, was found, and how much of the time when it shows is marked."""
+    """Return whether a fault is visible, whether it was found, and the marked share of its time."""
     during = (time >= fault.start) & (time <= fault.stop)
     if fault.cause == "radio out" or "stalled" in fault.cause or fault.cause == "not armed":
         during &= visible
@@ -193,7 +193,7 @@ def judged(
 
 
 def report(outcomes: Sequence[Outcome], healthy: Sequence[Outcome]) -> None:
-    """Print recall by kind, precision, and what healthy flights lose."""
+    """Print recall by kind, precision, and the windows lost in healthy flights."""
     everything = [fault for outcome in outcomes for fault in outcome.faults]
     kinds: dict[str, list[tuple[Injected, bool, bool, float]]] = {}
     for entry in everything:

@@ -2,15 +2,16 @@
 
     AIRPUCK_DATA=... python studies/halves.py [--models M3,M5] [--ways kept] [--bootstrap 40]
 
-Cuts each flight of the data set in two, in two ways: the first half against the second; and blocks
-of five seconds in turn. What changes during a flight, such as the battery's voltage, parts the
-halves, but not the blocks in turn; standard errors that are too small part both. Prints for each
-way of fitting the differences in standard errors (root mean square over the quantities of `drift`,
-which is 1 where intervals are right), the share within 95 %, both with 95 % intervals over the
-flights, and in how many flights `drift` says that something moved; then the same with each thrust
-as a share of all, and the change of all thrusts together. With --bootstrap, how many intervals of
-the differences hold zero by resampling. Flights of which a part puts the motor lag at its bound,
-where other parameters make up for it, are named instead.
+Each flight of the data set is cut in two, in two ways: into halves, and into alternating blocks of
+five seconds. A change during the flight, such as a falling battery voltage, makes the halves differ
+but not the blocks. Standard errors that are too small make both differ.
+
+Prints for each way of fitting the differences in standard errors (root mean square over the
+quantities of `drift`, which is 1 if intervals are right) and the share within 95 %, with 95 %
+intervals over the flights. It also counts flights in which `drift` reports a change. Then it prints
+the same with each thrust as a share of all, and the change of all thrusts together. With
+--bootstrap, it prints how many resampled intervals of the differences contain zero. Flights with a
+motor lag at its bound in one part, which other parameters compensate, are only named.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.recording.dataset import dataset_folder
 
-#: Length of the blocks that go to either part in turn [s].
+#: Length of the alternating blocks [s].
 BLOCK = 5.0
 SPLITS = ("halves", "in-turn")
-#: What becomes of faults, and whether badly predicted windows count less.
+#: Treatment of faults, and whether badly predicted windows have less weight.
 WAYS = {"left-out": ("exclude", False), "kept": ("keep", False), "robust": ("keep", True)}
 
 
@@ -82,7 +83,7 @@ def in_errors(models: list[Model]) -> np.ndarray:
 
 
 def held_by_resampling(fits: list[Fit], replicates: int) -> float:
-    """Return how many intervals of the differences between two fits hold zero [%]."""
+    """Return the share of intervals of the differences between two fits that contain zero [%]."""
     shared = quantities(fit.model for fit in fits)
     drawn = []
     for fit in fits:
@@ -95,7 +96,7 @@ def held_by_resampling(fits: list[Fit], replicates: int) -> float:
 
 
 class Tally:
-    """What the flights say about one way of fitting."""
+    """Results of all flights for one way of fitting."""
 
     def __init__(self) -> None:
         self._rows: dict[str, list[float]] = {}

@@ -2,14 +2,14 @@
 
     AIRPUCK_DATA=... python studies/held_out.py [--flights h1_blue,h2_red] [--json FILE]
 
-Learns every rung from the first 60 % of each public recording at hand and judges it on the last
-40 %, from every start in windows that overlap, with the delay given by the authors' file and with
-it learned. Prints root mean square errors after 0.2 s with 95 % intervals by block bootstrap, and
-for each rung the ratio to the one before it, over all flights. Faults are kept out of the fits;
-errors are given with them and without.
+Every rung is learned from the first 60 % of each available public recording and judged on the last
+40 %, from every start in overlapping windows. The delay is the authors' or learned. Prints root
+mean square errors after 0.2 s with 95 % intervals by block bootstrap, and for each rung the ratio
+to the previous one, over all flights. Faults are kept out of the fits; errors are given with and
+without them.
 
-The pooled ratio is the geometric mean over the flights. Its interval is Student's, by how much the
-flights differ: what the next flight of another craft may be expected to give.
+The pooled ratio is the geometric mean over the flights. Its interval is Student's, from the
+differences between flights: the expected range for another flight of another craft.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from airpuck.evaluation.evaluate import EveryStart
 from airpuck.recording.dataset import dataset_folder
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4", "M5", "M5+drag", "M5+drag+idle")
-#: What each rung is compared with.
+#: Reference of each rung.
 BEFORE = {"M1": "M0", "M2": "M0", "M3": "M2", "M4": "M3", "M5": "M3"}
 BEFORE |= {"M5+drag": "M5", "M5+drag+idle": "M5+drag"}
 #: After a fault, until motor speeds are known again: three time constants.
@@ -49,7 +49,7 @@ SETTLING_S = 0.08
 
 
 def flights(names: list[str] | None) -> Iterator[tuple[str, Vehicle, Trajectory]]:
-    """Load the authors' file of every recording at hand, with its craft."""
+    """Load the authors' file of every available recording, with its craft."""
     for folder in sorted((dataset_folder() / "experiments").iterdir()):
         if not (folder / "data.pt").exists():
             continue
@@ -81,7 +81,7 @@ def position_and_yaw(errors: EveryStart) -> np.ndarray:
 def judged(
     vehicle: Vehicle, trajectory: Trajectory, rungs: list[str]
 ) -> Iterator[tuple[str, str, dict[str, EveryStart], Model]]:
-    """Learn from the first part; predict all of the last part, and what of it is healthy."""
+    """Learn from the first part; predict all of the last part, and mark its healthy windows."""
     train, test = trajectory.slice(0, 0.6), trajectory.slice(0.6, 1)
     healthy = None
     for rung in sorted(rungs, key=lambda name: name != "M3"):  # M3 finds the faults
@@ -146,7 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", help="parts of their names, separated by commas")
     parser.add_argument("--rungs", default=",".join(RUNGS), help="separated by commas")
-    parser.add_argument("--json", type=Path, help="where to write all figures")
+    parser.add_argument("--json", type=Path, help="file for all figures")
     options = parser.parse_args()
     names, rungs = options.flights and options.flights.split(","), options.rungs.split(",")
     results, rows = [], []

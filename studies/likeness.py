@@ -1,9 +1,9 @@
-"""Is the twin like the real table? Table 2 and distributions of motion, side by side.
+"""Does the twin resemble the real table? Table 2 and distributions of motion, side by side.
 
     AIRPUCK_DATA=... python studies/likeness.py --out out/
 
-Learns M0 … M4 from one excitation flight on the twin and judges them on others, without faults and
-with those of `faults.toml`; prints errors after 0.2 s, the mean over the validation flights.
+M0 … M4 are learned from one excitation flight on the twin and judged on others, without faults and
+with the faults of `faults.toml`. Prints mean errors after 0.2 s over the validation flights.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def table_2(settings: TwinSettings) -> Trajectory:
 
 
 def motion(trajectory: Trajectory) -> dict[str, Float[np.ndarray, " M"]]:
-    """Compute what is compared: magnitudes over all usable samples."""
+    """Compute the compared quantities: magnitudes over all usable samples."""
     state = trajectory.state[trajectory.usable]
     acceleration = trajectory.acceleration[trajectory.usable]
     return {

@@ -1,13 +1,13 @@
-"""Does the loop keep its time? Twin, controller and recorder as processes, for ten minutes.
+"""Does the loop meet its deadlines? Twin, controller and recorder as processes, for ten minutes.
 
     python studies/live_loop.py --duration 600
     python studies/live_loop.py --duration 600 --regulator mpc
 
-Prints jitter, latency and deadlines as the controller measures them, and the memory of all three
-processes at the start and at the end; ends with status 1 where a bound is broken. A bare loop runs
-beside them, in a process of its own: it only sleeps until each period is due, with the same
-priority. What it misses, the machine is to blame for; the deadlines that the controller misses
-beyond it are ours. `make studies` runs this after all others, with nothing beside it.
+Prints jitter, latency and deadlines as measured by the controller, and the memory of all three
+processes at the start and at the end; exits with status 1 if a limit is exceeded. A bare loop runs
+beside them in a separate process with the same priority: it only sleeps until each period is due.
+Deadlines that it misses are due to the machine; those that the controller misses beyond them are
+ours. `make studies` runs this study after all others, with nothing beside it.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from airpuck.control.tuning import REGULATORS
 from airpuck.flight.clock import JITTER_P99, LATENCY_P99, Clock, LoopTiming
 
 _MAIN = "from airpuck.cli import main; main()"
-#: After the start of the flight, until memory is first measured and the bare loop starts [s].
+#: Time from the start of the flight to the first measurement of memory and the bare loop [s].
 _SETTLED_S = 3.0
 LATENCY_P50 = 1e-3
-#: What a process may grow by [MB], such as by the index of the file that is recorded.
+#: Allowed growth of a process [MB], for example by the index of the recording.
 GROWTH = 3.0
 
 
 def started(*arguments: object, said: Path) -> subprocess.Popen[str]:
-    """Start a command of airpuck's; a file takes what it says."""
+    """Start a command of airpuck's, with its output in a file."""
     command = [sys.executable, "-c", _MAIN, *map(str, arguments)]
     none = subprocess.DEVNULL
     with said.open("w") as file:
@@ -47,7 +47,7 @@ def started(*arguments: object, said: Path) -> subprocess.Popen[str]:
 
 
 def wait_for(process: subprocess.Popen[str], said: Path, words: str) -> None:
-    """Wait until a process has said something."""
+    """Wait until a process has printed a text."""
     while words not in said.read_text():
         if process.poll() is not None:
             raise RuntimeError(f"a process ended early: {said.read_text()}")
@@ -55,7 +55,7 @@ def wait_for(process: subprocess.Popen[str], said: Path, words: str) -> None:
 
 
 def bare_loop(duration: float, period: float = 0.01) -> dict[str, Any]:
-    """Sleep until each period is due, and do nothing; return how well that keeps its time."""
+    """Sleep until each period is due, and do nothing; return how late it wakes."""
     prioritize(first=True)
     clock, timing = Clock(), LoopTiming(period)
     for k in range(1, round(duration / period) + 1):
@@ -135,7 +135,7 @@ def missed(figures: dict[str, Any]) -> float:
 
 
 def bounds(figures: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Return what is bounded: its name, its value, and what it may be."""
+    """Return each limited quantity: its name, its value, and its limit."""
     jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
     return [
         ("period jitter p99, ms", jitter["p99"], 1e3 * JITTER_P99),
@@ -155,7 +155,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--domain", type=int, default=99)
     parser.add_argument("--regulator", choices=REGULATORS, default="lqr")
-    parser.add_argument("--bare", action="store_true", help="the bare loop alone, as JSON")
+    parser.add_argument("--bare", action="store_true", help="only the bare loop, as JSON")
     options = parser.parse_args()
     if options.bare:
         print(json.dumps(bare_loop(options.duration)))

@@ -1,4 +1,4 @@
-"""The table of shortest times, by a campaign, and how far it is off at random states.
+"""The table of shortest times, built by a campaign, and its errors at random states.
 
 python studies/minimal_times.py -o campaign/ --table minimal_times.toml
 """
@@ -19,7 +19,7 @@ from airpuck.planning.minimal_time import ARRIVALS, MinimalTimes, craft_of, shor
 DISTANCE = [0.0, 0.1, 0.3, 0.7, 1.3, 2.2]
 SPEED = [0.0, 0.7, 1.4, 2.1]
 DIRECTION = [0.0, 1.570796, 3.141592]
-#: Random states to judge the table by.
+#: Number of random states at which the table is tested.
 CHECKS = 30
 
 

@@ -1,4 +1,4 @@
-"""Do the tests notice? Random one-line mistakes in a package, each against the package's tests.
+"""Do the tests notice mistakes? Random one-line mistakes against the tests of a package.
 
     python studies/mutation.py hockey planning [--count 100] [--seed 0] [--slow 2.5]
 
@@ -12,7 +12,7 @@ Prints the survivors and a table. Results are kept in a file per package, so tha
 stopped and resumed. A survivor is tried again when the tests have changed.
 
 One process that has collected the tests forks for each mistake and gives the changed function its
-new code. Where a module's constants or a class change, the fork imports anew what depends on them.
+new code. Where a module's constants or a class change, the fork reimports what depends on them.
 So a mistake costs what its tests cost, where a new interpreter takes half a minute to begin.
 """
 
@@ -479,7 +479,7 @@ def tested(files: list[str], *plugins: Any) -> int:
 
 
 def baseline(package: str, items: list[pytest.Item], slow: float, out: Path) -> list[Test]:
-    """Run the tests of a package as it is, file by file where they are not known yet."""
+    """Run the tests of an unchanged package, file by file if they are not known yet."""
     kept = out / f"{package}-baseline.json"
     known = json.loads(kept.read_text()) if kept.exists() else {}
     sources = b"".join(path.read_bytes() for path in sorted((SOURCES / package).rglob("*.py")))
@@ -544,7 +544,7 @@ def dependents(module: str) -> set[str]:
 
 
 def forget(module: str) -> None:
-    """Let everything that depends on a module be imported anew."""
+    """Make everything that depends on a module be imported again."""
     for name in dependents(module):
         parent, _, last = name.rpartition(".")
         sys.modules.pop(name, None)

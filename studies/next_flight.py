@@ -1,10 +1,10 @@
-"""How well flights keep what `airpuck design` predicts: standard errors, and the rails.
+"""Are the predictions of `airpuck design` right? Standard errors, and clearance from the rails.
 
     python studies/next_flight.py --flights 20 --duration 60
 
-Proposes an excitation for the published M3, as if nothing were known, flies it and the usual one on
-the twin with seeds that no trial had, identifies each flight by itself, and compares the errors
-that the fits state with the predicted ones and with what is really missed.
+Proposes an excitation for the published M3 without prior knowledge. It flies the proposal and the
+usual excitation on the twin with seeds that no trial had, and identifies each flight separately.
+The stated errors of the fits are compared with the predicted ones and with the true errors.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from airpuck.report.fit_figures import write_design_figure
 
 
 def show_progress(done: int, total: int) -> None:
-    """Say how far it is."""
+    """Print the progress."""
     print(f"{done} of {total} flights", file=sys.stderr, flush=True)
 
 
 def report(name: str, one: CheckedFlights) -> None:
-    """Print predicted and obtained errors [%], and root mean square misses in stated errors."""
+    """Print predicted and obtained errors [%], and true errors in stated errors (RMS)."""
     ratio = one.typical / one.predicted
     missed = np.sqrt(((one.misses / one.errors) ** 2).mean(axis=0))
     print(f"{name}: predicted %, obtained %, ratio; missed, in stated errors")

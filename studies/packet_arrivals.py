@@ -1,11 +1,11 @@
-"""What the jitter of the radio does to a fit, and what knowing when packets arrived brings back.
+"""Effect of the radio's jitter on a fit, and the gain from known arrival times of packets.
 
     python studies/packet_arrivals.py --flights 8
 
-Excitation flights on the twin, each identified four times: as if every packet took the mean delay;
-as `identify` does, with packets at the times that the poses tell; with the true times; and with the
-true times and true velocities, which leaves what the discretisation does. Prints mean and spread of
-the errors, and the mean of the standard errors where there is one.
+Each excitation flight is identified four times: with the mean delay for every packet; as `identify`
+does, with times estimated from the poses; with the true times; and with the true times and true
+velocities, which leaves only the discretisation error. Prints mean and spread of the errors, and
+the mean of the standard errors if there is one.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def watched_flight(
 
 
 def quantities(model: Model) -> np.ndarray:
-    """Return what `QUANTITIES` names, the relative ones in percent of the truth."""
+    """Return the errors of `QUANTITIES`, the relative ones in percent of the truth."""
     true, found = truth().parameters, model.parameters
     full = found.thrust.sum(axis=1) / true.thrust.sum(axis=1)
     return np.array(

@@ -3,9 +3,9 @@
     python studies/play_page.py --duration 600
     python studies/play_page.py --screenshot docs/images/play.png  # the craft shoots
 
-A pointer moves over the table all the time. The time from its event to the first frame with a state
-of the server that has heard of it is measured in the page; how far the physics is behind real time
-by the command. The browser draws without a graphics card, on the same cores.
+A pointer moves over the table all the time. The page measures the time from a pointer event to the
+first frame with a server state that includes it. The command measures how far the physics is
+behind real time. The browser draws without a graphics card, on the same cores.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from playwright.sync_api import sync_playwright
 FIGURES = "[airpuck.figures.frames, airpuck.figures.latencies]"
 
 
-#: The craft is about to shoot at a puck that moves, and rather sure of it.
+#: State for the screenshot: the craft is about to shoot at a moving puck, with a high chance.
 SHOOTS = """(() => { const [now, before] = [airpuck.states.at(-1), airpuck.states.at(-9)];
     return thought?.path && /(strike|bank) [4-9]/.test(thought.words) && before && !now.hidden
     && /in 0.[2-7]/.test(thought.said) && !document.getElementById("call").getAnimations().length
@@ -34,7 +34,7 @@ SHOOTS = """(() => { const [now, before] = [airpuck.states.at(-1), airpuck.state
 
 
 def play(port: int, duration: float, screenshot: str | None) -> dict[str, float]:
-    """Play in a browser; return what its page measured."""
+    """Play in a browser; return the page's measurements."""
     with sync_playwright() as playwright:
         path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])

@@ -2,10 +2,10 @@
 
     AIRPUCK_DATA=... python studies/pose_rates.py
 
-For each rate: what preprocessing and the fault search leave out of a healthy flight, errors of the
-parameters that are identified from it, and errors after 0.2 s on another flight. Of the real
-recording, thinned by taking the nearest sample: how far the parameters are from those of all poses,
-in standard errors of the latter, and the same errors on its last 40 %.
+Prints for each rate the samples of a healthy flight that preprocessing and the fault search leave
+out, errors of the identified parameters, and errors after 0.2 s on another flight. The real
+recording is thinned by taking the nearest samples. For it the study prints the distance of the
+parameters from those of all poses, in the latter's standard errors, and errors on the last 40 %.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def errors_of(evaluation) -> str:
 
 
 def on_twin(rate: float, duration: float, plant: Plant) -> None:
-    """Print what a rate makes of a flight whose truth is known."""
+    """Print the results at one rate for a flight whose truth is known."""
     craft, settings = truth(), twin_with(rate)
     flight, other = (
         preprocess(excite(craft, duration, seed, settings=settings, plant=plant)) for seed in (1, 2)
@@ -80,7 +80,7 @@ def on_twin(rate: float, duration: float, plant: Plant) -> None:
 
 
 def on_real() -> None:
-    """Print what thinning makes of a real flight."""
+    """Print the effect of thinning on a real flight."""
     recording = read_recording(dataset_folder() / REAL)
     whole: Fit | None = None
     for rate in REAL_RATES:

@@ -4,10 +4,10 @@
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py rails --flights 1000
     OPENBLAS_NUM_THREADS=1 python studies/predictive.py hostile --flights 100000
 
-cost: closed-loop cost between random poses against nonlinear predictive control that
-converges. rails: contacts on the way to targets of which half lie within a centimetre of a rail.
-hostile: single steps from random states to random targets, some no numbers, within limits that
-cannot be kept.
+cost: closed-loop cost between random poses, compared with converged nonlinear predictive control.
+rails: contacts in flights to targets, half of which lie within a centimetre of a rail. hostile:
+single steps from random states to random targets, some of them NaN, within limits that cannot be
+kept.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def rails(options: argparse.Namespace) -> None:
 
 
 def hostile(options: argparse.Namespace) -> None:
-    """Count outcomes of single steps, and how long they took."""
+    """Count outcomes of single steps, and measure their time."""
     found = thrown(law("mpc"), options.flights, options.first)
     p50, p99 = 1e3 * np.percentile(found.spent, [50, 99])
     print(

@@ -1,14 +1,15 @@
-"""Does the check before flight find what is wrong? Pulses on the twin, wrong in known ways.
+"""Does the preflight check find faults? Pulses on the twin, with known faults.
 
     python studies/preflight_found.py --flights 40
 
 Every flight is the six seconds of `airpuck preflight`, from another pose and with other noise, on
-the packaged twin (radio jitter 7 ms, noise of the cameras), judged with the published M3, which is
-its truth; order and signs with nominal values, too, as before a craft's first flight. No pulse
-reacts to a pose, so what is wrong with order, signs, frame, units or clocks is put into the
-recorded numbers; a motor that stands or is weak is flown. A case counts as found where the right
-words name the right things and nothing else is called wrong. Prints how many were, and how well
-thrust and delay are measured.
+the packaged twin (radio jitter 7 ms, noise of the cameras). It is judged with the published M3,
+which is its truth; order and signs also with nominal values, as before a craft's first flight.
+
+No pulse reacts to a pose, so faults of order, signs, frame, units or clocks are put into the
+recorded numbers; a stopped or weak motor is flown. A fault counts as found if the right words name
+the right things and nothing else is called wrong. Prints how many were found, and the accuracy of
+thrust and delay.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from airpuck.twin.settings import Motors, Weakness, default_twin_settings
 from airpuck.twin.twin import Twin
 
 MODEL = published_model("M3")
-#: What is known before the first identification.
+#: Model known before the first identification.
 NOMINAL = nominal_model(MODEL.vehicle)
 NAMES = MODEL.vehicle.propeller_names
-#: What is wrong with poses, by the words that should be said of it.
+#: Faults of poses, by the words expected in the report.
 FRAMES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "yaw has the wrong sign": lambda pose: pose * [1, 1, -1],
     "axis of the position has the wrong sign": lambda pose: pose * [1, -1, 1],
@@ -46,12 +47,12 @@ WEAK, LATE, FAR_TOO_LATE = 0.6, 0.015, 0.06
 
 @dataclass(frozen=True)
 class Case:
-    """Something that was wrong, and whether it was found.
+    """A fault, and whether it was found.
 
     Attributes
     ----------
     kind : str
-        What.
+        Kind of fault.
     found : bool
         Whether it was named, and nothing else called wrong.
     """
@@ -90,12 +91,12 @@ def flown(seed: int, plant: Plant, weak: Weakness | None = None) -> Pulses:
 
 
 def told(found: Preflight, verdict: str) -> dict[str, str]:
-    """Return what has a verdict, and the words."""
+    """Return the checks with a given verdict, and their words."""
     return {check.name: check.words for check in found.checks if check.verdict == verdict}
 
 
 def cases(seed: int, healthy: Pulses, plant: Plant) -> Iterator[Case]:
-    """Make a healthy test wrong in all ways; motors are drawn."""
+    """Put each fault into a healthy test; motors are drawn at random."""
     random = np.random.default_rng(seed)
     i, j = (int(k) for k in random.choice(len(NAMES), 2, replace=False))
 

@@ -1,10 +1,10 @@
-"""Random games, in which no puck may tunnel, escape, get stuck, or gain energy by itself.
+"""Random games, in which no puck may tunnel, escape, get stuck, or gain energy without a cause.
 
     python studies/random_games.py --games 100000
 
-Games are two seconds long. A craft (a free disc that is pushed at random, and bounces off the
-rails) and two mallets that hunt the puck, as fast and hard as drawn, play with a puck that is drawn
-anew, as are table, goal and laws of contact. Shots have up to 20 m/s.
+Games are two seconds long. The players are a craft (a free disc that is pushed at random, and
+bounces off the rails) and two mallets that hunt the puck, with random speed and force. Puck, table,
+goal and laws of contact are random as well. Shots have up to 20 m/s.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.play import HandMallet
 
 LENGTH, STEP = 2.0, 1 / 240
-#: Discs may overlap by as much as rounding makes them [m].
+#: Overlap of discs allowed for rounding [m].
 TOUCHING = 1e-9
 
 
 def drawn(chance: random.Random) -> AirHockey:
-    """Return a table with a puck, all of them odd now and then."""
+    """Return a table with a puck; some of them are unusual."""
 
     def contact() -> Contact:
         restitution = chance.choice([0.0, 0.3, 0.8, 1.0])
@@ -87,7 +87,7 @@ class FreeCraft:
 
 
 def game(seed: int, length: float = LENGTH) -> dict[str, float]:
-    """Play one game; return what it had, or raise an AssertionError that names the seed."""
+    """Play one game; return its counts, or raise an AssertionError that names the seed."""
     chance = random.Random(seed)
     play = drawn(chance)
     craft = FreeCraft(play.table, chance)
@@ -144,7 +144,7 @@ def energy(puck: Puck, state: PuckState) -> float:
 
 
 def check(seed: int, play: AirHockey, puck: PuckOnTable, walls: Walls, discs: list[Moving]) -> None:
-    """Refuse a puck that is where none can be."""
+    """Check that a puck is at a possible place."""
     state = puck.state
     assert all(map(math.isfinite, state)), (seed, "not finite")
     if puck.goal:
@@ -160,7 +160,7 @@ def check(seed: int, play: AirHockey, puck: PuckOnTable, walls: Walls, discs: li
 
 
 def main() -> None:
-    """Play, and print what happened."""
+    """Play, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--games", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)

@@ -21,7 +21,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import default_twin_settings
 
-#: What must not be exceeded; thrust: of the worst motor.
+#: Upper limits of the errors; thrust: of the worst motor.
 BOUNDS = {
     "thrust %": 2.0,
     "tau %": 5.0,

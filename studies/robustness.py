@@ -2,7 +2,7 @@
 
     python studies/robustness.py --seeds 100
 
-The jitter of the radio grows from 0 to 60 ms over the seeds; 30 % of the packets are lost, and an
+The jitter of the radio grows from 0 to 60 ms over the seeds. 30 % of the packets are lost, and an
 outage of 100 ms begins at random once in two seconds. The controller (published M4, delay
 compensated, disturbances rejected) visits the paper's set points, six seconds each.
 """
@@ -30,7 +30,7 @@ REACHED = (0.02, 0.02, 0.1)
 
 
 def bad_radio(jitter: float, seed: int, duration: float) -> TwinSettings:
-    """Return the packaged settings with a radio that jitters, loses and falls silent."""
+    """Return the packaged settings with jitter, packet loss and outages."""
     rng = np.random.default_rng([seed, 99])
     starts = np.sort(rng.uniform(0, duration, rng.poisson(OUTAGES_PER_S * duration)))
     settings = default_twin_settings()
@@ -50,7 +50,7 @@ def _plant() -> Any:
 
 
 def flown(seed: int, seeds: int = 100) -> dict[str, float]:
-    """Fly once; say how far from the set points, and how near to the rails, the craft was."""
+    """Fly once; return the distances from the set points and the clearance from the rails."""
     model, duration = published_model("M4"), DWELL * len(SET_POINTS)
     jitter = LONGEST_JITTER * seed / max(seeds - 1, 1)
     set_points = SetPoints(DWELL * np.arange(len(SET_POINTS)), SET_POINTS)

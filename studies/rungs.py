@@ -1,11 +1,11 @@
-"""What each term of the physics buys, on data that no fit has seen.
+"""Improvement by each term of the physics, on data that no fit has used.
 
     AIRPUCK_DATA=... python studies/rungs.py [--robust] [--models M3,M3+drag,M5]
 
-Learns rungs of the model ladder from one recording or span, and judges each on another, which
-shares no window with it: the paper's training and validation experiments, and the first 60 % and
-the last 40 % of h1_blue. Every rung is judged with the same encoders. Prints errors after 0.2 s,
-the change of the position error against the first rung, and the coefficients of the terms.
+Rungs are learned from one recording or span and judged on another, which shares no window with it:
+the paper's training and validation experiments, and the first 60 % and the last 40 % of h1_blue.
+Every rung is judged with the same encoders. Prints errors after 0.2 s, the change of the position
+error against the first rung, and the coefficients of the terms.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MODELS = ("M3", *(f"M3+{term}" for term in TERMS), "M5", "M5+drag", "M5+drag+sag
 
 
 def pairs(folder: Path) -> Iterator[tuple[str, Trajectory, Trajectory]]:
-    """Name what is learned from and what is judged on."""
+    """Return names, training data and validation data."""
     training = load_trajectory(folder / "2023_10_18-11_28_12_sysid_h1_old" / "data.pt")
     validation = load_trajectory(folder / "2023_11_22-11_57_44_sysid_h1_old" / "data.pt")
     yield "training to validation experiment", training, validation
@@ -36,7 +36,7 @@ def pairs(folder: Path) -> Iterator[tuple[str, Trajectory, Trajectory]]:
 
 
 def coefficients(model: Model) -> str:
-    """Tell the terms' coefficients."""
+    """Return the terms' coefficients in words."""
     told = []
     for quantity in QUANTITIES:
         if quantity.name in model.parameters.effects:

@@ -1,11 +1,11 @@
-"""How many shots the craft saves by their speed, beside what its shortest times allow.
+"""Share of shots that the craft saves by their speed, and the bound by its shortest times.
 
     python studies/save_rate.py -o out --shots 60
 
 Shots start in the other half, at random places towards random places of the goal, directly. The
-craft stands at home and is told nothing. The bound: some place on the puck's way is so near that a
-craft that knows everything from the start could touch the puck there; its command takes the
-transport delay. Touching is not yet saving, so the bound is generous.
+craft stands at home without prior knowledge of the shot. The bound counts shots that a craft with
+full knowledge could touch somewhere on the puck's path; its command takes the transport delay.
+Touching does not imply saving, so the bound is generous.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SPEEDS = np.arange(1.0, 10.5, 1.0)
 
 
 def shot(stage: Stage, speed: float, rng: np.random.Generator) -> PuckState:
-    """Return a shot from the other half at a place of the goal that leaves the posts alone."""
+    """Return a shot from the other half at a point of the goal that clears the posts."""
     half = stage.settings.table.goal_width_m / 2 - stage.settings.puck.radius_m
     x, y = rng.uniform([0.33, -0.4], [0.73, 0.4])
     aim = rng.uniform(-half, half)
@@ -46,7 +46,7 @@ def shot(stage: Stage, speed: float, rng: np.random.Generator) -> PuckState:
 
 
 def could_be_saved(pitch: Pitch, times_of: MinimalTimes, start: PuckState) -> bool:
-    """Return whether the shortest times allow to touch the puck before it is in."""
+    """Return whether the shortest times allow the craft to touch the puck before it is in."""
     times = np.arange(0.0, 3.0, 0.002)
     belief = PuckBelief(0.0, np.array(start), np.zeros((6, 6)))
     places = predict_path(pitch.play, belief, times)[:, :2]
@@ -59,7 +59,7 @@ def could_be_saved(pitch: Pitch, times_of: MinimalTimes, start: PuckState) -> bo
 
 
 def saved(stage: Stage, start: PuckState, seed: int) -> bool:
-    """Fly the craft against a shot; return whether it is not in."""
+    """Fly the craft against a shot; return whether it saves the goal."""
     player = Player(stage.model, stage.settings, seed=seed)
     twin = stage.twin(start, seed)
     assert twin.play is not None

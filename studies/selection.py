@@ -1,9 +1,9 @@
-"""Is the rung of the craft that flew the one that is taken? Excitation flights on the twin.
+"""Does the selection choose the rung of the craft that flew? Excitation flights on the twin.
 
     python studies/selection.py --seeds 10 --duration 60
 
-Crafts are the published M3, as it is and with as much inflow, pair interaction and drag as real
-flights show. Prints for each flight what was taken, and how far each rung is above the best.
+Crafts are the published M3, unchanged and with as much inflow, pair interaction and drag as real
+flights show. Prints the chosen rung for each flight, and how far each rung is above the best.
 """
 
 from __future__ import annotations

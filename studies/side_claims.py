@@ -1,4 +1,4 @@
-"""Claims that the paper makes in passing, each tested again.
+"""Side claims of the paper, tested again.
 
     AIRPUCK_DATA=... python studies/side_claims.py --out out/
 

@@ -1,11 +1,11 @@
-"""How far root mean square errors move with where windows start, and what blocks say of it.
+"""Dependence of root mean square errors on the start of the windows, and width of intervals.
 
     AIRPUCK_DATA=... python studies/start_scatter.py
 
-Published M3 on each real flight at hand, errors after 0.2 s, in windows of 70 samples that do not
-overlap. They may begin at any of 70 samples: smallest and largest root mean square against that of
-all starts, on the whole flight and on its last 40 %. Beside them every fourth start, the block
-bootstrap's interval, and the block that the rule of Politis and White asks for.
+Published M3 on each available real flight, errors after 0.2 s, in windows of 70 samples that do not
+overlap and may begin at any of 70 samples. Prints the smallest and largest root mean square
+relative to all starts, on the whole flight and on its last 40 %. It also prints the same for every
+fourth start, the block bootstrap's interval, and the block length by the rule of Politis and White.
 """
 
 from __future__ import annotations

@@ -51,11 +51,11 @@ from airpuck.twin.twin import Twin
 
 #: Length of a recording and of a flight [s]; camera rate [Hz], half of the usual to halve the cost.
 RECORDED, FLOWN, RATE = 24.0, 3.0, 120.0
-#: Where flights end, from the origin; how near is there [m, rad]; for how long at the end [s].
+#: Goal of the flights, from the origin; tolerance [m, rad]; time within it at the end [s].
 GOAL, NEAR, STAYS = (0.45, 0.2, 1.5), (0.02, 0.02, 0.1), 1.0
-#: A craft this near to the place where it meets a rail has met it [m].
+#: Clearance below which a craft counts as touching a rail [m].
 AT_RAIL = 1e-3
-#: Those that wrong models upset first come first.
+#: Controllers, the ones most sensitive to wrong models first.
 CONTROLLERS = [(law, estimator) for law in ("mpc", "lqr") for estimator in ("kalman", "actuation")]
 #: Share of a recording that a model is learned from; it is judged on the rest.
 LEARNED = 0.6
@@ -72,11 +72,11 @@ class Situation:
     propellers: int = 6
     #: Updates of the twin's settings by section: of the recording, and of the flight.
     twin: dict[str, Any] = field(default_factory=dict)
-    #: From the vehicle file to the craft as it is.
+    #: From the vehicle file to the true craft.
     built: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
-    #: From the craft as it is to the vehicle file of its user.
+    #: From the true craft to its user's vehicle file.
     believed: Callable[[Vehicle], Vehicle] = lambda vehicle: vehicle
-    #: From what was recorded to what is identified from.
+    #: From the true recording to the recording used.
     edit: Callable[[Recording], Recording] = lambda recording: recording
     rung: str = "M3"
     kind: Literal["excitation", "hover"] = "excitation"
@@ -84,7 +84,7 @@ class Situation:
     duration: float = RECORDED
 
     def truth(self) -> Model:
-        """Return the craft as it is."""
+        """Return the true craft."""
         model = craft(self.propellers)
         return replace(model, vehicle=self.built(model.vehicle))
 
@@ -116,7 +116,7 @@ def clock(offset: float, recorder: bool = False) -> Callable[[Recording], Record
 
 
 def poses_times(*factors: float) -> Callable[[Recording], Recording]:
-    """Multiply x, y and yaw: a unit that nobody noticed."""
+    """Multiply x, y and yaw: an unnoticed unit."""
 
     def edit(recording: Recording) -> Recording:
         pose = recording["pose"]
@@ -415,7 +415,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("part", choices=["fly", "judge"])
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, default=10, help="how many")
+    parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,12 @@
-"""Does the controller find out what its motors do? Faults in flight on the twin, with and without.
+"""Does the controller find failed motors? Faults in flight on the twin.
 
     OPENBLAS_NUM_THREADS=1 python studies/weak_motors.py --seeds 12
     OPENBLAS_NUM_THREADS=1 python studies/weak_motors.py --seeds 6 --fault stalled --law mpc
     OPENBLAS_NUM_THREADS=1 python studies/weak_motors.py --seeds 6 --fault stalled --law converged
 
-Three seconds into a flight through set points one motor falls to 60 % of its thrust, or stands, or
-nothing happens; motors take turns over the seeds. Twin and controller are the published M4. known:
-the fault is there from the start, and the controller's model has it. converged: nonlinear
+Three seconds into a flight through set points one motor falls to 60 % of its thrust, or stops, or
+nothing happens; the seeds cycle through the motors. Twin and controller use the published M4.
+known: the fault exists from the start, and the controller's model includes it. converged: nonlinear
 predictive control solved to convergence, every 20 ms.
 """
 

@@ -1,10 +1,10 @@
-"""What do windows that begin further apart know less? M3 of real and of made-up flights.
+"""How much information is lost with windows further apart? M3 of real and of simulated flights.
 
     AIRPUCK_DATA=... python studies/window_stride.py --flights 2
 
-Prints for each stride the mean ratio of the standard errors to those of all windows, and the root
-mean square of the parameters' change in units of the latter. An efficient estimate whose variance
-this raises by a share e moves by about √e standard errors.
+Prints for each stride the mean ratio of the standard errors to those with all windows, and the root
+mean square change of the parameters in units of the latter. If a stride raises the variance of an
+efficient estimate by a share e, the estimate moves by about √e standard errors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STRIDES = (4, 7, 14, 28)
 
 
 def fitted(trajectory: Trajectory, stride: int) -> Uncertainty:
-    """Return what a fit to the windows of a stride says, and how surely."""
+    """Return the parameters and standard errors of a fit to the windows of a stride."""
     known = identify(
         trajectory,
         loss=Loss(spacing=stride * trajectory.sample_period),
@@ -51,7 +51,7 @@ def compare(name: str, trajectory: Trajectory) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--flights", type=int, default=2, help="made-up ones, of 60 s")
+    parser.add_argument("--flights", type=int, default=2, help="simulated flights, of 60 s")
     options = parser.parse_args()
     compare("training experiment", load_trajectory(dataset_folder() / TRAINING))
     for seed in range(options.flights):

@@ -152,7 +152,7 @@ def sample_landscapes(
     span: float = 0.12,
     points: int = 121,
 ) -> list[Landscape]:
-    """Sample the loss along the inertia, all other parameters as they are."""
+    """Sample the loss along the inertia, with all other parameters fixed."""
     encoder = PaperEncoder(indexing=model.indexing)
     factor = np.linspace(1 - span, 1 + span, points)
     landscapes = []

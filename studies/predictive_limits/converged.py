@@ -1,8 +1,8 @@
-"""Nonlinear predictive control solved to convergence: what the predictive law comes near to.
+"""Nonlinear predictive control solved to convergence: the reference for the predictive law.
 
-The physics, cost, horizon and motor limits of `airpuck.control.mpc`, traced into CasADi; but a
-command of its own for each step, and solved to a tolerance by an interior-point method. Rails are
-left out: tables are to be wide.
+Physics, cost, horizon and motor limits come from `airpuck.control.mpc`, traced into CasADi.
+Here each step has a separate command, and an interior-point method solves to a tolerance. Rails are
+left out, so tables must be wide.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ class Problem:
     regulator : Regulator
         Cost and horizon.
     dynamics : Dynamics, optional
-        What is predicted with; by default the model's.
+        Dynamics of the prediction; by default the model's.
     solver : str
         ``fatrop`` or ``ipopt``.
     tolerance : float
         Of the solver.
     compiled : bool
-        Whether derivatives are compiled by the system's C compiler; takes a minute.
+        Whether the system's C compiler compiles the derivatives, which takes a minute.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Converged(TrackingController):
         self._predict_and_stage = None  # so that steps go through `steer`
         self._problem = problem
         self._guess: np.ndarray | None = None
-        #: Of each step: how long it took [s], and whether the solver converged.
+        #: For each step: its time [s], and whether the solver converged.
         self.spent: list[float] = []
         self.converged: list[bool] = []
 

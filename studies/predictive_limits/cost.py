@@ -18,7 +18,7 @@ from airpuck.estimate.estimator import Estimate
 from .converged import Converged, Problem, accelerations
 from .flights import Flight, Pose, calm, craft, flown
 
-#: No rails: they have a study of their own.
+#: No rails, which have a separate study.
 _WIDE = calm().model_copy(update={"table": Table(length_m=20.0, width_m=20.0)})
 #: Starts and targets, at rest: half the table's length and width, any yaw.
 _AREA = np.array([0.9, 0.4, np.pi])

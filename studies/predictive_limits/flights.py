@@ -19,7 +19,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
 
-#: A flight has settled where it stays within these [m, m, rad].
+#: Tolerance within which a flight has settled [m, m, rad].
 SETTLED = (0.01, 0.01, 0.05)
 
 Pose = tuple[float, float, float]
@@ -27,7 +27,7 @@ Pose = tuple[float, float, float]
 
 @cache
 def craft() -> Model:
-    """Return the published M3, its centre of mass fixed to the body, as that of a real craft."""
+    """Return the published M3 with its centre of mass fixed to the body, as in a real craft."""
     return replace(published_model("M3"), frame="body")
 
 
@@ -55,7 +55,7 @@ def calm() -> TwinSettings:
 
 
 def lossy(share: float) -> TwinSettings:
-    """Return the packaged settings with packets that get lost."""
+    """Return the packaged settings with packet loss."""
     settings = default_twin_settings()
     radio = settings.radio.model_copy(update={"loss": share})
     return settings.model_copy(update={"radio": radio})
@@ -63,12 +63,12 @@ def lossy(share: float) -> TwinSettings:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """What became of a flight."""
+    """Result of a flight."""
 
     #: Of the motion capture's frames [s]; true states with motor speeds.
     time: np.ndarray
     state: np.ndarray
-    #: When commands were sent, and which.
+    #: Times of the commands, and the commands.
     sent: np.ndarray
     command: np.ndarray
     target: np.ndarray
@@ -83,7 +83,7 @@ class Flight:
 
     @property
     def settling(self) -> float:
-        """When it had settled [s]; infinite if it has not."""
+        """Settling time [s]; infinite if it has not settled."""
         outside = np.flatnonzero((np.abs(self.error[:, :3]) > SETTLED).any(axis=1))
         if len(outside) == 0:
             return 0.0
@@ -92,7 +92,7 @@ class Flight:
 
     @property
     def overshoot(self) -> float:
-        """How far it went beyond the target, along the way from the start [m]."""
+        """Overshoot beyond the target, along the line from the start [m]."""
         way = -self.error[0, :2]
         return float(np.max(self.error[:, :2] @ way / max(float(np.linalg.norm(way)), 1e-9)))
 

@@ -1,4 +1,4 @@
-"""States, targets and limits that no flight should have."""
+"""States, targets and limits that should not occur in any flight."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from airpuck.estimate.estimator import Estimate
 
 from .flights import craft
 
-#: Limits that cannot all be kept, among them those of a table smaller than the craft.
+#: Limits that cannot all be kept, such as a table smaller than the craft.
 LIMITS = (
     ({}, Table()),
     ({}, Table(length_m=0.1, width_m=0.1)),
@@ -24,18 +24,18 @@ LIMITS = (
     ({"keep_out_m": ((0.0, 0.0, 5.0), (0.1, 0.0, 5.0))}, Table()),
     ({"fence_m": (5.0, 5.0, 5.001, 5.001), "headway_s": 1.0}, Table()),
 )
-#: Sizes of numbers: usual ones, and some that are none.
+#: Scales of numbers: ordinary, extreme, infinite and NaN.
 _SIZES = np.array([0.0, 1e-9, 1.0, 1.0, 1.0, 10.0, 1e3, 1e9, np.nan, np.inf])
 
 
 @dataclass
 class Steps:
-    """What became of many steps."""
+    """Results of many steps."""
 
     statuses: Counter[str] = field(default_factory=Counter)
     #: Commands that are not finite or beyond the motors' limits.
     wrong: int = 0
-    #: Processor time of each [s]: others on the machine do not count.
+    #: Processor time of each step [s]; other programs do not count.
     spent: list[float] = field(default_factory=list)
 
 

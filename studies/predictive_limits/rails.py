@@ -11,7 +11,7 @@ from airpuck.twin.settings import default_twin_settings
 
 from .flights import Pose, craft, flown, lossy
 
-#: How near to the rails half of the targets are, at most [m].
+#: Largest distance of half of the targets from the rails [m].
 NEAR = 0.01
 
 
@@ -19,12 +19,12 @@ NEAR = 0.01
 class Passage:
     """A flight to a target near the rails."""
 
-    #: How often it met one, and how near it came [m].
+    #: Number of contacts, and smallest clearance [m].
     contacts: int
     clearance: float
-    #: How far from the target it was at the end [m].
+    #: Distance from the target at the end [m].
     left: float
-    #: Steps without an answer of the solver.
+    #: Steps without a solution.
     unanswered: int
 
 
