@@ -200,7 +200,7 @@ class Mistakes(ast.NodeVisitor):
         """Leave messages alone."""
 
     def visit_Compare(self, node: ast.Compare) -> None:
-        """Turn a comparison round, or move its boundary by one."""
+        """Invert a comparison, or move its boundary by one."""
         operands = [node.left, *node.comparators]
         counted = any(
             (isinstance(x, ast.Constant) and type(x.value) is int)
@@ -262,19 +262,19 @@ class Mistakes(ast.NodeVisitor):
                 self.visit(keyword.value)
 
     def visit_If(self, node: ast.If) -> None:
-        """Turn a condition round."""
+        """Invert a condition."""
         if self.piece(node.test) == "TYPE_CHECKING":
             return
         self.negated(node.test)
         self.generic_visit(node)
 
     def visit_IfExp(self, node: ast.IfExp) -> None:
-        """Turn a condition round."""
+        """Invert a condition."""
         self.negated(node.test)
         self.generic_visit(node)
 
     def visit_comprehension(self, node: ast.comprehension) -> None:
-        """Turn filters round."""
+        """Invert filters."""
         for test in node.ifs:
             self.negated(test)
         self.generic_visit(node)
@@ -424,7 +424,7 @@ def watched(items: list[pytest.Item], folder: Path, slow: float) -> list[dict[st
 
 
 def in_a_child(work: Callable[[], Any], limit: float) -> Any:
-    """Return what a function gives in a fork of this process; None if it takes too long.
+    """Return the result of a function run in a fork of this process; None on timeout.
 
     The limit is in seconds of a processor.
     """

@@ -38,7 +38,7 @@ def truth() -> Model:
 
 
 def true_delay(model: Model) -> float:
-    """Return the mean delay of the default radio, whose packets wait for each other [s]."""
+    """Return the mean delay of the default radio, whose packets never overtake each other [s]."""
     return as_received(model, default_twin_settings(), default_tuning().period_s).transport_delay
 
 

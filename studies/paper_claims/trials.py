@@ -184,6 +184,6 @@ def largest_thrusts(m3: Model, m4: Model) -> dict[str, Float[np.ndarray, " n"]]:
 
 
 def falling_share(coefficients: Float[np.ndarray, "n degree"]) -> Float[np.ndarray, " n"]:
-    """Compute on which share of [0, 1] each thrust curve falls."""
+    """Return the fraction of [0, 1] on which each thrust curve falls."""
     speed = np.tile(np.linspace(0, 1, 1001), (len(coefficients), 1))
     return np.mean(thrust_slope(coefficients, speed) < 0, axis=1)
