@@ -2,7 +2,7 @@
 
     OPENBLAS_NUM_THREADS=1 python studies/false_alarms.py --seeds 12 --out false_alarms.jsonl
 
-The twin flies with its packaged radio and noise, and its true model. Crafts with four, six and
+The twin flies with its packaged radio and noise, and its true model. Craft with four, six and
 eight propellers fly the excitation experiment, hover, and go through set points, 20 s each. `watch`
 is evaluated every second, as in use. Then wrong models are tested on the flights of the first
 seeds. Prints a line of JSON for each flight, and rates with exact 95 % intervals (Clopper and

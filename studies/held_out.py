@@ -1,4 +1,4 @@
-"""How well does each rung predict the rest of a flight? Seven real flights of five crafts.
+"""How well does each rung predict the rest of a flight? Seven real flights of five craft.
 
     AIRPUCK_DATA=... python studies/held_out.py [--flights h1_blue,h2_red] [--json FILE]
 

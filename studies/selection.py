@@ -2,7 +2,7 @@
 
     python studies/selection.py --seeds 10 --duration 60
 
-Crafts are the published M3, unchanged and with as much inflow, pair interaction and drag as real
+Craft are the published M3, unchanged and with as much inflow, pair interaction and drag as real
 flights show. Prints the chosen rung for each flight, and how far each rung is above the best.
 """
 
