@@ -57,7 +57,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.faults.find import find_faults as find_faults
     from airpuck.faults.layout_check import check_layout as check_layout
     from airpuck.flight.loop import fly as fly
-    from airpuck.flight.pilot import Pilot as Pilot
+    from airpuck.control.pilot import Pilot as Pilot
     from airpuck.flight.preflight import preflight as preflight
     from airpuck.flight.replay import Replay as Replay, replay as replay
     from airpuck.hockey.contestant import contestant as contestant
@@ -136,7 +136,7 @@ _NAMES = {
     "faults.find": "find_faults",
     "faults.layout_check": "check_layout",
     "flight.loop": "fly",
-    "flight.pilot": "Pilot",
+    "control.pilot": "Pilot",
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
     "hockey.contestant": "contestant",

@@ -8,6 +8,7 @@ import pytest
 
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
+from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 
@@ -223,9 +224,9 @@ def test_what_is_not_a_number_never_gets_in(make, bad):
             pose[place] = bad
             seen.pose(time + 1e-3, pose)
         seen.pose(bad, np.zeros(3))
-        seen.imu(time + 1e-3, np.array([0, bad]), 0.0)
-        seen.imu(time + 1e-3, np.zeros(2), bad)
-        seen.mouse(time + 1e-3, np.array([bad, 0]))
+        seen.measured(Measurement("imu", time + 1e-3, np.array([0, bad, 0, 0, 0, 0])))
+        seen.measured(Measurement("imu", time + 1e-3, np.array([0, 0, 0, 0, 0, bad])))
+        seen.measured(Measurement("mouse", time + 1e-3, np.array([bad, 0])))
         one, other = seen.filter.predict(time + 0.05), spared.filter.predict(time + 0.05)
         np.testing.assert_array_equal(one.state, other.state)
         np.testing.assert_array_equal(one.disturbance, other.disturbance)

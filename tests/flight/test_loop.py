@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from airpuck.control.law import FLYING, Prediction, Step
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Rendezvous, SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.flight.link import Measurement
+from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import control, fly
 from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
@@ -51,7 +52,7 @@ class LateLink(FakeLink):
         return arrived
 
 
-class FakePilot:
+class FakePilot(Pilot):
     """Counts, and writes down what it is told, in order."""
 
     outcomes: ClassVar = ("no pose", "exact", "scaled")
@@ -60,15 +61,8 @@ class FakePilot:
         self.reference = reference or SetPoint(0.1, 0.2, 0.3)
         self.events = []
 
-    def pose(self, time, pose):
-        self.events.append(("pose", time, tuple(pose)))
-
-    def imu(self, time, acceleration, gyro):
-        assert isinstance(gyro, float)
-        self.events.append(("imu", time, (*acceleration, gyro)))
-
-    def mouse(self, time, velocity):
-        self.events.append(("mouse", time, tuple(velocity)))
+    def measured(self, measurement):
+        self.events.append((measurement.kind, measurement.stamp, tuple(measurement.values)))
 
     def step(self, time):
         count = sum(event[0] == "step" for event in self.events)
@@ -190,18 +184,23 @@ def test_a_rendezvous_is_announced_as_the_state_to_reach():
     np.testing.assert_array_equal(after, [0, 0, 0.3, 0, 0, 0])
 
 
-def test_sensors_on_board_are_told_of_if_asked_for():
+def test_a_pilot_is_told_of_what_it_watches_and_of_sensors_on_board_if_asked_for():
     heard = [
         (0.02, Measurement("imu", 0.015, np.array([1, 2, 9.81, 4, 5, 6.0]))),
         (0.03, Measurement("mouse", 0.025, np.array([0.7, 0.8]))),
         (0.04, pose(0.035)),
+        (0.05, Measurement("puck", 0.045, np.array([0.1, 0.2, 0.3]))),
+        (0.06, Measurement("mallet", 0.055, np.array([0.4, 0.5, 0.6]))),
     ]
     deaf, hearing = FakePilot(), FakePilot()
+    hearing.watches = ("puck",)
     fly(deaf, FakeLink(heard), 0.1)
     fly(hearing, FakeLink(heard), 0.1, on_board=True)
     assert deaf.told("imu") == deaf.told("mouse") == []
-    assert hearing.told("imu") == [(0.015, (1, 2, 6))]
+    assert hearing.told("imu") == [(0.015, (1, 2, 9.81, 4, 5, 6))]
     assert hearing.told("mouse") == [(0.025, (0.7, 0.8))]
+    assert deaf.told("puck") == deaf.told("mallet") == hearing.told("mallet") == []
+    assert hearing.told("puck") == [(0.045, (0.1, 0.2, 0.3))]
     assert len(deaf.told("pose")) == len(hearing.told("pose")) == 1
 
 

@@ -2,6 +2,7 @@
 
 import json
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,32 +16,8 @@ from tests.apparatus import commands as command_line
 
 M3 = published_model("M3")
 
-#: As docs/control.md has it.
-SPRING = """
-import numpy as np
-import airpuck
-from airpuck.physics.thrust import InverseThrust
-
-
-class Spring(airpuck.Pilot):
-    def __init__(self, model, reference):
-        self.reference, self.matrix = reference, model.dynamics.configuration
-        self.speed_for = InverseThrust(model.parameters.thrust)
-        self.before = self.now = (0.0, np.zeros(3))
-
-    def pose(self, time, pose):
-        self.before, self.now = self.now, (time, np.array(pose))
-
-    def step(self, time):
-        (t0, before), (t1, (x, y, yaw)) = self.before, self.now
-        velocity = (self.now[1] - before) / max(t1 - t0, 1e-3)
-        ahead = self.reference.at(time, 0.0).state[:3] - self.now[1]
-        wanted = [6, 6, 30] * ahead - [4, 4, 8] * velocity
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        body = [cos * wanted[0] + sin * wanted[1], cos * wanted[1] - sin * wanted[0], wanted[2]]
-        force = np.linalg.pinv(self.matrix) @ body + 0.1
-        return airpuck.Step(np.clip(self.speed_for(force), 0.03, 1))
-"""
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_pilot" / "spring.py"
+SPRING = EXAMPLE.read_text()
 
 
 @pytest.fixture
@@ -48,6 +25,13 @@ def file(tmp_path):
     path = tmp_path / "my_pilot.py"
     path.write_text(SPRING)
     return path
+
+
+def test_the_example_is_short_and_as_the_docs_have_it():
+    docs = (EXAMPLE.parents[2] / "docs" / "control.md").read_text()
+    code = SPRING.partition("\n\n")[2]
+    assert f"```python\n{code}```" in docs
+    assert len([line for line in code.splitlines() if line.strip()]) <= 25
 
 
 @pytest.mark.slow
@@ -108,7 +92,9 @@ def test_what_inherits_from_pilot_needs_only_a_step():
         (object(), "must have a `reference`"),
         (pilot(reference="here"), "must have a `reference`"),
         (pilot(sent=None), "lacks sent()"),
-        (pilot(pose=lambda self, pose: None), "pose() must take 2 arguments"),
+        (pilot(sent=lambda self, command: None), "sent() must take 2 arguments beside self"),
+        (pilot(measured=lambda self, *, pose: None), "measured() must take 1 argument beside self"),
+        (pilot(watches="puck"), "must have `watches`"),
     ],
 )
 def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):

@@ -9,7 +9,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
-from airpuck.flight.pilot import Pilot
+from airpuck.control.pilot import Pilot
 from airpuck.hockey.contestant import Contestant, contestant
 from airpuck.hockey.game import Game, serve
 from airpuck.hockey.rules import Rules
@@ -60,11 +60,14 @@ def test_a_hand_that_points_nowhere_is_named():
 class Pusher(Pilot):
     """A craft that is pushed about by commands that only depend on time."""
 
+    watches = ("mallet",)
+
     def __init__(self, seen):
         self.seen = seen
 
-    def mallet(self, time, pose):
-        self.seen.append(pose)
+    def measured(self, measurement):
+        if measurement.kind == "mallet":
+            self.seen.append(measurement.values)
 
     def step(self, time):
         return Step(0.15 * (1 + np.sin(3.0 * time + np.arange(6.0))))

@@ -10,6 +10,7 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Rendezvous, SetPoint, asked, course
 from airpuck.craft.table import AirHockey
+from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import control
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.player import Player, TurnedReference, pitch_of, turned
@@ -133,7 +134,7 @@ def stepped(player, measure, steps, start=0.0):
     for k in range(steps):
         for frame in range(3):
             stamp = start + 0.01 * k + frame / 300
-            player.pose(stamp, np.array([*player.pitch.home, 0.0]))
+            player.measured(Measurement("pose", stamp, np.array([*player.pitch.home, 0.0])))
             measure(player, stamp)
         step = player.step(start + 0.01 * (k + 1))
         player.sent(start + 0.01 * (k + 1), step.command)
@@ -141,18 +142,18 @@ def stepped(player, measure, steps, start=0.0):
 
 
 def moving(player, stamp):
-    player.puck(stamp, np.array([0.5 - 0.5 * stamp, 0.1, 0.0]))
+    player.measured(Measurement("puck", stamp, np.array([0.5 - 0.5 * stamp, 0.1, 0.0])))
 
 
 def frozen(player, stamp):
-    player.puck(stamp, np.array([0.4, 0.1, 0.0]))
+    player.measured(Measurement("puck", stamp, np.array([0.4, 0.1, 0.0])))
 
 
 def garbage(player, stamp):
-    player.puck(stamp, np.array([math.nan, 0.1, 0.0]))
-    player.puck(math.inf, np.array([0.2, 0.1, 0.0]))
-    player.puck(stamp, np.array([1e9, 0.1, 0.0]))
-    player.mallet(stamp, np.array([math.nan] * 3))
+    player.measured(Measurement("puck", stamp, np.array([math.nan, 0.1, 0.0])))
+    player.measured(Measurement("puck", math.inf, np.array([0.2, 0.1, 0.0])))
+    player.measured(Measurement("puck", stamp, np.array([1e9, 0.1, 0.0])))
+    player.measured(Measurement("mallet", stamp, np.array([math.nan] * 3)))
 
 
 @pytest.mark.parametrize(
@@ -175,7 +176,7 @@ def test_a_tactic_that_returns_nothing_is_refused_by_name():
             return None
 
     player = Player(MODEL, PLAY, Idle())
-    player.pose(0.0, np.array([-0.9, 0.0, 0.0]))
+    player.measured(Measurement("pose", 0.0, np.array([-0.9, 0.0, 0.0])))
     with pytest.raises(InputError, match=r"Idle.*Intention"):
         player.step(0.01)
     with pytest.raises(InputError, match="side"):

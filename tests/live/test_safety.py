@@ -10,20 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.control.law import Step
-from airpuck.control.reference import SetPoint
+from airpuck.control.pilot import Pilot
 from airpuck.craft.table import Table
-from airpuck.live.safety import Guard, GuardedPilot, Limits, half_of, played
+from airpuck.data.measurement import Measurement
+from airpuck.live.safety import Guard, GuardedPilot, Limits, half_of
 
 FRAME = 1 / 240
 LIMITS = Limits(geofence=(1.0, 0.5))
 RNG = np.random.default_rng(0)
 
 
-def poses(guard, start, stop, at=(0.1, 0.2, 0.3)):
+def poses(watched, start, stop, at=(0.1, 0.2, 0.3)):
     """Good poses, with the noise that every real one has; the time of the last."""
     times = np.arange(start, stop, FRAME)
     for time in times:
-        guard.pose(time, np.array(at) + 1e-5 * RNG.standard_normal(3))
+        pose = np.array(at) + 1e-5 * RNG.standard_normal(3)
+        if isinstance(watched, Guard):
+            watched.pose(time, pose)
+        else:
+            watched.measured(Measurement("pose", time, pose))
     return float(times[-1])
 
 
@@ -144,18 +149,13 @@ def test_the_others_half_is_out_of_bounds(side):
     assert guard.limits.geofence == pytest.approx((1.04, 0.49))
 
 
-class Pilot:
+class Playing(Pilot):
     """Gives the command that a test sets."""
 
-    reference = SetPoint(0.0, 0.0, 0.0)
+    watches = ("puck",)
 
     def __init__(self):
         self.command = np.full(2, 0.5)
-
-    def pose(self, time, pose): ...
-    def imu(self, time, acceleration, gyro): ...
-    def mouse(self, time, velocity): ...
-    def sent(self, time, command): ...
 
     def step(self, time):
         if self.command is None:
@@ -167,7 +167,7 @@ class Pilot:
 def guarded():
     logged = []
     made = GuardedPilot(
-        Pilot(), Guard(LIMITS), np.full(2, 0.03), lambda level, text: logged.append((level, text))
+        Playing(), Guard(LIMITS), np.full(2, 0.03), lambda level, text: logged.append((level, text))
     )
     made.logged = logged
     poses(made, 0.0, 0.5)
@@ -200,34 +200,29 @@ def test_a_controller_that_fails_idles_the_motors_and_may_recover(guarded, comma
     assert guarded.logged == [("error", f"motors idle: {reason}"), ("info", "flying")]
 
 
-def test_a_pilot_that_plays_hears_of_puck_and_mallet_and_may_fail_there():
-    assert played(Pilot()) == ()
-    pilot, heard = Pilot(), []
-    pilot.puck = lambda time, pose: heard.append((time, pose))
-    pilot.mallet = lambda time, pose: 1 / 0
-    assert played(pilot) == ("puck", "mallet")
+def test_a_pilot_that_plays_hears_of_the_puck():
+    pilot, heard = Playing(), []
+    pilot.measured = heard.append
     made = GuardedPilot(pilot, Guard(LIMITS), np.full(2, 0.03), lambda *_: None)
-    assert played(made) == ("puck", "mallet")
-    last = poses(made, 0.0, 0.5)
-    made.puck(last, "where")
-    assert heard == [(last, "where")]
-    assert made.step(last).flies
-    made.mallet(last, "where")
-    assert not made.step(last).flies
+    assert made.watches == ("puck",)
+    made.measured(puck := Measurement("puck", 0.0, np.ones(3)))
+    assert heard == [puck]
 
 
-@pytest.mark.parametrize("method", ["pose", "imu", "mouse", "sent"])
-def test_a_controller_that_fails_to_take_note_idles_the_motors(method):
-    def fail(*measured):
-        raise ZeroDivisionError("in the filter")
+@pytest.mark.parametrize("kind", ["pose", "imu", "mouse", "puck", "mallet", "sent"])
+def test_a_controller_that_fails_to_take_note_idles_the_motors(kind):
+    def fail(*news):
+        if kind == "sent" or news[0].kind == kind:
+            raise ZeroDivisionError("in the filter")
 
-    pilot, logged = Pilot(), []
-    setattr(pilot, method, fail)
+    pilot, logged = Playing(), []
+    setattr(pilot, "sent" if kind == "sent" else "measured", fail)
     made = GuardedPilot(pilot, Guard(LIMITS), np.full(2, 0.03), lambda _, text: logged.append(text))
     last = poses(made, 0.0, 0.5)
-    if method != "pose":
+    if kind != "pose":
         assert made.step(last).flies
-        getattr(made, method)(*range({"imu": 3}.get(method, 2)))
+        news = (last, np.zeros(2)) if kind == "sent" else (Measurement(kind, last, np.zeros(3)),)
+        (made.sent if kind == "sent" else made.measured)(*news)
     np.testing.assert_array_equal(made.step(last).command, [0.03, 0.03])
     assert logged[-1] == "motors idle: the controller failed: ZeroDivisionError: in the filter"
 

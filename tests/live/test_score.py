@@ -29,9 +29,7 @@ class Pilot(PulseTest):
     """Takes poses of the puck, too."""
 
     sight = "seen"
-
-    def puck(self, time, pose):
-        """Take note of it."""
+    watches = ("puck",)
 
 
 class Table:

@@ -15,7 +15,7 @@ import pytest
 import airpuck
 from airpuck.control.law import Step
 from airpuck.craft.table import AirHockey
-from airpuck.flight.link import Measurement
+from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import Action
 from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Ruling

@@ -21,9 +21,9 @@ from airpuck.live.settings import LiveSettings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from airpuck.control.pilot import Pilot
     from airpuck.control.tuning import Tuning
     from airpuck.craft.table import Table
-    from airpuck.flight.pilot import Pilot
     from airpuck.model.model_file import Model
     from airpuck.planning.plan import Plan
 

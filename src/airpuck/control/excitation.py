@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -26,7 +27,7 @@ _OPPOSED = -0.9
 _BRAKING = 0.5
 
 
-class Excitation:
+class Excitation(Pilot):
     """Excites the craft by random signals, and keeps it on the table.
 
     Each pair of propellers gets one signal, uniform in ± amplitude and held for a while. It is
@@ -90,8 +91,7 @@ class Excitation:
         #: What the controller steers to.
         self.reference = controller.reference
         #: What is measured and sent is the controller's concern only.
-        self.pose, self.imu, self.mouse = controller.pose, controller.imu, controller.mouse
-        self.sent = controller.sent
+        self.pose, self.measured, self.sent = controller.pose, controller.measured, controller.sent
         if not hold >= controller.tuning.period_s:
             raise InputError(
                 f"must be at least the controller's period, {controller.tuning.period_s:g} s",

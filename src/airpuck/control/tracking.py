@@ -15,10 +15,12 @@ from airpuck.control.allocation import all_finite
 from airpuck.control.law import Law, Status, Step
 from airpuck.control.lqr import LQR
 from airpuck.control.mpc import MPC
+from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import STALE, PoseGate
 from airpuck.control.reference import Numbers, Reference, SetPoint
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.craft.table import Table
+from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
@@ -27,7 +29,7 @@ from airpuck.model.model_file import Model
 _REMEMBERED = 0.5
 
 
-class TrackingController:
+class TrackingController(Pilot):
     """Steers the craft to a reference.
 
     Each step predicts the state to when the command will act, over the transport delay; a law
@@ -125,43 +127,34 @@ class TrackingController:
         if self._gate.offer(self.filter, time, _copied(pose, 3, "pose")):
             self._clock = max(self._clock, time)
 
-    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
-        """Take note of an inertial measurement.
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a measurement.
 
-        It may come later than poses with newer stamps. One that is not finite, or more than 50 ms
-        from the last pose, is not used.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        acceleration : array, shape (2,)
-            Along the body's x and y axes [m/s²].
-        gyro : float
-            Spin [rad/s].
-        """
-        acceleration = _copied(acceleration, 2, "acceleration")
-        if self._gate.is_recent(time) and all_finite(acceleration) and math.isfinite(gyro):
-            noise = self.tuning.estimation
-            noises = noise.imu_acceleration_m_s2, noise.gyro_rad_s
-            self.filter.imu(time, acceleration, gyro, noises)
-
-    def mouse(self, time: float, velocity: Numbers) -> None:
-        """Take note of a velocity from the optical sensor under the craft.
-
-        It may come later than poses with newer stamps. One that is not finite, or more than 50 ms
-        from the last pose, is not used.
+        Those of sensors on board may come later than poses with newer stamps. One that is not
+        finite, or more than 50 ms from the last pose, is not used.
 
         Parameters
         ----------
-        time : float
-            Its stamp [s].
-        velocity : array, shape (2,)
-            Along the body's x and y axes [m/s].
+        measurement : Measurement
+            A pose of the craft (see `pose`), or one of ``imu`` and ``mouse``; others are not used.
+
+        Raises
+        ------
+        InputError
+            If it is not as many numbers as that sensor gives.
         """
-        velocity = _copied(velocity, 2, "velocity")
-        if self._gate.is_recent(time) and all_finite(velocity):
-            self.filter.mouse(time, velocity, self.tuning.estimation.mouse_m_s)
+        time, kind, noise = measurement.stamp, measurement.kind, self.tuning.estimation
+        if kind == "pose":
+            self.pose(time, measurement.values)
+        elif kind == "imu":
+            planar = _copied(measurement.values, 6, kind)[[0, 1, 5]]
+            if self._gate.is_recent(time) and all_finite(planar):
+                noises = noise.imu_acceleration_m_s2, noise.gyro_rad_s
+                self.filter.imu(time, planar[:2], float(planar[2]), noises)
+        elif kind == "mouse":
+            values = _copied(measurement.values, 2, kind)
+            if self._gate.is_recent(time) and all_finite(values):
+                self.filter.mouse(time, values, noise.mouse_m_s)
 
     def sent(self, time: float, command: Numbers) -> None:
         """Take note of the command that was really sent.

@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-#: The sensors.
-Kind = Literal["pose", "imu", "mouse", "puck", "mallet"]
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """A measurement of a sensor."""
-
-    #: Which sensor.
-    kind: Kind
-    #: When it was measured, on the sensor's clock [s].
-    stamp: float
-    #: Pose, of the puck and the mallet, too: x, y [m], yaw [rad]. IMU: acceleration along the
-    #: body's x, y, z [m/s²], spin about them [rad/s]. Mouse: velocity along the body's x, y [m/s].
-    values: Float[np.ndarray, " k"]
+from airpuck.data.measurement import Measurement
 
 
 @runtime_checkable

@@ -12,9 +12,10 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import asked, check_inside
-from airpuck.flight.link import Link, Measurement
-from airpuck.flight.pilot import Pilot, called, check_pilot, checked_step
+from airpuck.flight.link import Link
+from airpuck.flight.pilot import called, check_pilot, checked_step
 
 #: Steps from one prediction that is kept, or sent to others, to the next.
 PREDICTIONS_EVERY = 10
@@ -123,6 +124,7 @@ def control(
     """
     check_pilot(pilot)
     start, announced = link.now, np.full(6, np.nan)
+    told = {"pose", *pilot.watches, *(("imu", "mouse") if on_board else ())}
     count = math.inf if math.isinf(duration) else round(duration / period)
     k = 0
     while k < count:
@@ -130,7 +132,8 @@ def control(
         ahead = early > 0 and due - early > link.now
         for moment in (due - early, due) if ahead else (due,):
             for measurement in link.wait_until(moment):
-                _tell(pilot, measurement, on_board)
+                if measurement.kind in told:
+                    pilot.measured(measurement)
         now = link.now
         wanted = asked(pilot.reference, now)
         if not np.array_equal(wanted, announced):
@@ -147,16 +150,3 @@ def control(
         pilot.sent(now, step.command)
         yield Action(due, now, step, wanted, took)
         k = max(k + 1, math.floor((link.now - start) / period))
-
-
-def _tell(pilot: Pilot, measurement: Measurement, on_board: bool) -> None:
-    """Hand a measurement to the pilot."""
-    stamp, values = measurement.stamp, measurement.values
-    if measurement.kind == "pose":
-        pilot.pose(stamp, values)
-    elif on_board and measurement.kind == "imu":
-        pilot.imu(stamp, values[:2], float(values[5]))
-    elif on_board and measurement.kind == "mouse":
-        pilot.mouse(stamp, values)
-    elif measurement.kind in ("puck", "mallet") and hasattr(pilot, measurement.kind):
-        getattr(pilot, measurement.kind)(stamp, values)

@@ -1,11 +1,10 @@
-"""What computes the commands of a flight, and how to bring one's own."""
+"""A pilot of one's own: how it is loaded, and what is checked of it."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,86 +12,14 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 from airpuck.control.law import Prediction, Step
-from airpuck.control.reference import Reference, SetPoint, sheltered
+from airpuck.control.pilot import Pilot
+from airpuck.control.reference import Reference, sheltered
+from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
 #: Methods of a pilot, and how many arguments each is called with.
-_METHODS = {"pose": 2, "imu": 3, "mouse": 2, "step": 1, "sent": 2}
-
-
-@runtime_checkable
-class Pilot(Protocol):
-    """Computes commands: a `TrackingController`, or a class of one's own.
-
-    A class that inherits from it need only have `step`; the other methods then do nothing, and the
-    reference is the middle of the table. One that plays also has ``puck(time, pose)`` and
-    ``mallet(time, pose)``, which take note of those.
-    """
-
-    #: The reference that the craft tracks.
-    reference: Reference = SetPoint(0.0, 0.0, 0.0)
-
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad].
-        """
-
-    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
-        """Take note of an inertial measurement.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        acceleration : array, shape (2,)
-            Along the body's x and y axes [m/s²].
-        gyro : float
-            Spin [rad/s].
-        """
-
-    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
-        """Take note of a velocity from the optical sensor.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        velocity : array, shape (2,)
-            Along the body's x and y axes [m/s].
-        """
-
-    def step(self, time: float) -> Step:
-        """Compute the command to send now.
-
-        Parameters
-        ----------
-        time : float
-            Now, on the clock of the poses [s].
-
-        Returns
-        -------
-        Step
-            The command; ``Step(command)`` will do.
-        """
-        ...
-
-    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of the command that was really sent.
-
-        Parameters
-        ----------
-        time : float
-            When [s].
-        command : array, shape (n,)
-            Motor commands.
-        """
+_METHODS = {"measured": 1, "step": 1, "sent": 2}
 
 
 def called(pilot: Any) -> str:
@@ -109,6 +36,12 @@ def check_pilot(pilot: Any) -> None:
             "airpuck.Pilot for a default",
             field=called(pilot),
         )
+    if not isinstance(getattr(pilot, "watches", None), tuple):
+        raise InputError(
+            'must have `watches`, a tuple such as ("puck", "mallet"), or () for poses of the craft '
+            "alone; inherit from airpuck.Pilot for a default",
+            field=called(pilot),
+        )
     for method, count in _METHODS.items():
         found = getattr(pilot, method, None)
         if not callable(found):
@@ -120,7 +53,8 @@ def check_pilot(pilot: Any) -> None:
             inspect.signature(found).bind(*range(count))
         except TypeError:
             raise InputError(
-                f"{method}() must take {count} arguments beside self; see docs/control.md",
+                f"{method}() must take {count} argument{'s' * (count > 1)} beside self; see "
+                "docs/control.md",
                 field=called(pilot),
             ) from None
 
@@ -153,9 +87,7 @@ class UserPilot(Pilot):
 
     def __init__(self, own: Any, code: UserCode) -> None:
         self._own, self._code, self.called = own, code, code.name
-        for kind in ("puck", "mallet"):
-            if hasattr(own, kind):
-                setattr(self, kind, partial(self._run, kind))
+        self.watches = own.watches
 
     @property
     def reference(self) -> Reference:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -163,21 +95,14 @@ class UserPilot(Pilot):
         own = self._code.run("reference", lambda: self._own.reference)
         return sheltered(own, self._code)
 
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose; see `Pilot.pose`."""
-        self._run("pose", time, pose)
-
-    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
-        """Take note of an inertial measurement; see `Pilot.imu`."""
-        self._run("imu", time, acceleration, gyro)
-
-    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
-        """Take note of a velocity from the optical sensor; see `Pilot.mouse`."""
-        self._run("mouse", time, velocity)
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a measurement; see `Pilot.measured`."""
+        what = f"{measurement.kind} at {measurement.stamp:.2f} s"
+        self._code.run(what, self._own.measured, measurement)
 
     def step(self, time: float) -> Step:
         """Compute the command to send now; see `Pilot.step`."""
-        step = self._run("step", time)
+        step = self._code.run(f"step() at {time:.2f} s", self._own.step, time)
         problem = self._code.run(f"step() at {time:.2f} s", _what_is_wrong, step)
         if problem:
             self._code.refuse(f"step() at {time:.2f} s {problem}")
@@ -185,12 +110,7 @@ class UserPilot(Pilot):
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         """Take note of the command that was really sent; see `Pilot.sent`."""
-        self._run("sent", time, command)
-
-    def _run(self, method: str, time: float, *given: Any) -> Any:
-        """Call a method of the user's object."""
-        called = f"{method}() at {time:.2f} s"
-        return self._code.run(called, lambda: getattr(self._own, method)(time, *given))
+        self._code.run(f"sent() at {time:.2f} s", self._own.sent, time, command)
 
 
 #: Makes a pilot.

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
-from airpuck.control.reference import Numbers, Reference, SetPoint
+from airpuck.control.pilot import Pilot
+from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 
@@ -42,7 +43,7 @@ class PulsePlan:
         numbers.PULSE_ROUNDS.check(self.rounds, "rounds")
 
 
-class PulseTest:
+class PulseTest(Pilot):
     """Gives each motor short pulses while all others idle; a `Pilot`.
 
     It assumes no layout, thrust or frame, since any of them may be wrong. The craft stays on the
@@ -64,8 +65,6 @@ class PulseTest:
         self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
         self.sent_commands: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self.stopped = ""
-        #: Where the craft stands best at first; it is not steered there.
-        self.reference: Reference = SetPoint(0.0, 0.0, 0.0)
 
     @property
     def duration(self) -> float:
@@ -82,12 +81,6 @@ class PulseTest:
         values = np.array(pose, dtype=float)
         if math.isfinite(time) and values.shape == (3,) and np.isfinite(values).all():
             self.poses.append((time, values))
-
-    def imu(self, time: float, acceleration: Numbers, gyro: float) -> None:
-        """Pass over an inertial measurement; see `Pilot`."""
-
-    def mouse(self, time: float, velocity: Numbers) -> None:
-        """Pass over a velocity; see `Pilot`."""
 
     def sent(self, time: float, command: Numbers) -> None:
         """Take note of what was sent; see `Pilot`."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import sheltered
 from airpuck.craft.table import AirHockey
-from airpuck.flight.pilot import Pilot
 from airpuck.hockey.hand import SKILLS, Hand, ScriptedHand
 from airpuck.hockey.level import LEVELS, Level
 from airpuck.hockey.player import Player

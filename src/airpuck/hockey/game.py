@@ -11,9 +11,9 @@ import numpy as np
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.flight.link import Kind
+from airpuck.control.pilot import Pilot
+from airpuck.data.measurement import Kind
 from airpuck.flight.loop import Action, control
-from airpuck.flight.pilot import Pilot
 from airpuck.hockey.contestant import Contestant
 from airpuck.hockey.hand import Hand
 from airpuck.hockey.rules import Referee, Rules

@@ -14,11 +14,12 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
 from airpuck.control.mpc import MPC
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Course, Reference, Rendezvous, SetPoint, Target, asked, course
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import AirHockey
-from airpuck.flight.pilot import Pilot
+from airpuck.data.measurement import Measurement
 from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.prediction import drawn_path
@@ -100,6 +101,7 @@ class Player(Pilot):
     ) -> None:
         if side not in (-1, 1):
             raise InputError(f"must be -1 or 1, not {side!r}", field="side")
+        self.watches = ("puck", "mallet")
         self.tactic: Tactic = tactic or AllRounder()
         self.level, self.side, self.play = level, side, play
         self.filter = PuckFilter(play)
@@ -129,47 +131,29 @@ class Player(Pilot):
         self._last_puck: Float[np.ndarray, " 3"] | None = None
         self._craft: tuple[float, Float[np.ndarray, " 6"]] | None = None
 
-    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose of the craft; see `Pilot.pose`."""
-        self._controller.pose(time, pose)
-        if self._craft is None and np.isfinite(pose).all():
-            self._craft = time, np.concatenate([pose, np.zeros(3)])
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a measurement.
 
-    def imu(self, time: float, acceleration: Float[np.ndarray, " 2"], gyro: float) -> None:
-        """Take note of an inertial measurement; see `Pilot.imu`."""
-        self._controller.imu(time, acceleration, gyro)
-
-    def mouse(self, time: float, velocity: Float[np.ndarray, " 2"]) -> None:
-        """Take note of a velocity from the optical sensor; see `Pilot.mouse`."""
-        self._controller.mouse(time, velocity)
+        Parameters
+        ----------
+        measurement : Measurement
+            Those of the craft (see `TrackingController.measured`), and poses of the puck and of the
+            other side's disc, a hand's mallet or a craft: one that is not finite, or off the table,
+            is not used.
+        """
+        time, values = measurement.stamp, measurement.values
+        if measurement.kind == "puck":
+            _queue(self._puck_poses, time, values)
+        elif measurement.kind == "mallet":
+            _queue(self._opponent_poses, time, values)
+        else:
+            self._controller.measured(measurement)
+            if measurement.kind == "pose" and self._craft is None and np.isfinite(values).all():
+                self._craft = time, np.concatenate([values, np.zeros(3)])
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         """Take note of the command that was really sent; see `Pilot.sent`."""
         self._controller.sent(time, command)
-
-    def puck(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose of the puck.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad]; one that is not finite, or off the table, is not used.
-        """
-        _queue(self._puck_poses, time, pose)
-
-    def mallet(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose of the other's disc: a hand's mallet or a craft.
-
-        Parameters
-        ----------
-        time : float
-            Its stamp [s].
-        pose : array, shape (3,)
-            x, y [m], yaw [rad]; one that is not finite is not used.
-        """
-        _queue(self._opponent_poses, time, pose)
 
     def step(self, time: float) -> Step:
         """Decide, and compute the command to send now.

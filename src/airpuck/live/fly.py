@@ -16,17 +16,18 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.process import prioritize
+from airpuck.control.pilot import Pilot
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+from airpuck.data.measurement import Kind, Measurement
 from airpuck.flight.clock import LoopTiming
-from airpuck.flight.link import Kind, Measurement
 from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
-from airpuck.flight.pilot import Pilot, check_pilot, checked_step
+from airpuck.flight.pilot import check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.plan import PlanOutbox
 from airpuck.live.process import Inbox, Outbox, Process
-from airpuck.live.safety import Guard, GuardedPilot, Limits, played
+from airpuck.live.safety import Guard, GuardedPilot, Limits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
@@ -226,7 +227,7 @@ class _Flight:
             process,
             vehicle.propeller_names,
             announces=not follows,
-            others=played(pilot),
+            others=pilot.watches,
             spectators=spectators,
         )
         self._spectators = spectators
@@ -349,7 +350,7 @@ def _warm_up(pilot: Pilot, period: float) -> None:
     pose = np.zeros(3)
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):
         now = k * period
-        pilot.pose(now, pose)
+        pilot.measured(Measurement("pose", now, pose))
         pilot.sent(now, checked_step(pilot, pilot.step(now)).command)
 
 

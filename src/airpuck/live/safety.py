@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.law import Step
-from airpuck.control.reference import Numbers
+from airpuck.control.pilot import Pilot
 from airpuck.craft.table import Table
-from airpuck.flight.pilot import Pilot, checked_step
+from airpuck.data.measurement import Measurement
+from airpuck.flight.pilot import checked_step
 
 #: Takes the level and the text of an event.
 _Log = Callable[[Literal["info", "error"], str], object]
@@ -129,14 +130,8 @@ class Guard:
         return None
 
 
-def played(pilot: Pilot) -> tuple[Literal["puck", "mallet"], ...]:
-    """Return of which bodies beside the craft a pilot takes poses: one that plays has both."""
-    kinds: tuple[Literal["puck", "mallet"], ...] = ("puck", "mallet")
-    return tuple(kind for kind in kinds if hasattr(pilot, kind))
-
-
-class GuardedPilot:
-    """A pilot whose commands pass a guard; itself a `Pilot`.
+class GuardedPilot(Pilot):
+    """A pilot whose commands pass a guard.
 
     `idle` is the command of idling motors, and the least command that is sent.
     """
@@ -144,33 +139,30 @@ class GuardedPilot:
     def __init__(
         self, pilot: Pilot, guard: Guard, idle: Float[np.ndarray, " n"], log: _Log
     ) -> None:
-        self.pilot, self.guard = pilot, guard
+        self.pilot, self.guard, self.watches = pilot, guard, pilot.watches
         #: What the pilot tracked at its latest step.
         self.reference = pilot.reference
-        self.imu, self.mouse = self._guarded(pilot.imu), self._guarded(pilot.mouse)
-        self.sent, self._pilots_pose = self._guarded(pilot.sent), self._guarded(pilot.pose)
-        for kind in played(pilot):
-            setattr(self, kind, self._guarded(getattr(pilot, kind)))
         self._idle, self._log = idle, log
         #: Why the motors idle, as last logged; None while they run.
         self._logged: str | None = ""
 
-    def pose(self, time: float, pose: Numbers) -> None:
-        """Judge a pose and pass it on; see `Pilot.pose`."""
-        self.guard.pose(time, np.asarray(pose, dtype=float))
-        self._pilots_pose(time, np.asarray(pose, dtype=float))
+    def measured(self, measurement: Measurement) -> None:
+        """Judge a pose, and pass every measurement on; see `Pilot.measured`."""
+        if measurement.kind == "pose":
+            self.guard.pose(measurement.stamp, np.asarray(measurement.values, dtype=float))
+        self._tell(self.pilot.measured, measurement)
 
-    def _guarded(self, method: Callable[..., None]) -> Callable[..., None]:
-        """Return a method of the pilot whose failure idles the motors."""
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Pass on what was sent; see `Pilot.sent`."""
+        self._tell(self.pilot.sent, time, command)
 
-        def guarded(*measured: Any) -> None:
-            try:
-                method(*measured)
-            # As in `step`.
-            except Exception as error:
-                self.guard.fault(_failure(error))
-
-        return guarded
+    def _tell(self, method: Callable[..., None], *news: Any) -> None:
+        """Call a method of the pilot; if it fails, the motors idle."""
+        try:
+            method(*news)
+        # As in `step`.
+        except Exception as error:
+            self.guard.fault(_failure(error))
 
     def step(self, time: float) -> Step:
         """Compute a command that is safe to send."""

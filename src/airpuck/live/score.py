@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from airpuck.control.pilot import Pilot
 from airpuck.craft.table import AirHockey
-from airpuck.flight.link import Measurement
+from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import Action
-from airpuck.flight.pilot import Pilot
 from airpuck.hockey.rules import Ruling
 from airpuck.hockey.scorekeeper import Scorekeeper
 from airpuck.live.process import Process

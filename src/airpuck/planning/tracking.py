@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from airpuck.control.discretization import motor_lag, point_mass
 from airpuck.control.law import Step
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
@@ -228,7 +229,7 @@ def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> Trac
     return TrackingController(plan.model, plan, tuning, table=table)
 
 
-class Departing:
+class Departing(Pilot):
     """Goes to the start of a plan, rests there for a second, and flies the plan, once; a `Pilot`.
 
     Parameters
@@ -248,8 +249,7 @@ class Departing:
         #: The plan, which begins at infinity until the craft departs.
         self.reference: Reference = plan.starting(np.inf)
         controller.reference = self.reference
-        self.pose, self.imu, self.mouse = controller.pose, controller.imu, controller.mouse
-        self.sent = controller.sent
+        self.pose, self.measured, self.sent = controller.pose, controller.measured, controller.sent
 
     def step(self, time: float) -> Step:
         """Compute the command to send now, and depart in time; see `TrackingController.step`."""

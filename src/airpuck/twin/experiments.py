@@ -12,11 +12,12 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
 from airpuck.control.excitation_plan import ExcitationPlan
+from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.loop import FlightLog, fly
-from airpuck.flight.pilot import Pilot, PilotMaker
+from airpuck.flight.pilot import PilotMaker
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant

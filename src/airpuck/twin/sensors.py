@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.flight.link import Kind, Measurement
+from airpuck.data.measurement import Kind, Measurement
 from airpuck.recording.stream import COLUMNS, POSES, Stream
 from airpuck.twin.settings import MotionCapture, TwinSettings
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.flight.link import Kind, Measurement
+from airpuck.data.measurement import Kind, Measurement
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import acceleration

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.control.pilot import Pilot
 from airpuck.craft.table import AirHockey
+from airpuck.data.measurement import Kind, Measurement
 from airpuck.flight.clock import Every
-from airpuck.flight.link import Kind, Measurement
 from airpuck.flight.loop import Action
-from airpuck.flight.pilot import Pilot
 from airpuck.hockey.player import Player
 from airpuck.live.process import Outbox, Process
 from airpuck.live.score import NAMES, Score
