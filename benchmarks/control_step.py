@@ -16,9 +16,10 @@ from collections import Counter, deque
 import numpy as np
 
 from airpuck.compute.process import low_latency
+from airpuck.control.laws import LAWS
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import REGULATORS, default_tuning
+from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.rollout import step
 
@@ -56,7 +57,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--model", default="paper:M4")
     parser.add_argument("--solver", default="daqp", choices=("daqp", "piqp"), help="of the law")
-    parser.add_argument("--regulator", default="lqr", choices=REGULATORS)
+    parser.add_argument("--regulator", default="lqr", choices=LAWS)
     parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
     parser.add_argument("--processor", action="store_true", help="measure processor time")
     options = parser.parse_args()

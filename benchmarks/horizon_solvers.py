@@ -21,6 +21,7 @@ import numpy as np
 from airpuck.compute.process import low_latency
 from airpuck.control.horizon import Blocks, stages
 from airpuck.control.horizon_solvers import Condensed, Multistage
+from airpuck.control.mpc import MPC
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
@@ -89,6 +90,8 @@ def main() -> None:
     times = np.arange(0, options.steps / 100 + 2, 1.5)
     reference = SetPoints(times, [poses[k % 4] for k in range(len(times))])
     controller, craft = TrackingController(model, reference, tuning), Craft(model)
+    law = controller.law
+    assert isinstance(law, MPC)
     rng, frame = np.random.default_rng(0), 0
     spent: dict[str, list[float]] = {"daqp": [], "piqp": [], "osqp": osqp.spent}
     apart: dict[str, list[float]] = {"osqp": [], "piqp": []}
@@ -101,8 +104,8 @@ def main() -> None:
             controller.pose(frame * FRAME, craft.state[:3] + noise)
             frame += 1
         e = controller.predict(now)
-        asked = controller.law.asked(reference, now, model.transport_delay)
-        s = posed(np, e.state, e.motor_speed, e.disturbance, e.effectiveness, *asked)
+        inputs, _ = law.posed(controller.state, reference, now, model.transport_delay)
+        s = posed(np, e.state, e.motor_speed, e.disturbance, e.effectiveness, *inputs)
         formed, staged = condensed.form(np, s), stagewise.form(np, s)
         begun = time.process_time()
         one = condensed.solve(formed)

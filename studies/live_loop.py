@@ -27,7 +27,7 @@ from one_line import run
 
 from airpuck import read_recording
 from airpuck.compute.process import prioritize
-from airpuck.control.tuning import REGULATORS
+from airpuck.control.laws import LAWS
 from airpuck.flight.clock import JITTER_P99, LATENCY_P99, Clock, LoopTiming
 
 _MAIN = "from airpuck.cli import main; main()"
@@ -154,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--domain", type=int, default=99)
-    parser.add_argument("--regulator", choices=REGULATORS, default="lqr")
+    parser.add_argument("--regulator", choices=LAWS, default="lqr")
     parser.add_argument("--bare", action="store_true", help="only the bare loop, as JSON")
     options = parser.parse_args()
     if options.bare:

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 from predictive_limits.converged import Converged, Problem
 
+from airpuck.control.laws import LAWS
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import ESTIMATORS, REGULATORS, default_tuning
+from airpuck.control.tuning import ESTIMATORS, default_tuning
 from airpuck.flight.track import Track
 from airpuck.model.model_file import Model, published_model
 from airpuck.physics.angle import pose_difference
@@ -98,10 +99,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--workers", type=int, default=None)
     parser.add_argument("--fault", choices=FAULTS, help="by default all in turn")
-    parser.add_argument("--law", choices=(*REGULATORS, "converged"), default="lqr")
+    parser.add_argument("--law", choices=(*LAWS, "converged"), default="lqr")
     options = parser.parse_args()
     law, estimators = options.law, ("known",)
-    if law in REGULATORS:
+    if law in LAWS:
         estimators = (*ESTIMATORS, *estimators)
     print(f"{law}\nfault     estimator   median and largest of x mm, y mm, yaw rad")
     with ProcessPoolExecutor(options.workers) as pool:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
         SetPoints as SetPoints,
         TimedPath as TimedPath,
     )
-    from airpuck.control.law import Step as Step
+    from airpuck.control.law import Law as Law, Step as Step
     from airpuck.control.tracking import TrackingController as TrackingController
     from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
     from airpuck.craft.table import AirHockey as AirHockey, read_table as read_table
@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
         default_vehicle as default_vehicle,
         read_vehicle as read_vehicle,
     )
+    from airpuck.data.measurement import Measurement as Measurement
     from airpuck.data.trajectory import (
         Span as Span,
         Trajectory as Trajectory,
@@ -118,12 +119,14 @@ _NAMES = {
     "boundary.errors": "InputError",
     "campaigns.campaign": "campaign",
     "campaigns.match": "match",
-    "control.law": "Step",
+    "control.law": "Law Step",
+    "control.pilot": "Pilot",
     "control.reference": "Rendezvous SetPoint SetPoints TimedPath",
     "control.tracking": "TrackingController",
     "control.tuning": "Tuning read_tuning",
     "craft.table": "AirHockey read_table",
     "craft.vehicle": "Vehicle default_vehicle read_vehicle",
+    "data.measurement": "Measurement",
     "data.trajectory": "Span Trajectory",
     "data.trajectory_file": "read_trajectory",
     "estimate.encoder": "PaperEncoder",
@@ -136,7 +139,6 @@ _NAMES = {
     "faults.find": "find_faults",
     "faults.layout_check": "check_layout",
     "flight.loop": "fly",
-    "control.pilot": "Pilot",
     "flight.preflight": "preflight",
     "flight.replay": "Replay replay",
     "hockey.contestant": "contestant",

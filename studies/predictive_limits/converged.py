@@ -15,12 +15,10 @@ import numpy as np
 
 from airpuck.compute.arrays import with_symbols
 from airpuck.control.discretization import point_mass
-from airpuck.control.law import Step
+from airpuck.control.law import Law, Moment, Step
 from airpuck.control.lqr import cost_to_go
-from airpuck.control.reference import Reference, course
-from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Regulator, Tuning
-from airpuck.estimate.estimator import Estimate
+from airpuck.control.reference import course
+from airpuck.control.tuning import Regulator
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.physics.rigid_body import Dynamics, acceleration
@@ -98,38 +96,30 @@ class Problem:
         return found["x"].full().ravel(), bool(self._solver.stats()["success"])
 
 
-class Converged(TrackingController):
-    """Flies the solution of the nonlinear problem."""
+class Converged(Law):
+    """Flies the solution of the nonlinear problem; its state is the latest plan, the next guess."""
 
-    def __init__(
-        self, model: Model, reference: Reference, tuning: Tuning, problem: Problem
-    ) -> None:
-        plain = tuning.regulator.model_copy(update={"kind": "lqr"})
-        super().__init__(model, reference, tuning.model_copy(update={"regulator": plain}))
-        self._predict_and_stage = None  # so that steps go through `steer`
+    def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._guess: np.ndarray | None = None
         #: For each step: its time [s], and whether the solver converged.
         self.spent: list[float] = []
         self.converged: list[bool] = []
 
-    def steer(self, estimate: Estimate, now: float) -> Step:
+    def step(self, state: np.ndarray | None, moment: Moment) -> tuple[Step, np.ndarray | None]:
         """Return the first command of the best plan."""
-        wanted = course(
-            self.reference, now, self.model.transport_delay + self._problem.times
-        ).states
+        estimate, _ = moment.foresee()
+        ahead = moment.delay + self._problem.times
+        wanted = course(moment.reference, moment.now, ahead).states
         start = np.concatenate([estimate.state, estimate.motor_speed])
         # Whole turns do not count.
         left = start[2] - wanted[0, 2]
         wanted = wanted + (np.arange(6) == 2) * (left - wrapped(np, left))
         began = time.perf_counter()
-        plan, solved = self._problem.solve(start, wanted, estimate.disturbance, self._guess)
+        plan, solved = self._problem.solve(start, wanted, estimate.disturbance, state)
         self.spent.append(time.perf_counter() - began)
         self.converged.append(solved)
-        if solved:
-            self._guess = plan
         command = plan[len(start) : len(start) + self._problem.n].clip(*self._problem.range)
-        return Step(command, "optimal", np.zeros(3), estimate)
+        return Step(command, "optimal", np.zeros(3), estimate), plan if solved else state
 
 
 def _posed(model: Model, regulator: Regulator, dynamics: Dynamics) -> dict[str, Any]:

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.control.law import Step
+from airpuck.control.law import Moment, Step
+from airpuck.control.laws import LAWS
+from airpuck.control.mpc import MPC, Ongoing
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
-from airpuck.estimate.estimator import Estimate
 
 from .converged import Converged, Problem, accelerations
 from .flights import Flight, Pose, calm, craft, flown
@@ -50,19 +51,19 @@ class Pair:
     solved: float
 
 
-class Timed(TrackingController):
+class Timed(MPC):
     """Measures its steps."""
 
-    def __init__(self, *given: Any, **options: Any) -> None:
-        super().__init__(*given, **options)
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
         self.spent: list[float] = []
 
-    def steer(self, estimate: Estimate, now: float) -> Step:
-        """Steer, and note how long it took."""
+    def step(self, state: Ongoing, moment: Moment) -> tuple[Step, Ongoing]:
+        """Find the command, and note how long that took."""
         began = time.perf_counter()
-        step = super().steer(estimate, now)
+        found = super().step(state, moment)
         self.spent.append(time.perf_counter() - began)
-        return step
+        return found
 
 
 def start_and_target(seed: int) -> tuple[Pose, Pose]:
@@ -79,12 +80,17 @@ def compare(seed: int, tuning: Tuning, duration: float, problem: Problem) -> Pai
     theirs: list[Converged] = []
 
     def by_law(reference: SetPoint, tuning: Tuning) -> TrackingController:
-        ours.append(Timed(craft(), reference, tuning, table=_WIDE.table))
-        return ours[0]
+        LAWS["timed"] = Timed
+        tuning = tuning.with_regulator("timed")
+        controller = TrackingController(craft(), reference, tuning, table=_WIDE.table)
+        assert isinstance(controller.law, Timed)
+        ours.append(controller.law)
+        return controller
 
     def by_solver(reference: SetPoint, tuning: Tuning) -> TrackingController:
-        theirs.append(Converged(craft(), reference, tuning, problem))
-        return theirs[0]
+        theirs.append(Converged(problem))
+        LAWS["converged"] = lambda *_: theirs[0]
+        return TrackingController(craft(), reference, tuning.with_regulator("converged"))
 
     costs = [
         flight_cost(flown(start, target, tuning, duration, settings=_WIDE, make=make), tuning)

@@ -153,7 +153,7 @@ def test_the_step_that_learns_of_a_set_point_expects_what_its_commands_do():
     # By the physics, under the commands that were found in this step.
     start, owner = np.concatenate([craft.state, craft.motor_speed]), controller._blocks.owner
     lengths = np.full(len(owner), controller._blocks.step)
-    states = rollout(np, MODEL.dynamics, start, controller._plan[owner], lengths)
+    states = rollout(np, MODEL.dynamics, start, ours.state.plan[owner], lengths)
     apart, way = np.abs(expected.states - states[:, :6])[:, :3], np.abs(states[:, :3])
     assert (apart.max(axis=0) < 0.1 * way.max(axis=0)).all()
     assert states[-1, 0] > 0.001
@@ -285,11 +285,9 @@ def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit():
     ours.law._solver.solve = lambda formed: None
     most = MODEL.vehicle.command_max
     for k in range(200):
-        ours.law._plan, ours.law._since, ours.law._answered = (
-            np.full_like(ours.law._plan, most),
-            0.0,
-            0.0,
-        )
+        begun = ours.law.init()
+        full = np.full_like(begun.plan, most)
+        ours.state = begun._replace(plan=full, since=0.0, answered=0.0)
         step = ours.steer(
             Estimate(0.0, at_rest(0.0, 0.0, 0.0), np.full(6, 0.3), np.zeros(3)), k * 5e-4
         )

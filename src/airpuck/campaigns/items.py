@@ -21,6 +21,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.boundary.numbers import Range
 from airpuck.campaigns.fingerprint import of_file, of_recording, program
+from airpuck.control.laws import check_law
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
@@ -192,12 +193,12 @@ class Tracking(TwinItem):
     model: str = "paper:M4"
     #: Time at each set point.
     dwell_s: Annotated[float, _within(numbers.DWELL)] = DWELL
-    #: As flown in the paper; "full", the default of mpc, also compensates the delay and rejects
-    #: disturbances.
+    #: As flown in the paper; "full", the default of all laws but lqr, also compensates the delay
+    #: and rejects disturbances.
     controller: Literal["paper", "full"] | None = None
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
     #: By default the tuning's.
-    regulator: Literal["lqr", "mpc"] | None = None
+    regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
 
     def run(self) -> list[Row]:
         """Fly; see `Item.run`."""

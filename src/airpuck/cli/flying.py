@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -22,13 +21,6 @@ if TYPE_CHECKING:
     from airpuck.twin.tracking_study import Tracked
 
 PANEL = "Control and flight"
-
-
-class Law(StrEnum):
-    """Laws of the controller; Typer takes a list of these, not of literals."""
-
-    LQR = "lqr"
-    MPC = "mpc"
 
 
 @app.command(rich_help_panel=PANEL)
@@ -125,15 +117,16 @@ def track(
         Literal["paper", "full"] | None,
         Option(
             help="paper: as flown; full: compensates the delay, rejects disturbances; by default "
-            "paper, and full where mpc flies."
+            "paper, and full where another law than lqr flies."
         ),
     ] = None,
     regulators: Annotated[
-        list[Law] | None,
+        list[str] | None,
         Option(
             "--regulator",
-            help="lqr, or mpc: predicts, within the limits of motors and rails; give both to "
-            "compare them. By default the tuning's.",
+            metavar="LAW",
+            help=f"{options.LAWS_THERE_ARE}; give several to compare them. By default the "
+            "tuning's.",
         ),
     ] = None,
     estimator: Annotated[
@@ -162,23 +155,23 @@ def track(
     if pilot is not None:
         ours = {"regulators": regulators, "controller": controller, "estimator": estimator}
         inputs.refuse_others(track, "--pilot, which flies yours", ours)
-    laws = [str(law) for law in dict.fromkeys(regulators or [controls.regulator.kind])]
-    predicts = "mpc" in laws and pilot is None
-    names = models or ["paper:M0", "paper:M4"][predicts:]
+    laws = list(dict.fromkeys(regulators or [controls.regulator.kind]))
+    beyond_paper = set(laws) != {"lqr"} and pilot is None
+    names = models or ["paper:M0", "paper:M4"][beyond_paper:]
     if dwell is not None and flights:
         raise InputError("a flight has its own times; give one of the two", field="--dwell")
     paths: list[Path | None] = list(flights or ())
     if setpoints is not None and flights:
         raise InputError("a flight has its own set points; give one of the two", field="--flight")
     own = setpoints is not None or pilot is not None
-    as_flown = controller == "paper" or (controller is None and not predicts)
+    as_flown = controller == "paper" or (controller is None and not beyond_paper)
     if not paths and dwell is None and as_flown and not own:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="--flight")
     beliefs, plant = [inputs.read_belief(name) for name in names], airpuck.read_model(truth)
-    if predicts:
-        inputs.check_predictive(tuning, controls, *beliefs)
+    for law in laws if pilot is None else ():
+        inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
     tracked = airpuck.tracking_study(
         beliefs,
         plant,

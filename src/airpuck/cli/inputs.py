@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -143,7 +144,7 @@ def model_or_nominal(
 def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:
     """Read a tuning file, by default the packaged one, and check that it gives a regulator.
 
-    `kind` is the law to take, whatever the tuning says; a predictive one must suit the models.
+    `kind` is the law to take, whatever the tuning says; it must suit the models.
     """
     from airpuck.control.lqr import regulator
     from airpuck.control.tuning import default_tuning
@@ -153,19 +154,21 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
     if path is not None:
         with about(path):
             regulator(tuning.weights, tuning.period_s)
-    if tuning.regulator.kind == "mpc":
-        check_predictive(path, tuning, *models)
+    check_law(path, tuning, *models)
     return tuning
 
 
-def check_predictive(path: Path | None, tuning: Tuning, *models: Model) -> None:
-    """Raise InputError if a tuning's predictive law does not suit the models."""
-    from airpuck.control.mpc import MPC
+def check_law(path: Path | None, tuning: Tuning, *models: Model) -> None:
+    """Raise InputError if the law of a tuning file, or the user's own law, does not suit."""
+    from airpuck.control.law import LawOptions
+    from airpuck.control.laws import law_named
 
-    if path is not None:
-        with about(path):
-            for model in models:
-                MPC(model, tuning, compiled=False)
+    make = law_named(tuning.regulator.kind)
+    if tuning.regulator.kind == "lqr":
+        return
+    with contextlib.nullcontext() if path is None else about(path):
+        for model in models:
+            make(model, tuning, LawOptions(compiled=False))
 
 
 def rows(texts: Sequence[str], count: int, option: str, words: str) -> list[tuple[float, ...]]:

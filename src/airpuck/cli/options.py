@@ -15,6 +15,7 @@ from airpuck.cli.names import check_written
 from airpuck.cli.output import is_stdout
 from airpuck.cli.views import FromFile
 from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
+from airpuck.control.laws import LAWS
 
 #: What is written, by what stands for it in the help.
 _KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
@@ -116,13 +117,10 @@ PilotClass = Annotated[
         help="A controller of your own: a class that is made from (model, reference).",
     ),
 ]
+LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME"
 RegulatorName = Annotated[
-    Literal["lqr", "mpc"] | None,
-    Option(
-        "--regulator",
-        help="lqr, or mpc: predicts, within the limits of motors and rails; by default the "
-        "tuning's.",
-    ),
+    str | None,
+    Option("--regulator", metavar="LAW", help=f"{LAWS_THERE_ARE}; by default the tuning's."),
 ]
 Seed = Annotated[int, number("N", "Seed of everything random.", numbers.SEED)]
 ProtocolName = Annotated[

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.user_code import UserCode
+from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
 from airpuck.control.reference import Reference
+from airpuck.control.tuning import Tuning
+from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
+from airpuck.model.model_file import Model
 
 #: What became of a prediction. ``optimal``: within all limits. ``softened``: beyond a limit of the
 #: craft's motion, by as little as possible. ``iteration limit``: the solver gave nothing usable,
@@ -86,28 +91,120 @@ class Step:
         return self.status in FLYING
 
 
-class Law(Protocol):
-    """Gives the command to a craft whose state is known for when the command begins to act.
+class Moment(NamedTuple):
+    """One control step, as a law sees it."""
 
-    A step has three parts, so that the controller can compile the second together with its
-    estimator's prediction.
+    reference: Reference
+    #: When the command is sent, and how much later it begins to act [s].
+    now: float
+    delay: float
+    #: Takes the inputs of the law's stage. Returns the craft as predicted for when the command
+    #: begins to act, and the results of the stage there.
+    foresee: Callable[..., tuple[Estimate, Sequence[Any]]]
+
+
+@dataclass(frozen=True, eq=False)
+class LawOptions:
+    """What a controller passes on to its law."""
+
+    #: Whose rails a predictive law keeps to.
+    table: Table = field(default_factory=Table)
+    #: Of the LQR; by default that of the tuning's weights.
+    gain: Float[np.ndarray, "3 6"] | None = None
+    #: Whether the estimated disturbance is compensated.
+    reject_disturbance: bool = True
+    #: Whether to compile the mathematics or to run it in NumPy.
+    compiled: bool = True
+
+
+class Law:
+    """Finds the command for a craft whose state is predicted to when the command begins to act.
+
+    A step takes the law's state and returns the next one; the law itself stays as it is. Whatever
+    can be a pure function of the prediction goes into `stage`: the controller compiles it together
+    with the prediction of its estimator, since every call of a program costs time.
+
+    Parameters
+    ----------
+    model : Model
+        The craft.
+    tuning : Tuning
+        Period, weights, and what else is chosen.
+    options : LawOptions, optional
+        What the controller was told.
+
+    Attributes
+    ----------
+    stage : callable or None
+        (array namespace, state, motor speeds, disturbance, effectiveness, *inputs) to arrays; None:
+        there is none.
+    inputs : tuple of array
+        Inputs of the stage beside the estimate, as examples of their shapes.
     """
 
-    @property
-    def stage(self) -> Callable[..., tuple[Any, ...]]:
-        """What is computed before the quadratic program, as a pure function.
+    stage: Callable[..., tuple[Any, ...]] | None = None
+    inputs: tuple[np.ndarray, ...] = ()
 
-        (xp, state, motor speeds, disturbance, effectiveness, *what `asked` returns) → arrays.
+    def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None: ...
+
+    def init(self) -> Any:
+        """Return the state before the first step.
+
+        Returns
+        -------
+        object
+            By default None: such a law remembers nothing.
         """
-        ...
+        return None
 
-    def asked(self, reference: Reference, now: float, delay: float) -> tuple[np.ndarray, ...]:
-        """Return what the stage needs beside the estimate; always of the same shapes.
+    def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
+        """Find the command to send now.
 
-        ``now`` is when the command is sent, ``delay`` how much later it begins to act [s].
+        Parameters
+        ----------
+        state : object
+            From `init` or the step before.
+        moment : Moment
+            Reference and time, and the prediction of the craft.
+
+        Returns
+        -------
+        step : Step
+            The command.
+        state : object
+            For the next step.
         """
-        ...
+        raise NotImplementedError
 
-    def finished(self, estimate: Estimate, staged: Sequence[Any]) -> Step:
-        """Return the command, from what the stage computed."""
-        ...
+
+class UserLaw(Law):
+    """A law of a user's class, behind the boundary."""
+
+    def __init__(self, own: Law, code: UserCode) -> None:
+        self._own, self._code = own, code
+        self.stage, self.inputs = own.stage, own.inputs
+
+    def init(self) -> Any:
+        """Return the state before the first step; see `Law.init`."""
+        return self._code.run("init()", self._own.init)
+
+    def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
+        """Find the command; see `Law.step`."""
+        what = f"step() at {moment.now:.2f} s"
+        found = self._code.run(what, self._own.step, state, moment)
+        if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Step)):
+            self._code.refuse(f"{what} must return an airpuck.Step and the next state")
+        return found
+
+
+def staged(law: Law, model: Model, compiled: bool) -> Callable[..., tuple[Estimate, Sequence[Any]]]:
+    """Return the stage of a law for estimates that are given: (estimate, *inputs) → `foresee`'s."""
+    if law.stage is None:
+        return lambda estimate: (estimate, ())
+    axes, motors = np.zeros(3), np.zeros(model.vehicle.n_propellers)
+    compute = program(law.stage, np.zeros(6), motors, axes, motors, *law.inputs, compiled=compiled)
+
+    def computed(e: Estimate, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:
+        return e, compute(e.state, e.motor_speed, e.disturbance, e.effectiveness, *inputs)
+
+    return computed

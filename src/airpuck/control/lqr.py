@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import ThrustAllocator, all_finite
 from airpuck.control.discretization import point_mass
-from airpuck.control.law import Step
-from airpuck.control.reference import Reference
+from airpuck.control.law import Law, LawOptions, Moment, Step
 from airpuck.control.stages import Plan, command_stage, plan_stage
 from airpuck.control.tuning import Tuning, Weights
-from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import InverseThrust
 
@@ -78,7 +75,7 @@ def regulator(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:
     return lqr(*point_mass(period), np.diag(weights.errors), np.diag(weights.efforts))
 
 
-class LQR:
+class LQR(Law):
     """A quadratic regulator of the accelerations, and the allocation of thrusts to give them.
 
     Moves the state one period on with the accelerations that the motors already determine; asks for
@@ -91,12 +88,8 @@ class LQR:
         The craft; its thrust curves must rise.
     tuning : Tuning
         Weights, period and allocation.
-    gain : array, shape (3, 6), optional
-        K for the state x, y, γ, vx, vy, ω; by default the regulator of the tuning's weights.
-    reject_disturbance : bool, default True
-        See `airpuck.control.tracking.TrackingController`.
-    compiled : bool, default True
-        Whether to compile the mathematics or to run it in NumPy.
+    options : LawOptions, optional
+        Among them the gain K for the state x, y, γ, vx, vy, ω.
 
     Raises
     ------
@@ -104,41 +97,32 @@ class LQR:
         If a thrust curve falls somewhere.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        tuning: Tuning,
-        *,
-        gain: Float[np.ndarray, "3 6"] | None = None,
-        reject_disturbance: bool = True,
-        compiled: bool = True,
-    ) -> None:
+    def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
+        options = options or LawOptions()
         InverseThrust(model.dynamics.thrust)  # refuses curves that fall
         n, period, allocation = model.vehicle.n_propellers, tuning.period_s, tuning.allocation
         slack_weight = allocation.slack_weight
         #: May be exchanged at any time.
-        self.gain = regulator(tuning.weights, period) if gain is None else gain
-        #: See `airpuck.control.law.Law`.
-        self.stage = plan_stage(model, period, slack_weight, reject_disturbance)
+        self.gain = regulator(tuning.weights, period) if options.gain is None else options.gain
+        self.stage = plan_stage(model, period, slack_weight, options.reject_disturbance)
+        self.inputs = np.zeros(6), np.zeros(3), self.gain
         self._period, self._idle = period, np.full(n, model.vehicle.command_min)
         self._allocator = ThrustAllocator(
             n, model.radius_of_gyration, slack_weight, allocation.solver
         )
         command, motors, bounds = command_stage(model, period), np.zeros(n), np.zeros(n + 5)
         given = np.zeros(n + 2), bounds, bounds, motors
-        self._command = program(command, *given, compiled=compiled)
+        self._command = program(command, *given, compiled=options.compiled)
 
-    def asked(self, reference: Reference, now: float, delay: float) -> tuple[np.ndarray, ...]:
-        """Return the target one period after the command begins to act, and the gain."""
-        target = reference.at(now, delay + self._period)
-        return target.state, target.acceleration, self.gain
-
-    def finished(self, estimate: Estimate, staged: Sequence[Any]) -> Step:
-        """Allocate thrusts for a plan and invert them to commands."""
-        plan = Plan(*staged)
+    def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
+        """Allocate thrusts for the accelerations that lead to the target, and invert them."""
+        # The target is that of one period after the command begins to act.
+        target = moment.reference.at(moment.now, moment.delay + self._period)
+        estimate, results = moment.foresee(target.state, target.acceleration, self.gain)
+        plan = Plan(*results)
         solution, outcome = self._allocator.solve(plan.a, plan.lower, plan.upper, plan.finite)
         if solution is not None:
             (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)
             if all_finite(command):
-                return Step(command, outcome, plan.request, estimate)
-        return Step(self._idle.copy(), "failed", plan.request, estimate)
+                return Step(command, outcome, plan.request, estimate), state
+        return Step(self._idle.copy(), "failed", plan.request, estimate), state

@@ -8,25 +8,24 @@ Journal on Control and Optimization 43, 2005). See docs/control.md, "Predictive 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.compiled import program
 from airpuck.control.allocation import all_finite
 from airpuck.control.discretization import point_mass
 from airpuck.control.horizon import Ahead, Blocks, Stages, stages
 from airpuck.control.horizon_solvers import SOLVERS
-from airpuck.control.law import Prediction, Status, Step
+from airpuck.control.law import Law, LawOptions, Moment, Prediction, Status, Step, staged
 from airpuck.control.lqr import LQR, cost_to_go
-from airpuck.control.reference import Arrival, Reference, course
+from airpuck.control.reference import Arrival, Reference, SetPoint, course
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
-from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
 #: Commands of the first plan: in the middle of the thrust curves, where they are steep.
@@ -39,7 +38,19 @@ _MOST_COMMANDS = 200
 _SOON = 0.02
 
 
-class MPC:
+class Ongoing(NamedTuple):
+    """What the predictive law remembers."""
+
+    #: Commands of the latest plan, block by block, and since when they hold [s].
+    plan: Float[np.ndarray, "blocks n"]
+    since: float
+    #: When the solver last had an answer [s].
+    answered: float
+    #: What is still to turn, the way round that was chosen [rad].
+    way: Float[np.ndarray, ""]
+
+
+class MPC(Law):
     """Finds the commands over the next horizon that track best within all limits.
 
     Where the solver has no answer, the plan of the step before is flown on for 0.1 s; after that,
@@ -51,14 +62,8 @@ class MPC:
         The craft; its thrust curves must rise.
     tuning : Tuning
         Its section `regulator`; the rest is the LQR's.
-    table : Table, optional
-        Where the rails are; by default the paper's.
-    gain : array, shape (3, 6), optional
-        Of the LQR.
-    reject_disturbance : bool, default True
-        Whether the estimated disturbance goes on in the prediction.
-    compiled : bool, default True
-        Whether the LQR's mathematics is compiled.
+    options : LawOptions, optional
+        Among them the table whose rails it keeps to; the gain is the LQR's.
 
     Raises
     ------
@@ -67,19 +72,10 @@ class MPC:
         to decide than can be in time.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        tuning: Tuning,
-        *,
-        table: Table | None = None,
-        gain: Float[np.ndarray, "3 6"] | None = None,
-        reject_disturbance: bool = True,
-        compiled: bool = True,
-    ) -> None:
-        options = {"reject_disturbance": reject_disturbance, "compiled": compiled}
+    def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
+        options = options or LawOptions()
         #: Steers where there is no plan.
-        self.fallback = LQR(model, tuning, gain=gain, **options)
+        self.fallback = LQR(model, tuning, options)
         regulator, vehicle = tuning.regulator, model.vehicle
         limits = regulator.limits
         self._blocks = blocks = Blocks.of(regulator)
@@ -92,15 +88,14 @@ class MPC:
                 field="regulator.block",
             )
         count = len(blocks.times)
-        self._fence = _fence(limits.fence_m, table or Table(), vehicle.radius_m + limits.margin_m)
+        self._fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
         self._keep_out = np.array(limits.keep_out_m).reshape(-1, 3)
         self._kinds = ["rail", "rail"]
         self._kinds += ["speed"] * (limits.speed_m_s is not None)
         self._kinds += ["spin"] * (limits.spin_rad_s is not None)
         self._kinds += ["disc"] * len(self._keep_out)
         self._solver = SOLVERS[regulator.solver](vehicle, blocks, regulator, len(self._kinds))
-        posed = stages(model, blocks, regulator, reject_disturbance)
-        #: See `airpuck.control.law.Law`.
+        posed = stages(model, blocks, regulator, options.reject_disturbance)
         self.stage = _stage(posed, self._solver.form)
         errors, self._efforts = regulator.weights.errors * blocks.step, regulator.weights.efforts
         self._weights = np.tile(errors, (count, 1))
@@ -110,10 +105,8 @@ class MPC:
         self._first = np.full((len(blocks.lengths), vehicle.n_propellers), _FIRST).clip(
             *self._range
         )
-        self._forget()
-        axes, motors = np.zeros(3), np.zeros(vehicle.n_propellers)
-        given = np.zeros(6), motors, axes, motors, np.zeros(6), axes, self.fallback.gain
-        self._fall_back = program(self.fallback.stage, *given, compiled=compiled)
+        self.inputs, _ = self.posed(self.init(), SetPoint(0.0, 0.0, 0.0), 0.0, 0.0)
+        self._fall_back = staged(self.fallback, model, options.compiled)
 
     @property
     def fence(self) -> Float[np.ndarray, "2 2"]:
@@ -147,22 +140,22 @@ class MPC:
             )
         self._keep_out = found.reshape(count, 3)
 
-    def _forget(self) -> None:
-        """Begin without a plan."""
-        #: The commands of the last answer, since when they hold, and when that answer came [s].
-        self._plan, self._since, self._answered = self._first, math.nan, -math.inf
-        #: What is still to turn, the way round that was chosen [rad].
-        self._way = np.zeros(())
+    def init(self) -> Ongoing:
+        """Begin with commands that are constant from time 0 on; see `Law.init`."""
+        return Ongoing(self._first, 0.0, -math.inf, np.zeros(()))
 
-    def asked(self, reference: Reference, now: float, delay: float) -> tuple[np.ndarray, ...]:
-        """Return the plan as it goes on from now, targets over the horizon, and limits."""
-        if not 0 <= now - self._since <= self._blocks.times[-1]:
-            self._forget()
-        elif now > self._since:
-            self._plan = self._blocks.shifted(self._plan, now - self._since).clip(*self._range)
-        self._since, self._asked = now, (reference, now, delay)
+    def posed(
+        self, state: Ongoing, reference: Reference, now: float, delay: float
+    ) -> tuple[tuple[np.ndarray, ...], Ongoing]:
+        """Return the stage's inputs (the plan, targets, limits) and the plan as it goes on."""
+        if not 0 <= now - state.since <= self._blocks.times[-1]:
+            state = self.init()
+        elif now > state.since:
+            plan = self._blocks.shifted(state.plan, now - state.since).clip(*self._range)
+            state = state._replace(plan=plan)
         ahead = self._ahead(reference, now, delay)
-        return self._way, self._plan, *ahead, self._fence, self._keep_out
+        inputs = state.way, state.plan, *ahead, self._fence, self._keep_out
+        return inputs, state._replace(since=now)
 
     def _ahead(self, reference: Reference, now: float, delay: float) -> Ahead:
         """Return targets and weights at the ends of the steps."""
@@ -191,28 +184,27 @@ class MPC:
             weights[after - 1] = (1 - share) * sharp
         return weights, np.diag(weights[-1])
 
-    def finished(self, estimate: Estimate, staged: Sequence[Any]) -> Step:
-        """Solve the program and return the first command of the better plan."""
-        *formed, states, request, way = staged
+    def step(self, state: Ongoing, moment: Moment) -> tuple[Step, Ongoing]:
+        """Solve the program and return the first command of the better plan; see `Law.step`."""
+        inputs, state = self.posed(state, moment.reference, moment.now, moment.delay)
+        estimate, results = moment.foresee(*inputs)
+        *formed, states, request, way = results
         answer = self._solver.solve(formed)
         if answer is not None and all_finite(answer.change.ravel()):
-            self._plan = (self._plan + answer.change).clip(*self._range)
-            self._answered, self._way = self._since, np.asarray(way)
+            plan = (state.plan + answer.change).clip(*self._range)
             status: Status = "softened" if answer.exceeded else "optimal"
-            expected = states[:, :6] + answer.moved
-            ahead = Prediction(self._blocks.times, expected, self._active(answer.binding))
-            return Step(self._plan[0].copy(), status, request, estimate, ahead)
-        if self._since - self._answered <= _FLOWN_ON:
-            return Step(self._plan[0].copy(), "iteration limit", request, estimate)
-        self._forget()
-        e, asked = estimate, self.fallback.asked(*self._asked)
-        steered = self._fall_back(e.state, e.motor_speed, e.disturbance, e.effectiveness, *asked)
-        step = self.fallback.finished(e, steered)
-        return replace(step, status="fallback") if step.flies else step
+            expected, active = states[:, :6] + answer.moved, self._active(answer.binding, plan.size)
+            ahead = Prediction(self._blocks.times, expected, active)
+            step = Step(plan[0].copy(), status, request, estimate, ahead)
+            return step, Ongoing(plan, state.since, state.since, np.asarray(way))
+        if state.since - state.answered <= _FLOWN_ON:
+            return Step(state.plan[0].copy(), "iteration limit", request, estimate), state
+        known = moment._replace(foresee=partial(self._fall_back, estimate))
+        step, _ = self.fallback.step(None, known)
+        return replace(step, status="fallback") if step.flies else step, self.init()
 
-    def _active(self, binding: Bool[np.ndarray, " r"]) -> tuple[str, ...]:
-        """Name the limits at which the plan is somewhere."""
-        motors = self._plan.size
+    def _active(self, binding: Bool[np.ndarray, " r"], motors: int) -> tuple[str, ...]:
+        """Name the limits at which the plan, of so many commands of motors, is somewhere."""
         rows = np.any(binding[motors:].reshape(-1, len(self._kinds)), axis=0)
         kinds = ["motor"] * bool(binding[:motors].any())
         kinds += [self._kinds[k] for k in np.flatnonzero(rows)]

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.compiled import program
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
-from airpuck.control.law import Law, Status, Step
-from airpuck.control.lqr import LQR
-from airpuck.control.mpc import MPC
+from airpuck.control.law import Law, LawOptions, Moment, Status, Step, staged
+from airpuck.control.laws import law_named
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import STALE, PoseGate
-from airpuck.control.reference import Numbers, Reference, SetPoint
+from airpuck.control.reference import Numbers, Reference
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
@@ -32,8 +33,8 @@ _REMEMBERED = 0.5
 class TrackingController(Pilot):
     """Steers the craft to a reference.
 
-    Each step predicts the state to when the command will act, over the transport delay; a law
-    (`LQR` or `MPC`, as the tuning says) then finds the command.
+    Each step predicts the state to when the command will act, over the transport delay; the law
+    that the tuning names then finds the command.
 
     Parameters
     ----------
@@ -55,6 +56,13 @@ class TrackingController(Pilot):
         it to the present only.
     compiled : bool, default True
         Whether to compile the mathematics (a second, once) or to run it in NumPy.
+
+    Attributes
+    ----------
+    law : Law
+        Not to be exchanged: programs are compiled for it.
+    state : object
+        What the law remembers.
 
     Raises
     ------
@@ -84,22 +92,15 @@ class TrackingController(Pilot):
         self.model, self.reference, self.tuning = model, reference, tuning
         self.compensate_delay = compensate_delay
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
-        #: Neither is to be exchanged: the programs below are made for them.
-        options = {"gain": gain, "reject_disturbance": reject_disturbance, "compiled": compiled}
-        self.law: Law = (
-            MPC(model, tuning, table=table, **options)
-            if tuning.regulator.kind == "mpc"
-            else LQR(model, tuning, **options)
-        )
+        options = LawOptions(table or Table(), gain, reject_disturbance, compiled)
+        self.law: Law = law_named(tuning.regulator.kind)(model, tuning, options)
+        self.state = self.law.init()
         self.filter = _estimator(model, tuning.estimation, compiled)
-        axes, motors = np.zeros(3), np.zeros(vehicle.n_propellers)
-        asked = self.law.asked(SetPoint(0.0, 0.0, 0.0), 0.0, 0.0)
-        given = np.zeros(6), motors, axes, motors, *asked
-        self._stage = program(self.law.stage, *given, compiled=compiled)
+        self._staged = staged(self.law, model, compiled)
         #: Prediction and stage as one program, where that is faster.
         self._predict_and_stage = None
-        if compensate_delay and (not compiled or large_programs_are_fast()):
-            self._predict_and_stage = self.filter.composed(self.law.stage, *asked)
+        if compensate_delay and self.law.stage and (not compiled or large_programs_are_fast()):
+            self._predict_and_stage = self.filter.composed(self.law.stage, *self.law.inputs)
         self._gate = PoseGate()
         #: The latest time that has certainly come; -inf: none yet.
         self._clock = -math.inf
@@ -201,12 +202,20 @@ class TrackingController(Pilot):
         refusal = self.refusal(time)
         if refusal is not None:
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
+        return self._act(time, partial(self._foresee, time))
+
+    def _foresee(self, time: float, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:
+        """Predict the craft, and compute the stage of the law there; see `Moment`."""
         if self._predict_and_stage is None:
-            return self.steer(self.predict(time), time)
-        delay = self.model.transport_delay
-        asked = self.law.asked(self.reference, time, delay)
-        found = self.filter.predict_with(self._predict_and_stage, time + delay, *asked)
-        return self.law.finished(*found)
+            return self._staged(self.predict(time), *inputs)
+        acting = time + self.model.transport_delay
+        return self.filter.predict_with(self._predict_and_stage, acting, *inputs)
+
+    def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
+        """Let the law find the command, and keep what it remembers."""
+        moment = Moment(self.reference, now, self.model.transport_delay, foresee)
+        step, self.state = self.law.step(self.state, moment)
+        return step
 
     def predict(self, time: float) -> Estimate:
         """Predict the craft to when a command sent now begins to act.
@@ -242,9 +251,7 @@ class TrackingController(Pilot):
         Step
             The command.
         """
-        e, asked = estimate, self.law.asked(self.reference, now, self.model.transport_delay)
-        staged = self._stage(e.state, e.motor_speed, e.disturbance, e.effectiveness, *asked)
-        return self.law.finished(e, staged)
+        return self._act(now, partial(self._staged, estimate))
 
     def refusal(self, time: float) -> Status | None:
         """Return why the craft cannot be steered now.

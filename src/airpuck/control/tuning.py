@@ -18,12 +18,11 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
+from airpuck.control.laws import check_law
 from airpuck.estimate.axis_filter import Noise
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
-#: Laws by name.
-REGULATORS = ("lqr", "mpc")
 #: Steps of a horizon, and discs: with more, a prediction takes longer than a period.
 MOST_STEPS, _MOST_DISCS = 80, 8
 
@@ -112,7 +111,7 @@ def _listed(value: Any) -> Any:
 class Regulator(Section):
     """Which law steers, and the settings of the predictive one."""
 
-    kind: Literal["lqr", "mpc"] = "lqr"
+    kind: Annotated[str, pydantic.AfterValidator(check_law)] = "lqr"
     horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
     step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
     #: Steps with one command, block after block; the last number goes on. One is for all.
@@ -217,7 +216,11 @@ class Tuning(Section):
         InputError
             If there is none of this name.
         """
-        return self._with("estimation", "estimator", estimator, ESTIMATORS)
+        if estimator not in ESTIMATORS:
+            problem = f"must be {' or '.join(map(repr, ESTIMATORS))}, not {estimator!r}"
+            raise InputError(problem, field="estimation.estimator")
+        changed = self.estimation.model_copy(update={"estimator": estimator})
+        return self.model_copy(update={"estimation": changed})
 
     def with_regulator(self, kind: str) -> Tuning:
         """Return the same tuning with a law.
@@ -225,7 +228,7 @@ class Tuning(Section):
         Parameters
         ----------
         kind : str
-            One of `REGULATORS`.
+            One of `airpuck.control.laws.LAWS`, or FILE.py:NAME.
 
         Returns
         -------
@@ -237,15 +240,13 @@ class Tuning(Section):
         InputError
             If there is none of this name.
         """
-        return self._with("regulator", "kind", kind, REGULATORS)
-
-    def _with(self, section: str, key: str, name: str, names: tuple[str, ...]) -> Tuning:
-        """Exchange a name; refuse one that is none of those."""
-        if name not in names:
-            problem = f"must be {' or '.join(map(repr, names))}, not {name!r}"
-            raise InputError(problem, field=f"{section}.{key}")
-        changed = getattr(self, section).model_copy(update={key: name})
-        return self.model_copy(update={section: changed})
+        try:
+            check_law(kind)
+        except InputError as error:
+            raise InputError(error.problem, field="regulator.kind") from error
+        return self.model_copy(
+            update={"regulator": self.regulator.model_copy(update={"kind": kind})}
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the tuning as TOML.

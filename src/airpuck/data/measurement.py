@@ -15,12 +15,19 @@ Kind = Literal["pose", "imu", "mouse", "puck", "mallet"]
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """A measurement of a sensor."""
+    """A measurement of a sensor.
 
-    #: Which sensor.
+    Attributes
+    ----------
+    kind : str
+        Which sensor: ``pose``, ``imu``, ``mouse``, ``puck``, ``mallet``.
+    stamp : float
+        When it was measured, on the sensor's clock [s].
+    values : array, shape (k,)
+        Pose, of the puck and the mallet, too: x, y [m], yaw [rad]. IMU: acceleration along the
+        body's x, y, z [m/s²], spin about them [rad/s]. Mouse: velocity along the body's x, y [m/s].
+    """
+
     kind: Kind
-    #: When it was measured, on the sensor's clock [s].
     stamp: float
-    #: Pose, of the puck and the mallet, too: x, y [m], yaw [rad]. IMU: acceleration along the
-    #: body's x, y, z [m/s²], spin about them [rad/s]. Mouse: velocity along the body's x, y [m/s].
     values: Float[np.ndarray, " k"]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.discretization import motor_lag, point_mass
-from airpuck.control.law import Step
+from airpuck.control.law import Law, LawOptions, Moment, Step, staged
+from airpuck.control.lqr import LQR
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
@@ -42,44 +45,33 @@ _AT_REST = np.array([5e-3, 5e-3, 0.05, 0.05, 0.05, 1.0])
 _RESTS = 1.0
 
 
-class PlanTracker(TrackingController):
+class PlanTracker(Law):
     """Flies a plan by its thrusts, and corrects them so as to be where the plan will be later.
 
     An allocation of its own would spread the accelerations otherwise over the motors, and find them
     too slow where the plan had them ready. Errors are not fought at once, by more thrust than there
     is, but over the rest of the way, within what the motors can do. Before the plan and after it,
-    it is a `TrackingController`.
-
-    Parameters
-    ----------
-    model : Model
-        What the controller believes.
-    plan : Plan
-        With its time of departure (`Plan.starting`).
-    tuning : Tuning, optional
-        By default the packaged one.
+    and to other references, an `LQR` steers.
     """
 
-    def __init__(self, model: Model, plan: Plan, tuning: Tuning | None = None) -> None:
-        super().__init__(model, plan, tuning)
+    def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
+        options = options or LawOptions()
+        self.model, self.period = model, tuning.period_s
+        self._lqr = LQR(model, tuning, options)
+        self._by_lqr = staged(self._lqr, model, options.compiled)
         self._inverse = InverseThrust(model.dynamics.thrust)
-        lag = float(model.dynamics.motor_time_constant)
-        self._lag, self._drive = motor_lag(lag, self.tuning.period_s)
+        self._lag, self._drive = motor_lag(
+            float(model.dynamics.motor_time_constant), tuning.period_s
+        )
 
-    def step(self, time: float) -> Step:
-        """Compute the command to send now; see `TrackingController.step`."""
-        if self.refusal(time) is not None:
-            return super().step(time)
-        return self.steer(self.predict(time), time)
-
-    def steer(self, estimate: Estimate, now: float) -> Step:
-        """Correct the planned thrusts for an estimate; see `TrackingController.steer`."""
-        vehicle, plan = self.model.vehicle, self.reference
-        acting = now + self.model.transport_delay
+    def step(self, state: None, moment: Moment) -> tuple[Step, None]:
+        """Correct the planned thrusts for an estimate; see `Law.step`."""
+        vehicle, plan = self.model.vehicle, moment.reference
+        (estimate, _), acting = moment.foresee(), moment.now + moment.delay
         if not isinstance(plan, Plan) or not 0 <= acting - plan.begin < _given_up(plan):
-            return super().steer(estimate, now)
+            return self._lqr.step(state, moment._replace(foresee=partial(self._by_lqr, estimate)))
         curves, lag, drive = self.model.dynamics.thrust, self._lag, self._drive
-        ahead = self.tuning.period_s * np.arange(self._periods(plan, acting) + 1)
+        ahead = self.period * np.arange(self._periods(plan, acting) + 1)
         states = _flown_on(plan, acting, ahead)
         planned = thrust(curves, states[:, 6:].T).T
         # How far thrusts are from the plan's now.
@@ -91,14 +83,14 @@ class PlanTracker(TrackingController):
         force = np.clip(planned[1] + lag * aside + drive * correction, low, high)
         command = (self._inverse(force) - coasting) / drive
         command = np.clip(command, vehicle.command_min, vehicle.command_max)
-        return Step(command, "exact", np.zeros(3), estimate)
+        return Step(command, "exact", np.zeros(3), estimate), state
 
     def _periods(self, plan: Plan, acting: float) -> int:
         """Return how many periods ahead the state is that the craft aims at."""
         left = plan.begin + plan.duration - acting
         if _rests(plan):
             left = max(left + _LATER, _LEAST)
-        return max(int(min(left, _HORIZON) / self.tuning.period_s + 1e-9), 1)
+        return max(int(min(left, _HORIZON) / self.period + 1e-9), 1)
 
     def _correction(
         self,
@@ -153,7 +145,7 @@ class PlanTracker(TrackingController):
             for row in np.vstack([np.zeros(4), _DIFFERENCE * np.eye(4)])
         ]
         slopes = (np.array(rates[1:]) - np.array(rates[0])) / _DIFFERENCE
-        a, b = point_mass(self.tuning.period_s)
+        a, b = point_mass(self.period)
         # By yaw and rates; the place does not matter.
         jacobian = np.zeros((states.shape[1], 3, 6))
         jacobian[:, :, 2:] = slopes.transpose(2, 1, 0)
@@ -223,9 +215,8 @@ def least_correction(
 
 
 def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> TrackingController:
-    """Return what tracks a plan by the law of the tuning."""
-    if tuning.regulator.kind == "lqr":
-        return PlanTracker(plan.model, plan, tuning)
+    """Return what tracks a plan by the law of the tuning; in place of the LQR by `PlanTracker`."""
+    tuning = tuning.with_regulator("plan") if tuning.regulator.kind == "lqr" else tuning
     return TrackingController(plan.model, plan, tuning, table=table)
 
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from airpuck.control.discretization import rotation_error
+from airpuck.control.laws import law_label
 from airpuck.data.trajectory import runs
 from airpuck.flight.replay import Replay
 from airpuck.flight.track import TOLERANCE, SetPointResult, Track
@@ -207,7 +208,7 @@ def predicts(flights: Sequence[Tracked]) -> bool:
 
 def flight_colors(flights: Sequence[Tracked]) -> list[str]:
     """Return a colour for each flight: by law where laws differ, otherwise by model."""
-    if not predicts(flights):
+    if not compares_laws(flights):
         return [style.rung_color(flight.model) for flight in flights]
     colors = style.model_colors(flight.label for flight in flights)
     return [colors[flight.label] for flight in flights]
@@ -401,7 +402,7 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         "An accurate model brings the craft to its set points. A poor one leaves an offset, unless "
         "the controller rejects disturbances."
     )
-    if predicts(flights):
+    if compares_laws(flights):
         caption = "All laws fly the same truth, seed and set points."
     blocks = [Picture("tracking", tracking_figure(flights), caption), results]
     apart = [
@@ -422,14 +423,15 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     ]
     tracking = PageSection("tracking", "Tracking", blocks)
     commands = PageSection("inputs", "Commands", inputs)
-    if not predicts(flights):
+    if not compares_laws(flights):
         return [tracking, commands]
     return [summary(flights), tracking, *law_sections(flights), commands]
 
 
 def _file_name(flight: Tracked) -> str:
     """Return the part of file names that distinguishes flights."""
-    return flight.model if flight.regulator != "mpc" else f"{flight.model}_mpc"
+    law = flight.regulator
+    return flight.model if law in (None, "lqr") else f"{flight.model}_{law_label(law)}"
 
 
 def _tracks(flight: Tracked) -> dict[str, Track]:

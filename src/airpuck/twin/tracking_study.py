@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.results import Result, plain
+from airpuck.control.laws import law_label
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.tuning import Tuning, default_tuning
@@ -159,9 +160,9 @@ def tracking_study(
         Seed of noise and radio.
     full_controller : bool, optional
         Whether the controller compensates the transport delay and rejects disturbances, as it does
-        by default where a law is ``mpc``; the paper's did neither.
+        by default where a law is not ``lqr``; the paper's did neither.
     regulators : sequence of str, optional
-        Laws that each model flies with, ``lqr`` and ``mpc``; by default the tuning's.
+        Laws that each model flies with, by name (see `airpuck.Law`); by default the tuning's.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -187,11 +188,12 @@ def tracking_study(
     if set_points is not None:
         check_inside(set_points, border, "the rails")
     laws = regulators or (tuning.regulator.kind,)
+    beyond_paper = set(laws) != {"lqr"}
     fly = partial(
         _flown,
         truth=truth,
         seed=seed,
-        full_controller="mpc" in laws if full_controller is None else full_controller,
+        full_controller=beyond_paper if full_controller is None else full_controller,
         settings=settings,
         plant=build_plant(truth, settings),
         make_pilot=make_pilot,
@@ -203,7 +205,7 @@ def tracking_study(
         if flight is not None:
             course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
-            label = f"{model.name} {kind}" if "mpc" in laws else model.name
+            label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
             found.append(fly(model, flight, course, label, tuning=tuning.with_regulator(kind)))
     return found
 

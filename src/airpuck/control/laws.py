@@ -1,0 +1,57 @@
+"""The laws there are, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.user_code import UserCode
+
+#: Subclasses of `airpuck.control.law.Law`, or where one is that is slow to import. Wherever a law
+#: is named, FILE.py:NAME names one of the user's.
+LAWS: dict[str, Callable[..., Any] | str] = {
+    "lqr": "airpuck.control.lqr.LQR",
+    "mpc": "airpuck.control.mpc.MPC",
+    "plan": "airpuck.planning.tracking.PlanTracker",
+}
+
+
+def check_law(name: str) -> str:
+    """Return the name of a law; raise InputError if it is none."""
+    if name not in LAWS and ".py:" not in name:
+        known = ", ".join(map(repr, LAWS))
+        raise InputError(f"must be {known} or FILE.py:NAME, not {name!r}")
+    return name
+
+
+def law_label(name: str) -> str:
+    """Return how a law is called in labels and names of files: without its file."""
+    return name.rpartition(":")[2]
+
+
+def law_named(name: str) -> Callable[..., Any]:
+    """Return what makes the law of a name from model, tuning and options."""
+    found = LAWS.get(check_law(name))
+    if found is None:
+        return _own(name)
+    if isinstance(found, str):
+        module, _, attribute = found.rpartition(".")
+        found = getattr(import_module(module), attribute)
+    return found
+
+
+def _own(name: str) -> Callable[..., Any]:
+    """Return what makes a law of the user's, behind the boundary."""
+    code = UserCode(name, "--regulator")
+
+    def make(*given: Any) -> Any:
+        from airpuck.control.law import Law, UserLaw
+
+        law = code.run("cannot be made from (model, tuning, options)", code.kind, *given)
+        if not isinstance(law, Law):
+            code.refuse("must inherit from airpuck.Law; see docs/control.md")
+        return UserLaw(law, code)
+
+    return make

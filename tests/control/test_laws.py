@@ -1,0 +1,90 @@
+"""Laws of one's own: by name from a file or a registry, and refused when wrong."""
+
+import json
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.control.law import LawOptions
+from airpuck.control.laws import LAWS, law_named
+from airpuck.control.tuning import default_tuning
+from airpuck.model.model_file import published_model
+from airpuck.twin.experiments import track
+from tests import command_line
+
+M3 = published_model("M3")
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_law" / "pid.py"
+PID = f"{EXAMPLE}:PID"
+
+
+def test_the_example_is_short_and_as_the_docs_have_it():
+    docs = (EXAMPLE.parents[2] / "docs" / "control.md").read_text()
+    code = EXAMPLE.read_text().partition("\n\n")[2]
+    assert f"```python\n{code}```" in docs
+    assert len([line for line in code.splitlines() if line.strip()]) <= 25
+
+
+def test_a_law_of_ones_own_reaches_its_set_point_and_keeps_its_state():
+    controller = airpuck.TrackingController(
+        M3, airpuck.SetPoint(0.4, -0.1, 0.5), default_tuning().with_regulator(PID)
+    )
+    np.testing.assert_array_equal(controller.state, np.zeros(3))
+    twin = airpuck.Twin(M3)
+    log = airpuck.fly(controller, twin, 5.0)
+    assert set(log.status[10:]) == {"exact"}
+    np.testing.assert_allclose(twin.truth[1][-1, :3], [0.4, -0.1, 0.5], atol=0.05)
+    assert np.abs(controller.state).max() > 0
+
+
+def test_a_law_registered_in_python_is_found_by_name(monkeypatch):
+    monkeypatch.setitem(LAWS, "mine", law_named(PID))
+    tuning = default_tuning().with_regulator("mine")
+    _, log = track(M3, airpuck.SetPoint(0.1, 0.0, 0.0), 0.3, tuning=tuning)
+    assert log.status[-1] == "exact"
+
+
+def test_a_step_changes_nothing_but_the_state_it_returns():
+    controller = airpuck.TrackingController(
+        M3, airpuck.SetPoint(0.3, 0.0, 0.0), default_tuning().with_regulator("mpc"), compiled=False
+    )
+    controller.pose(0.0, np.zeros(3))
+    begun = controller.state
+    first = controller.step(0.0).command
+    moved = controller.state
+    assert moved is not begun and np.abs(moved.plan - begun.plan).max() > 0
+    # The solver's last active set aside, the same state gives the same command.
+    controller.state = begun
+    np.testing.assert_allclose(controller.step(0.0).command, first, atol=1e-6)
+
+
+def test_it_flies_by_name_from_the_command_line(tmp_path):
+    points = tmp_path / "points.toml"
+    points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
+    ran = command_line.airpuck(
+        *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "3", "--json", "-"),
+        *("--setpoints", points, "--regulator", PID),
+    )
+    (flight,) = json.loads(ran.stdout)["flights"]
+    assert flight["regulator"] == PID and flight["gains"] is None
+    (result,) = flight["setpoints"]
+    assert abs(result["steady_state_error"]["x_m"]) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("class PID:\n    def __init__(self, *given): ...", "must inherit from airpuck.Law"),
+        ("class PID:\n    pass", "cannot be made from (model, tuning, options): TypeError"),
+        ("class Other:\n    pass", "has no class 'PID'"),
+    ],
+)
+def test_what_is_no_law_is_refused(tmp_path, text, problem):
+    path = tmp_path / "mine.py"
+    path.write_text(textwrap.dedent(text))
+    with pytest.raises(InputError) as refused:
+        law_named(f"{path}:PID")(M3, default_tuning(), LawOptions())
+    assert problem in str(refused.value) and "--regulator" in str(refused.value)
