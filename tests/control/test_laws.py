@@ -14,7 +14,7 @@ from airpuck.control.laws import LAWS, law_named
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
-from tests import command_line
+from tests.apparatus import commands as command_line
 
 M3 = published_model("M3")
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_law" / "pid.py"
@@ -28,6 +28,7 @@ def test_the_example_is_short_and_as_the_docs_have_it():
     assert len([line for line in code.splitlines() if line.strip()]) <= 25
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_reaches_its_set_point_and_keeps_its_state():
     controller = airpuck.TrackingController(
         M3, airpuck.SetPoint(0.4, -0.1, 0.5), default_tuning().with_regulator(PID)
@@ -61,6 +62,7 @@ def test_a_step_changes_nothing_but_the_state_it_returns():
     np.testing.assert_allclose(controller.step(0.0).command, first, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_it_flies_by_name_from_the_command_line(tmp_path):
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
