@@ -246,7 +246,7 @@ def test_what_was_really_sent_moves_the_estimate():
     for command in (None, np.full(6, MODEL.vehicle.command_max) * [1, 0, 0, 0, 0, 1]):
         player = Player(MODEL, PLAY, tactic := Noted())
         for k in range(30):
-            player.pose(0.01 * k, np.array([*player.pitch.home, 0.0]))
+            player.measured(Measurement("pose", 0.01 * k, np.array([*player.pitch.home, 0.0])))
             player.step(0.01 * (k + 1))
             if command is not None:
                 player.sent(0.01 * (k + 1), command)
@@ -273,13 +273,13 @@ def test_the_opponents_velocity_is_learned_in_some_frames():
     player = Player(MODEL, PLAY, tactic := Noted())
 
     def passing(player, stamp):
-        player.mallet(stamp, np.array([0.8, 0.5 - stamp, 0.0]))
+        player.measured(Measurement("mallet", stamp, np.array([0.8, 0.5 - stamp, 0.0])))
 
     stepped(player, passing, 20)
     np.testing.assert_allclose(tactic.views[-1].opponent[2:], [0.0, -1.0], atol=0.02)
     np.testing.assert_allclose(tactic.views[-1].opponent[:2], [0.8, 0.3], atol=0.02)
     # Old poses are left out.
-    player.mallet(0.1, np.array([0.0, 0.0, 0.0]))
+    player.measured(Measurement("mallet", 0.1, np.array([0.0, 0.0, 0.0])))
     stepped(player, passing, 1, start=0.2)
     assert tactic.views[-1].opponent[0] == 0.8
 
