@@ -265,7 +265,11 @@ def test_a_puck_is_seen_all_over_the_table_and_not_beyond(side):
         ((0.0, -y - 0.11), False),
     ):
         player = Player(MODEL, PLAY, tactic := Noted(), side=side)
-        stepped(player, lambda p, stamp, at=place: p.puck(stamp, np.array([*at, 0.0])), 3)
+        stepped(
+            player,
+            lambda p, stamp, at=place: p.measured(Measurement("puck", stamp, np.array([*at, 0.0]))),
+            3,
+        )
         assert (tactic.views[-1].puck is not None) == seen
 
 
