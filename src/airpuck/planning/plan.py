@@ -81,7 +81,18 @@ class Plan:
         return float(self.time[-1])
 
     def path(self, legs: int = 1) -> Path:
-        """Return nodes and commands, in so many legs of equally many intervals."""
+        """Return nodes and commands as a path.
+
+        Parameters
+        ----------
+        legs : int, default 1
+            Number of legs, each with the same number of intervals.
+
+        Returns
+        -------
+        Path
+            Durations of the legs, states at the nodes, commands between them.
+        """
         ends = self.time[:: (len(self.time) - 1) // legs]
         return Path(np.diff(ends), self.states, self.commands)
 
