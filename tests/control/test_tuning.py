@@ -28,6 +28,7 @@ from airpuck.control.tuning import (
 positive = st.floats(1e-9, 1e9)
 non_negative = st.just(0.0) | positive
 weight = st.floats(1e-6, 1e6)
+size = st.floats(1e-9, 9.0)
 
 GOOD = """
 period_s = 0.02
@@ -69,10 +70,10 @@ angular_disturbance_density = 0.4
             limits=st.builds(
                 Limits,
                 fence_m=st.none() | st.tuples(*[st.floats(-9, -1)] * 2, *[st.floats(0, 9)] * 2),
-                speed_m_s=st.none() | positive,
-                spin_rad_s=st.none() | positive,
+                speed_m_s=st.none() | size,
+                spin_rad_s=st.none() | size,
                 keep_out_m=st.lists(
-                    st.tuples(st.floats(-9, 9), st.floats(-9, 9), positive), max_size=8
+                    st.tuples(st.floats(-9, 9), st.floats(-9, 9), size), max_size=8
                 ).map(tuple),
             ),
         ),
@@ -177,7 +178,12 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
                 ("regulator", "horizon_s = 5.0\nstep_s = 0.001", "regulator", "5000 steps; at m"),
                 ("regulator", "penalty = 1.0", "regulator.penalty", "not a known key"),
                 ("regulator.weights", "yaw = -1.0", "regulator.weights.yaw", "equal to 0.000001"),
-                ("regulator.limits", "speed_m_s = 0", "regulator.limits.speed_m_s", "than 0"),
+                (
+                    "regulator.limits",
+                    "speed_m_s = 0",
+                    "regulator.limits.speed_m_s",
+                    "than or equal to 0",
+                ),
                 ("regulator.limits", "margin_m = -1", "regulator.limits.margin_m", "equal to 0"),
                 ("regulator.limits", "penalty = 1e300", "regulator.limits.penalty", "100000000"),
                 (

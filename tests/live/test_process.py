@@ -126,7 +126,7 @@ class FakeProcess(Process):
     """Not on any graph."""
 
     def __init__(self):
-        self.settings = LiveSettings(topics=Topics(pose="/pose"))
+        self.settings, self.topics = LiveSettings(), Topics(pose="/pose")
         self.graph, self.events, self.clock = FakeGraph(), FakeEvents(), Clock()
 
 
