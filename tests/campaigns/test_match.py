@@ -111,7 +111,7 @@ def test_from_the_command_line(tmp_path):
     assert "times real time" in shown.stdout
     watched = airpuck("match", *who, "--limit", "1", "--watch", cwd=tmp_path)
     assert "over" in watched.stdout
-    refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "nobody is called so")
+    refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "unknown player")
     for more in (("--games", "2"), ("--workers", "2"), ("-o", "games")):
         refused(airpuck("match", "--watch", *more, cwd=tmp_path), "does not go with --watch")
 

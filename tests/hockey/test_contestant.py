@@ -106,13 +106,13 @@ def test_a_tactic_of_ones_own_plays_on_either_side(tactics):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("robot", "nobody is called so"),
-        ("", "nobody is called so"),
-        ("human:godlike", "has no such level; give easy, medium, hard"),
-        ("airpuck:", "has no such level"),
+        ("robot", "unknown player; use airpuck"),
+        ("", "unknown player"),
+        ("human:godlike", "unknown level; use easy, medium, hard"),
+        ("airpuck:", "unknown level"),
         ("nowhere.py:Tactic", "there is no such file"),
     ],
 )
-def test_nobody_is_called_so(name, words):
+def test_unknown_players_and_levels_are_named(name, words):
     with pytest.raises(InputError, match=words):
         contestant(name)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.hand import SKILLS, GuidedHand, ScriptedHand, Skill
+from airpuck.hockey.hand import HUMANS, Dexterity, GuidedHand, ScriptedHand
 from airpuck.physics.puck import PuckState
 from airpuck.twin.play import HandMallet, World
 
 PLAY = AirHockey()
-EXACT = Skill(reaction_s=0.2, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
+EXACT = Dexterity(reaction_s=0.2, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
 
 
 class Frames:
@@ -23,7 +23,7 @@ class Frames:
         self.due = math.inf
 
 
-def episode(skill: Skill, puck: PuckState, duration: float, start=(-0.85, 0.0), seed=0):
+def episode(skill: Dexterity, puck: PuckState, duration: float, start=(-0.85, 0.0), seed=0):
     """Let one hand play a puck alone; return its ways and the world."""
     world, hand = World(PLAY, puck), ScriptedHand(PLAY, skill, seed)
     mallet = HandMallet(PLAY.mallet, PLAY.table, *start)
@@ -56,12 +56,12 @@ def test_it_does_not_move_before_it_can_have_seen():
     assert 0.01 * changed[changed >= 20].min() <= 0.4 + EXACT.reaction_s + 0.05
 
 
-@pytest.mark.parametrize("level", SKILLS)
+@pytest.mark.parametrize("level", HUMANS)
 def test_its_mallet_keeps_to_its_speed_and_acceleration(level):
     # With seed 3 the puck is wedged at a rail, and holds the mallet.
-    ways, _ = episode(SKILLS[level], PuckState(-0.3, 0.3, 0, -0.5, 0.4), 2.0, seed=4)
+    ways, _ = episode(HUMANS[level], PuckState(-0.3, 0.3, 0, -0.5, 0.4), 2.0, seed=4)
     speed = np.hypot(ways[:, 2], ways[:, 3])
-    assert speed.max() <= min(SKILLS[level].speed_m_s, PLAY.mallet.speed_m_s) * 1.05
+    assert speed.max() <= min(HUMANS[level].speed_m_s, PLAY.mallet.speed_m_s) * 1.05
     assert speed.max() > 0.5
     change = np.hypot(*np.diff(ways[:, 2:], axis=0).T) / 0.01
     # At the border of its half it is stopped.
@@ -79,8 +79,8 @@ def test_it_strikes_a_resting_puck_at_the_goal():
 
 
 def test_it_saves_most_shots_that_nobody_could_call_hard():
-    saved = dict.fromkeys(SKILLS, 0)
-    for level, skill in SKILLS.items():
+    saved = dict.fromkeys(HUMANS, 0)
+    for level, skill in HUMANS.items():
         for k, y in enumerate(np.linspace(-0.15, 0.15, 10)):
             shot = PuckState(0.8, 0.0, 0.0, -2.0, 2.0 * y / 1.9)
             _, world = episode(skill, shot, 1.4, seed=k)
@@ -91,7 +91,7 @@ def test_it_saves_most_shots_that_nobody_could_call_hard():
 
 
 def test_its_first_stroke_has_an_error_of_aim_too():
-    skill, rests = Skill(0.2, 0.0, 0.3, 4.0), PuckState(-0.45, 0.0)
+    skill, rests = Dexterity(0.2, 0.0, 0.3, 4.0), PuckState(-0.45, 0.0)
     starts = set()
     for seed in range(5):
         hand = ScriptedHand(PLAY, skill, seed)

@@ -12,8 +12,9 @@ from airpuck.control.reference import Rendezvous, SetPoint, asked, course
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import control
+from airpuck.hockey.frame import Frame
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
-from airpuck.hockey.player import Player, TurnedReference, pitch_of, turned
+from airpuck.hockey.player import Player, pitch_of
 from airpuck.hockey.tactic import Intention
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import PuckState
@@ -33,11 +34,11 @@ def plant():
 
 def start_of(player):
     pose = np.array([*player.pitch.home, 0.0])
-    return tuple((pose if player.side < 0 else turned(pose)).tolist())
+    return tuple(Frame(player.side).states(pose).tolist())
 
 
 def puck_for(side, *state):
-    return PuckState(*(np.array(state) if side < 0 else turned(np.array(state))).tolist())
+    return PuckState(*Frame(side).states(np.array(state)).tolist())
 
 
 def twin_of(player, puck, plant, seed=0):
@@ -84,13 +85,15 @@ def test_both_sides_see_the_same_game_turned(plant):
 def test_a_turned_reference_is_the_same_motion_seen_from_the_other_side():
     meet = Rendezvous(1.0, (0.3, 0.1, 0.2, 1.0, -0.5, 0.3), then=SetPoint(0.1, 0.2, 0.0))
     times = np.array([0.1, 0.3, 0.5])
-    np.testing.assert_array_equal(asked(TurnedReference(meet), 0.4), turned(meet.state))
-    ours, other = course(meet, 0.4, times), course(TurnedReference(meet), 0.4, times)
+    np.testing.assert_array_equal(asked(Frame(1).reference(meet), 0.4), Frame(1).states(meet.state))
+    ours, other = course(meet, 0.4, times), course(Frame(1).reference(meet), 0.4, times)
     np.testing.assert_allclose(other.states[:, :2], -ours.states[:, :2])
     np.testing.assert_allclose(other.states[:, 2], ours.states[:, 2] + math.pi)
     np.testing.assert_allclose(other.states[:, 3:5], -ours.states[:, 3:5])
     assert other.arrival.remaining == ours.arrival.remaining
-    np.testing.assert_allclose(turned(turned(ours.states))[:, [0, 1, 3]], ours.states[:, [0, 1, 3]])
+    np.testing.assert_allclose(
+        Frame(1).states(Frame(1).states(ours.states))[:, [0, 1, 3]], ours.states[:, [0, 1, 3]]
+    )
 
 
 def test_a_late_player_sees_what_was(plant):

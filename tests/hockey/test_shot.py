@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey, Contact, Puck
-from airpuck.hockey.hand import SKILLS, ScriptedHand
+from airpuck.hockey.hand import HUMANS, ScriptedHand
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.prediction import PuckModel
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
@@ -171,7 +171,7 @@ class Person:
     """A scripted human who plays on a world's right side."""
 
     def __init__(self, seed: int) -> None:
-        self.hand = ScriptedHand(PLAY, SKILLS["medium"], seed)
+        self.hand = ScriptedHand(PLAY, HUMANS["medium"], seed)
         self.mallet = HandMallet(PLAY.mallet, PLAY.table, 0.85, 0.0)
         self.world = World(PLAY, PuckState(0.0, 0.0), logs=False)
         self.world.bodies.append(self.mallet)

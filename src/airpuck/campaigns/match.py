@@ -124,7 +124,8 @@ def match(
     Parameters
     ----------
     left, right : str
-        Who plays: ``airpuck``, ``airpuck:LEVEL``, ``human``, ``human:LEVEL`` or ``FILE.py:NAME``.
+        Who plays: ``airpuck``, ``human``, ``keeper`` or ``striker``, each perhaps with ``:LEVEL``,
+        or ``FILE.py:NAME``.
     games : int, default 1
         How many games.
     seed : int, default 0
@@ -152,7 +153,7 @@ def match(
     Raises
     ------
     InputError
-        If nobody is called so, a player fails, or Dask is not installed.
+        If a player is unknown or fails, or Dask is not installed.
     """
     numbers.GAMES.check(games, "games")
     for number in (seed, seed + games - 1):

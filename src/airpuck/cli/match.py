@@ -32,7 +32,7 @@ _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
 #: Columns and rows of the picture; time between two [s].
 _LETTERS = (78, 20)
 _REDRAWN = 0.05
-_PLAYER = "airpuck, airpuck:LEVEL, human (scripted), human:LEVEL, or a tactic, FILE.py:NAME."
+_PLAYER = "airpuck, human, keeper or striker, each with :LEVEL, or a tactic, FILE.py:NAME."
 
 
 @app.command(rich_help_panel="Air hockey")

@@ -1,4 +1,4 @@
-"""Who can play a game, by name."""
+"""Players of a game, by name."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from airpuck.boundary.user_code import UserCode
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import sheltered
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.hand import SKILLS, Hand, ScriptedHand
+from airpuck.hockey.hand import HANDS, Hand
 from airpuck.hockey.level import LEVELS, Level
 from airpuck.hockey.player import Player
 from airpuck.hockey.tactic import Intention, Kind, Tactic, View
 from airpuck.model.model_file import Model
 
-#: First words of names that are no file.
-PLAYERS = ("airpuck", "human")
+#: Names of the package's own players; other names are files.
+PLAYERS = ("airpuck", *HANDS)
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,9 @@ def contestant(name: str) -> Contestant:
     Parameters
     ----------
     name : str
-        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``human`` or
-        ``human:LEVEL``, a scripted hand; ``FILE.py:NAME``, a craft with a tactic of the user's.
+        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``human``, ``keeper``,
+        ``striker`` or one of them with ``:LEVEL``, a scripted hand; ``FILE.py:NAME``, a craft with
+        a user's tactic.
 
     Returns
     -------
@@ -61,20 +62,19 @@ def contestant(name: str) -> Contestant:
     Raises
     ------
     InputError
-        If nobody is called so.
+        If the player or its level is unknown.
     """
     kind, colon, level = name.partition(":")
-    if kind == "human":
-        skill = _by_level(SKILLS, level if colon else "medium", name)
-        return Contestant(name, hand=lambda play, seed: ScriptedHand(play, skill, seed))
+    if kind in HANDS:
+        hand, levels = HANDS[kind]
+        dexterity = _by_level(levels, level if colon else "medium", name)
+        return Contestant(name, hand=lambda play, seed: hand(play, dexterity, seed))
     if kind == "airpuck":
         return _flown(name, lambda: None, _by_level(LEVELS, level if colon else "hard", name))
     if ".py" in name:
         return _flown(name, tactic_maker(name), LEVELS["hard"])
-    raise InputError(
-        "nobody is called so; give airpuck, airpuck:LEVEL, human, human:LEVEL or FILE.py:NAME",
-        field=name,
-    )
+    known = ", ".join(f"{player}[:LEVEL]" for player in PLAYERS)
+    raise InputError(f"unknown player; use {known} or FILE.py:NAME", field=name)
 
 
 def tactic_maker(name: str) -> Callable[[], Tactic]:
@@ -154,7 +154,7 @@ def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Cont
 
 
 def _by_level(levels: Mapping[str, Any], level: str, name: str) -> Any:
-    """Return what is meant by the name of a level."""
+    """Return the entry of a level."""
     if level not in levels:
-        raise InputError(f"has no such level; give {', '.join(levels)}", field=name)
+        raise InputError(f"unknown level; use {', '.join(levels)}", field=name)
     return levels[level]

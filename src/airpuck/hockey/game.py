@@ -15,6 +15,7 @@ from airpuck.control.pilot import Pilot
 from airpuck.data.measurement import Kind
 from airpuck.flight.loop import Action, control
 from airpuck.hockey.contestant import Contestant
+from airpuck.hockey.frame import Frame
 from airpuck.hockey.hand import Hand
 from airpuck.hockey.rules import Referee, Rules
 from airpuck.model.model_file import Model, read_model
@@ -95,7 +96,7 @@ class Side:
     """
 
     def __init__(self, sign: int, name: str, body: Craft | HandMallet) -> None:
-        self.sign, self.name = sign, name
+        self.sign, self.name, self.frame = sign, name, Frame(sign)
         self.kind: Literal["craft", "hand"] = "craft" if isinstance(body, Craft) else "hand"
         self.body = body
         self.player: Pilot | None = None
@@ -127,15 +128,11 @@ class Side:
             self.action = next(self._actions)
             return
         assert isinstance(self.body, HandMallet)
-        turn = -self.sign
-        own = turn * self.body.x, turn * self.body.y
-        if puck is not None:
-            x, y, yaw, vx, vy, spin = puck
-            puck = PuckState(turn * x, turn * y, yaw, turn * vx, turn * vy, spin)
-        x, y = self.hand.target(time, own, puck, (turn * opponent[0], turn * opponent[1]))
+        own = self.frame.point(self.body.x, self.body.y)
+        x, y = self.hand.target(time, own, self.frame.puck(puck), self.frame.point(*opponent))
         if not (math.isfinite(x) and math.isfinite(y)):
             raise InputError("target() must return two finite numbers", field=f"hand {self.name}")
-        self.body.target = turn * x, turn * y
+        self.body.target = self.frame.point(x, y)
 
 
 class Game:

@@ -1,30 +1,42 @@
-"""Hands that move a mallet: the scripted human, whom players are measured against."""
+"""Hands that move a mallet: scripted opponents with human limits, and the person at the page."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from airpuck.craft.table import AirHockey
+from airpuck.hockey.frame import Frame
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 
-#: How far ahead a person looks at a puck [s], in steps of so much.
+# Numbers without a source are guesses.
+#: Time that a scripted hand predicts the puck ahead, and the step of the prediction [s].
 _AHEAD, _STEP = 0.8, 0.04
-#: A person waits here, from the own line [m].
-_HOME = 0.25
-#: A puck that comes faster than this is stopped, a slower one is struck [m/s].
+#: Distance from the own goal line at which a human waits, and at which a keeper stands [m].
+_HOME, _IN_GOAL = 0.25, 0.10
+#: A faster puck is stopped, a slower one is struck [m/s].
 _TOO_FAST = 1.2
-#: Behind the puck by so much a stroke begins, beyond it by so much it ends [m].
+#: A puck in the other half comes if it is faster than this [m/s].
+_COMES = 0.3
+#: A stroke begins this far behind the puck, and aims this far beyond it [m].
 _BACK, _THROUGH = 0.10, 0.15
-#: A stroke begins within this distance of where it should, and is over after a time [m, s].
+#: Distance from its start at which a stroke begins [m], and its duration [s].
 _READY, _STROKE = 0.002, 0.3
-#: A person decides anew this often, and errs the same way for so long [s].
+#: Average speed on the way to the start of a stroke, as a share of the full speed.
+_GETS_THERE = 0.6
+#: Time between decisions, and time for which the error of sight stays the same [s].
 _LOOK, _ERRS = 0.03, 1.0
+#: Clearance of a shot to the post [m].
+_POST = 0.02
+#: Directions of a stroke when rails forbid all that lead to the goal [rad].
+_AWAY = (0.6, -0.6, 1.2, -1.2, 1.5, -1.5)
 
 
 class Hand(Protocol):
@@ -61,19 +73,19 @@ class Hand(Protocol):
 
 
 @dataclass(frozen=True)
-class Skill:
-    """What a scripted human can do.
+class Dexterity:
+    """Limits of a scripted hand.
 
     Attributes
     ----------
     reaction_s : float
-        How much later things are seen.
+        Delay with which puck and opponent are seen.
     noise_m : float
-        Standard deviation of where the puck is thought to be.
+        Standard deviation of the puck's position as seen.
     aim_rad : float
-        The same of the direction of strokes.
+        Standard deviation of the direction of strokes.
     speed_m_s : float
-        How fast the hand is moved.
+        Largest speed of the mallet.
     """
 
     reaction_s: float
@@ -82,12 +94,15 @@ class Skill:
     speed_m_s: float
 
 
-#: By name.
-SKILLS = {
-    "easy": Skill(0.30, 0.025, 0.30, 1.5),
-    "medium": Skill(0.22, 0.012, 0.15, 2.5),
-    "hard": Skill(0.16, 0.006, 0.08, 4.0),
+#: By level. Reaction times to a visual stimulus: 0.18 to 0.25 s in adults (Kosinski, "A literature
+#: review on reaction time", 2008); ``hard`` anticipates. All other numbers are guesses.
+HUMANS = {
+    "easy": Dexterity(0.30, 0.025, 0.30, 1.5),
+    "medium": Dexterity(0.22, 0.012, 0.15, 2.5),
+    "hard": Dexterity(0.16, 0.006, 0.08, 4.0),
 }
+#: The same for keeper and striker, who do not anticipate.
+KEEPERS = {**HUMANS, "hard": Dexterity(0.20, 0.005, 0.15, 4.0)}
 
 
 class GuidedHand:
@@ -105,39 +120,43 @@ class GuidedHand:
         opponent: tuple[float, float],
     ) -> tuple[float, float]:
         """Return where the mallet is wanted; see `Hand.target`."""
-        return own if self.wanted is None else (-self.wanted[0], -self.wanted[1])
+        return own if self.wanted is None else Frame(1).point(*self.wanted)
 
 
-class ScriptedHand:
-    """A scripted human: defends, strikes at the goal, clears; a `Hand`.
+class HumanHand(ABC):
+    """A scripted hand with human limits; a `Hand`.
 
-    It sees the puck late and not quite where it is, thinks on where it goes over its bounces, and
-    moves the mallet no faster than it can.
+    It sees puck and opponent late, and the puck with an error, and predicts the puck over its
+    bounces. It moves the mallet within its speed. A subclass decides where the mallet goes.
 
     Parameters
     ----------
     play : AirHockey
         Table, puck and mallet.
-    skill : Skill
-        How well it plays.
+    dexterity : Dexterity
+        Its limits.
     seed : int, default 0
         Of its errors.
     """
 
-    def __init__(self, play: AirHockey, skill: Skill, seed: int = 0) -> None:
-        self._play, self._skill = play, skill
+    #: Distance from the own goal line at which it waits [m].
+    waits_m = _HOME
+
+    def __init__(self, play: AirHockey, dexterity: Dexterity, seed: int = 0) -> None:
+        self._play, self._dexterity = play, dexterity
         self._random = np.random.default_rng(seed)
         self._line = play.table.length_m / 2
-        self._home = -self._line + _HOME
+        self._home = -self._line + self.waits_m
         self._reach = play.table.reach(play.mallet.radius_m)
         self._together = play.mallet.radius_m + play.puck.radius_m
         # Full speed is only reached towards a place that is this far.
-        self._leash = skill.speed_m_s**2 / (2 * play.mallet.acceleration_m_s2)
-        self._seen: deque[tuple[float, PuckState | None]] = deque()
+        self._leash = dexterity.speed_m_s**2 / (2 * play.mallet.acceleration_m_s2)
+        self._seen: deque[tuple[float, PuckState | None, tuple[float, float]]] = deque()
         self._looks, self._wanted = 0.0, (self._home, 0.0)
         self._goes_by: list[PuckState] = []
+        self._opponent = (0.0, 0.0)
         self._errs, self._error = 0.0, (0.0, 0.0)
-        self._aim = float(self._random.normal(0.0, skill.aim_rad))
+        self._aim_anew()
         #: While a stroke lasts: until when, and along which direction.
         self._stroke: tuple[float, float, float] | None = None
 
@@ -149,52 +168,57 @@ class ScriptedHand:
         opponent: tuple[float, float],
     ) -> tuple[float, float]:
         """Return where the mallet is wanted; see `Hand.target`."""
-        self._seen.append((time, puck))
-        while len(self._seen) > 1 and self._seen[1][0] <= time - self._skill.reaction_s:
+        self._seen.append((time, puck, opponent))
+        while len(self._seen) > 1 and self._seen[1][0] <= time - self._dexterity.reaction_s:
             self._seen.popleft()
         if time >= self._looks:
             self._looks = time + _LOOK
             if time >= self._errs:
                 self._errs = time + _ERRS
-                x, y = self._random.normal(0.0, self._skill.noise_m, 2).tolist()
+                x, y = self._random.normal(0.0, self._dexterity.noise_m, 2).tolist()
                 self._error = x, y
-            self._goes_by = self._foreseen(self._seen[0][1])
-            self._wanted = self._decided(time, own)
+            _, seen, self._opponent = self._seen[0]
+            self._goes_by = self._foreseen(seen)
+            self._wanted = self.decided(time, own)
         dx, dy = self._wanted[0] - own[0], self._wanted[1] - own[1]
         share = min(1.0, self._leash / max(math.hypot(dx, dy), 1e-9))
         return own[0] + share * dx, own[1] + share * dy
 
     def _foreseen(self, seen: PuckState | None) -> list[PuckState]:
-        """Return where the puck is thought to be, from now on."""
+        """Return the states that the hand predicts for the puck, from now on."""
         if seen is None:
             return []
         x, y = self._error
         puck = PuckOnTable(self._play, seen._replace(x=seen.x + x, y=seen.y + y), logs=False)
-        way = []
+        path = []
         for k in range(round(_AHEAD / _STEP)):
-            puck.run(self._skill.reaction_s + k * _STEP)
-            way.append(puck.state)
-        return way
+            puck.run(self._dexterity.reaction_s + k * _STEP)
+            path.append(puck.state)
+        return path
 
-    def _decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
-        """Return where the mallet should go: to strike, to stop the puck, or home."""
-        if not self._goes_by:
-            self._stroke = None
-            return self._home, 0.0
-        puck = self._goes_by[0]
-        if self._stroke is not None:
-            until, nx, ny = self._stroke
-            if time < until and puck.x - own[0] > -self._together:
-                return puck.x + _THROUGH * nx, puck.y + _THROUGH * ny
-            self._stroke = None
-        fast = math.hypot(puck.vx, puck.vy) > _TOO_FAST
-        if puck.vx < 0.0 and (fast or (puck.x > 0.0 and puck.vx < -0.3)):
-            return self._guarded(own)
-        if puck.x < 0.0:
-            return self._struck(time, own)
-        self._aim = float(self._random.normal(0.0, self._skill.aim_rad))
-        half = self._play.table.goal_width_m / 2
-        return self._home, max(-half, min(0.5 * puck.y, half))
+    @abstractmethod
+    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+        """Return where the mallet should go."""
+
+    def aims(self) -> tuple[float, ...]:
+        """Return the y of the targets of a stroke on the other's line, best first [m]."""
+        # The mirror image of the goal's middle in either rail: a bank shot.
+        width = self._play.table.width_m
+        return 0.0, width - 2e-2, -width + 2e-2
+
+    def _aim_anew(self) -> None:
+        """Draw another error of aim."""
+        self._aim = float(self._random.normal(0.0, self._dexterity.aim_rad))
+
+    def _through(self, time: float, own: tuple[float, float]) -> tuple[float, float] | None:
+        """Return where a stroke under way leads; None: there is none, or it is over."""
+        if self._stroke is None:
+            return None
+        (until, nx, ny), puck = self._stroke, self._goes_by[0]
+        if time < until and puck.x - own[0] > -self._together:
+            return puck.x + _THROUGH * nx, puck.y + _THROUGH * ny
+        self._stroke = None
+        return None
 
     def _guarded(self, own: tuple[float, float]) -> tuple[float, float]:
         """Return a place before the goal that the puck will pass."""
@@ -210,11 +234,11 @@ class ScriptedHand:
 
     def _struck(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
         """Return where to begin a stroke, or begin it."""
-        fastest = self._skill.speed_m_s
+        fastest = self._dexterity.speed_m_s
         puck = self._goes_by[-1]
         for number, later in enumerate(self._goes_by):
-            way = math.hypot(later.x - own[0], later.y - own[1]) - self._together
-            if later.x < 0.0 and way <= fastest * number * _STEP * 0.6:
+            away = math.hypot(later.x - own[0], later.y - own[1]) - self._together
+            if later.x < 0.0 and away <= fastest * number * _STEP * _GETS_THERE:
                 puck = later
                 break
         if puck.x > 0.0:
@@ -239,13 +263,74 @@ class ScriptedHand:
 
     def _direction(self, puck: PuckState) -> tuple[float, float]:
         """Return the direction of a stroke: at the goal, or away from a rail that is too near."""
-        width = self._play.table.width_m
         lead = self._line - puck.x
-        angles = [math.atan2(y - puck.y, lead) for y in (0.0, width - 2e-2, -width + 2e-2)]
+        angles = [math.atan2(y - puck.y, lead) for y in self.aims()]
         back, angle = self._together + 0.03, 0.0
-        for angle in (*angles, 0.6, -0.6, 1.2, -1.2, 1.5, -1.5):
+        for angle in (*angles, *_AWAY):
             x, y = puck.x - back * math.cos(angle), puck.y - back * math.sin(angle)
             if x >= -self._reach[0] and abs(y) <= self._reach[1]:
                 break
         angle += self._aim
         return math.cos(angle), math.sin(angle)
+
+
+class ScriptedHand(HumanHand):
+    """A scripted human: stops fast pucks, strikes slow ones at the goal, waits before its own."""
+
+    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+        """Strike, stop the puck, or wait; see `HumanHand.decided`."""
+        if not self._goes_by:
+            self._stroke = None
+            return self._home, 0.0
+        puck = self._goes_by[0]
+        if through := self._through(time, own):
+            return through
+        fast = math.hypot(puck.vx, puck.vy) > _TOO_FAST
+        if puck.vx < 0.0 and (fast or (puck.x > 0.0 and puck.vx < -_COMES)):
+            return self._guarded(own)
+        if puck.x < 0.0:
+            return self._struck(time, own)
+        self._aim_anew()
+        half = self._play.table.goal_width_m / 2
+        return self._home, max(-half, min(0.5 * puck.y, half))
+
+
+class Keeper(HumanHand):
+    """A keeper: stands in its goal where the puck will come."""
+
+    waits_m = _IN_GOAL
+
+    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+        """Cover the place where the puck will pass; see `HumanHand.decided`."""
+        return self._guarded((self._home, own[1])) if self._goes_by else (self._home, 0.0)
+
+
+class Striker(Keeper):
+    """A keeper who strikes slow pucks at the open corner."""
+
+    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+        """Strike a slow puck in the own half, else keep the goal; see `HumanHand.decided`."""
+        if not self._goes_by:
+            self._stroke = None
+        elif through := self._through(time, own):
+            return through
+        else:
+            puck = self._goes_by[0]
+            if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= _TOO_FAST:
+                return self._struck(time, own)
+            self._aim_anew()
+        return super().decided(time, own)
+
+    def aims(self) -> tuple[float, ...]:
+        """Aim at the corner away from the opponent first; see `HumanHand.aims`."""
+        corner = self._play.table.goal_width_m / 2 - self._play.puck.radius_m - _POST
+        open_side = -math.copysign(1.0, self._opponent[1])
+        return open_side * corner, *super().aims()
+
+
+#: Scripted hands and their levels, by name.
+HANDS: Mapping[str, tuple[type[HumanHand], Mapping[str, Dexterity]]] = {
+    "human": (ScriptedHand, HUMANS),
+    "keeper": (Keeper, KEEPERS),
+    "striker": (Striker, KEEPERS),
+}

@@ -15,12 +15,13 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
 from airpuck.control.mpc import MPC
 from airpuck.control.pilot import Pilot
-from airpuck.control.reference import Course, Reference, Rendezvous, SetPoint, Target, asked, course
+from airpuck.control.reference import Rendezvous, SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement
 from airpuck.hockey.all_rounder import AllRounder
+from airpuck.hockey.frame import Frame
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.prediction import drawn_path
 from airpuck.hockey.puck_filter import PuckFilter
@@ -104,6 +105,7 @@ class Player(Pilot):
         self.watches = ("puck", "mallet")
         self.tactic: Tactic = tactic or AllRounder()
         self.level, self.side, self.play = level, side, play
+        self.frame = Frame(side)
         self.filter = PuckFilter(play)
         self._times = slower(minimal_times_of(model), level.thrust)
         self.pitch = pitch_of(model, play, self._times, opponent_radius)
@@ -113,8 +115,7 @@ class Player(Pilot):
         )
         assert isinstance(self._controller.law, MPC)
         self._law = self._controller.law
-        fence = self.pitch.fence
-        self._law.fence = fence if side < 0 else -fence[::-1]
+        self._law.fence = self.frame.box(self.pitch.fence)
         self.reference = self._controller.reference
         self.intention: Intention | None = None
         self.sight: Sight = "lost"
@@ -190,17 +191,17 @@ class Player(Pilot):
         belief = self.filter.belief
         if belief is None or self.sight != "seen":
             return None
-        return drawn_path(self.play, belief) * (-self.side)
+        return self.frame.points(drawn_path(self.play, belief))
 
     def _see(self, time: float) -> None:
         """Take what is seen by now, in the own frame."""
         seen = time - self.level.reaction_s
         while self._puck_poses and self._puck_poses[0][0] <= seen:
             stamp, pose = self._puck_poses.popleft()
-            self._see_puck(stamp, self._turned(pose))
+            self._see_puck(stamp, self.frame.states(pose))
         while self._opponent_poses and self._opponent_poses[0][0] <= seen:
             stamp, pose = self._opponent_poses.popleft()
-            self._see_opponent(stamp, self._turned(pose)[:2])
+            self._see_opponent(stamp, self.frame.states(pose)[:2])
         belief = self.filter.belief
         age = math.inf if belief is None else seen - belief.time
         if self._same >= _FROZEN and self._before_same > _MOVING:
@@ -252,7 +253,7 @@ class Player(Pilot):
 
     def _view(self, time: float, stamp: float, craft: Float[np.ndarray, " 6"]) -> View:
         """Return what the tactic sees."""
-        own = self._turned(craft)
+        own = self.frame.states(craft)
         # The estimate is for when the last command acted, which is near.
         own[:3] += own[3:] * (time - stamp)
         opponent = self._opponent and self._opponent[1]
@@ -282,49 +283,15 @@ class Player(Pilot):
 
     def _in_world(self, intention: Intention) -> Intention:
         """Return an intention in the world's frame."""
-        sign, own = -self.side, intention.reference
         # A user's tactic may give lists and arrays for all of these.
-        meet, path, avoid = intention.meet, intention.path, intention.avoid
+        frame, (meet, path, avoid) = self.frame, (intention.meet, intention.path, intention.avoid)
         return replace(
             intention,
-            reference=own if self.side < 0 else TurnedReference(own),
-            meet=None if meet is None else (meet[0], sign * meet[1], sign * meet[2]),
-            path=None if path is None else sign * np.asarray(path, float),
-            avoid=None if avoid is None else (sign * avoid[0], sign * avoid[1], avoid[2]),
+            reference=frame.reference(intention.reference),
+            meet=None if meet is None else (meet[0], *frame.point(*map(float, meet[1:]))),
+            path=None if path is None else frame.points(np.asarray(path, float)),
+            avoid=None if avoid is None else (*frame.point(*map(float, avoid[:2])), avoid[2]),
         )
-
-    def _turned(self, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """Return a pose or a state in the own frame, from the world's."""
-        return values.copy() if self.side < 0 else turned(values)
-
-
-def turned(values: Float[np.ndarray, "*n k"]) -> Float[np.ndarray, "*n k"]:
-    """Return poses or states in a frame that is turned by π."""
-    signs = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])[: values.shape[-1]]
-    found = values * signs
-    found[..., 2] += math.pi
-    return found
-
-
-class TurnedReference:
-    """A reference of the own frame in that of the world, which is turned by π."""
-
-    def __init__(self, reference: Reference) -> None:
-        self.own = reference
-
-    def at(self, now: float, ahead: float) -> Target:
-        """Return the target; see `Reference.at`."""
-        target = self.own.at(now, ahead)
-        return Target(turned(target.state), target.acceleration * [-1.0, -1.0, 1.0])
-
-    def asked(self, now: float) -> Float[np.ndarray, " 6"]:
-        """Return the state that is asked for now; see `airpuck.control.reference.asked`."""
-        return turned(asked(self.own, now))
-
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the same at several times; see `course`."""
-        own = course(self.own, now, ahead)
-        return Course(turned(own.states), own.accelerations * [-1.0, -1.0, 1.0], own.arrival)
 
 
 def pitch_of(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from airpuck.hockey.game import Side, serve
-from airpuck.hockey.hand import SKILLS, GuidedHand, ScriptedHand
+from airpuck.hockey.hand import HUMANS, GuidedHand, ScriptedHand
 from airpuck.hockey.rules import Referee, Rules
 from airpuck.live.process import Inbox, Process
 from airpuck.twin.twin import Twin
@@ -42,7 +42,7 @@ class Human:
         if skill == PAGE:
             self.targets, self._side.hand = Inbox(process, "mallet_target"), self._hand
         else:
-            self._side.hand = ScriptedHand(twin.settings, SKILLS[skill])
+            self._side.hand = ScriptedHand(twin.settings, HUMANS[skill])
         self._wanted_at = -math.inf
         # The server of the puck keeps neither score nor time.
         usual = Rules()
