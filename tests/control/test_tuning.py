@@ -25,7 +25,7 @@ from airpuck.control.tuning import (
     read_tuning,
 )
 
-positive = st.floats(1e-9, 1e5)
+positive = st.floats(1e-9, 1e4)
 non_negative = st.just(0.0) | positive
 weight = st.floats(1e-6, 1e6)
 size = st.floats(1e-9, 9.0)

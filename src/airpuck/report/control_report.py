@@ -201,9 +201,9 @@ def rotation_error_figure(fastest: float, period: float) -> Figure:
     return figure
 
 
-def predicts(flights: Sequence[Tracked]) -> bool:
-    """Return whether any flight used the predictive law."""
-    return any(flight.regulator == "mpc" for flight in flights)
+def compares_laws(flights: Sequence[Tracked]) -> bool:
+    """Return whether any flight used another law than the paper's."""
+    return any(flight.regulator not in (None, "lqr") for flight in flights)
 
 
 def flight_colors(flights: Sequence[Tracked]) -> list[str]:
