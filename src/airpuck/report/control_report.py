@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from airpuck.control.discretization import rotation_error
-from airpuck.control.laws import law_label
 from airpuck.data.trajectory import runs
 from airpuck.flight.replay import Replay
 from airpuck.flight.track import TOLERANCE, SetPointResult, Track
@@ -376,7 +375,7 @@ def tracking_report(
     for flight in flights:
         if flight.log.predictions:
             table = flight.table.length_m, flight.table.width_m
-            path = Path(out) / f"flight_{_file_name(flight)}.html"
+            path = Path(out) / f"flight_{flight.file_name}.html"
             animate(flight.recording, path, vehicle=flight.vehicle, table=table, log=flight.log)
             lead += f" {path.name} beside this page shows {flight.label} in motion."
     return write_page(out, "Tracking of set points", lead, tracking_sections(flights), origin)
@@ -415,7 +414,7 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         blocks.append(PageTable(words, ["flight", "x [mm]", "y [mm]", "yaw [rad]"], apart))
     inputs = [
         Picture(
-            f"inputs_{_file_name(flight)}",
+            f"inputs_{flight.file_name}",
             input_figure(flight),
             f"Commands of {flight.label}. Shaded: the twin's motor is at full command.",
         )
@@ -426,12 +425,6 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     if not compares_laws(flights):
         return [tracking, commands]
     return [summary(flights), tracking, *law_sections(flights), commands]
-
-
-def _file_name(flight: Tracked) -> str:
-    """Return the part of file names that distinguishes flights."""
-    law = flight.regulator
-    return flight.model if law in (None, "lqr") else f"{flight.model}_{law_label(law)}"
 
 
 def _tracks(flight: Tracked) -> dict[str, Track]:

@@ -65,6 +65,12 @@ class Tracked(Result):
     warnings: tuple[str, ...] = ()
 
     @property
+    def file_name(self) -> str:
+        """The part of file names that distinguishes flights."""
+        law = self.regulator
+        return self.model if law in (None, "lqr") else f"{self.model}_{law_label(law)}"
+
+    @property
     def results(self) -> list[SetPointResult]:
         """Results of the set points on the twin, without the initial one."""
         return self.twin.moves()
