@@ -64,9 +64,9 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path):
     ("options", "words"),
     [
         (("--seed", 3), ("--seed", "--bootstrap")),
-        (("--bootstrap", 20, "--method", "adam"), ("--bootstrap", "lm only")),
+        (("--bootstrap", 20, "--method", "adam"), ("--bootstrap", "needs --method lm")),
         (("--bootstrap", 3), ("--bootstrap",)),
-        (("--model", "auto", "--method", "adam"), ("--model auto", "lm only")),
+        (("--model", "auto", "--method", "adam"), ("--model", "needs --method lm")),
     ],
 )
 def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words):
