@@ -129,7 +129,7 @@ from pathlib import Path
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import MIB
 from airpuck.recording.read import read_recording
-from ..apparatus.refusals import little_memory
+from tests.apparatus.refusals import little_memory
 
 with little_memory(20 * MIB):
     try:

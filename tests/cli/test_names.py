@@ -40,11 +40,11 @@ def test_a_bad_output_is_refused_before_anything_is_read(places, name, option, k
     bad = {"": "is empty", "x" * 300: "255 bytes", "file/x": "cannot be written"}
     bad["/proc/none/x"] = "cannot be written"
     if kind == "file":
-        bad |= {"folder": "is a folder", "/": "is a folder", "/dev/null": "no ordinary file"}
+        bad |= {"folder": "is a folder", "/": "is the root", "/dev/null": "no ordinary file"}
     elif kind == "folder":
         bad["file"] = "is a file"
     else:
-        bad |= dict.fromkeys(("file", "folder", "/"), "exists already")
+        bad |= {"file": "exists already", "folder": "exists already", "/": "is the root"}
     for place, words in bad.items():
         process = airpuck(name, option, place, cwd=places)
         assert refused(process, option, words), place

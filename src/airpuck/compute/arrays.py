@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from threading import Lock
 from typing import Any
 
@@ -72,14 +72,21 @@ _registering = Lock()
 
 
 def register_pytree(kind: Any, static: str = "") -> None:
-    """Let JAX see the arrays inside a dataclass; the field `static` holds none."""
-    from jax.tree_util import register_dataclass
+    """Let JAX see the arrays inside a dataclass; the field `static` holds none.
 
-    names, fixed = [entry.name for entry in fields(kind)], [static] if static else []
+    Another class is a constant to JAX.
+    """
+    from jax.tree_util import register_dataclass, register_static
+
     with _registering:
-        if kind not in _registered:
-            register_dataclass(kind, [name for name in names if name != static], fixed)
-            _registered.add(kind)
+        if kind in _registered:
+            return
+        _registered.add(kind)
+        if not is_dataclass(kind):
+            register_static(kind)
+            return
+        names, fixed = [entry.name for entry in fields(kind)], [static] if static else []
+        register_dataclass(kind, [name for name in names if name != static], fixed)
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:

@@ -65,21 +65,25 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             file=path,
         )
     known = checked(about, _About, file=path)
-    trajectory = Trajectory(
-        time=arrays["t"],
-        state=arrays["state"],
-        acceleration=arrays["acceleration"],
-        command_time=arrays["command_time"],
-        command=arrays["command"],
-        propellers=known.propellers,
-        delay=known.delay_s,
-        delay_known=known.delay_known,
-        excluded=tuple(Span(**span.model_dump()) for span in known.excluded),
-        source=known.source,
-        hashes=known.hashes,
-        warnings=known.warnings,
-        vehicle=known.vehicle,
-    )
+    try:
+        trajectory = Trajectory(
+            time=arrays["t"],
+            state=arrays["state"],
+            acceleration=arrays["acceleration"],
+            command_time=arrays["command_time"],
+            command=arrays["command"],
+            propellers=known.propellers,
+            delay=known.delay_s,
+            delay_known=known.delay_known,
+            excluded=tuple(Span(**span.model_dump()) for span in known.excluded),
+            source=known.source,
+            hashes=known.hashes,
+            warnings=known.warnings,
+            vehicle=known.vehicle,
+        )
+    except InputError as error:
+        # The file is at fault, not the recording that it was made from.
+        raise InputError(error.problem, file=path, field=error.field) from error
     _check(trajectory, path)
     return trajectory
 
