@@ -47,6 +47,7 @@ from airpuck.identification.uncertainty import (
     shared_at_borders,
     varying,
     widened,
+    without_meaningless,
 )
 from airpuck.model.gauge import fix_gauge
 from airpuck.model.model_file import Model
@@ -266,7 +267,8 @@ def judge(solution: Solution, began: float) -> Fit:
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
         delay_jitter=delay_jitter(solution.packets),
     )
-    model = replace(model, uncertainty=_uncertainty(solution, quadratic, model))
+    known = without_meaningless(_uncertainty(solution, quadratic, model), parameters)
+    model = replace(model, uncertainty=known)
     return Fit(
         model=model,
         loss=outcome.loss,

@@ -244,6 +244,16 @@ def information_growth(
     return basis @ inverse @ basis.T @ hessian
 
 
+def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Uncertainty:
+    """Drop standard errors wider than the range of values that a parameter may take.
+
+    Data that leave so much open do not determine the parameter.
+    """
+    lower, upper = parameters.bounds()
+    errors = uncertainty.standard_errors
+    return replace(uncertainty, standard_errors=np.where(errors > upper - lower, np.nan, errors))
+
+
 def _with_covariance(uncertainty: Uncertainty, covariance: Float[np.ndarray, "P P"]) -> Uncertainty:
     """Replace the covariance, and the standard errors by its own."""
     covariance = (covariance + covariance.T) / 2

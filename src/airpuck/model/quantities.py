@@ -89,7 +89,7 @@ QUANTITIES = (
              "coefficients of φ, φ², φ³, … of each propeller's thrust", Rows,
              labels=_coefficients, rungs=("M0", "M1", "M2", "M3", "M4"), positive=True),
     Quantity("inertia", "inertia_kg_m2", "kg m²", "I",
-             "moment of inertia about the centre of mass", Positive, bounds=(1e-7, np.inf),
+             "moment of inertia about the centre of mass", Positive, bounds=(1e-7, 1e4),
              rungs=("M1", "M3"), in_matrix=True, positive=True, shown=("10⁻³ kg m²", 1e3, ".4f")),
     Quantity("motor_time_constant", "motor_time_constant_s", "s", "τ",
              "first-order lag of motor speed behind the command; 0: none is modelled", NonNegative,
