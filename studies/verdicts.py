@@ -1,7 +1,7 @@
 """Is a verdict right? Craft and recordings with flaws: identified, judged, and flown.
 
-    OPENBLAS_NUM_THREADS=1 python studies/verdicts.py fly -o /tmp/verdicts --seeds 10
-    OPENBLAS_NUM_THREADS=1 python studies/verdicts.py judge -o /tmp/verdicts --seeds 10
+    OPENBLAS_NUM_THREADS=1 python studies/verdicts.py fly -o verdicts --seeds 10
+    OPENBLAS_NUM_THREADS=1 python studies/verdicts.py judge -o verdicts --seeds 10
 
 fly: in each situation the twin records excitation flights, a model is identified from one and the
 controller designed from that model flies the true craft: with both laws and both estimators, from

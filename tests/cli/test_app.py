@@ -54,7 +54,7 @@ def test_help_texts_keep_their_units(name):
 
 
 def test_commands_are_verbs_of_the_package():
-    # airpuck.faults is a room, to check what would remain open, and `vehicle` shows one. Others
+    # airpuck.faults is a package, to check what would remain open, and `vehicle` shows one. Others
     # start a process on the graph; their functions are in airpuck.live.
     others = {"demo", "faults", "check", "vehicle", "race", "play"} | {
         "fly",

@@ -11,6 +11,7 @@ from typer.core import TyperOption
 from airpuck.boundary import numbers
 from airpuck.boundary.numbers import Range
 from airpuck.boundary.outputs import Output
+from airpuck.boundary.settings import Setting
 from airpuck.cli.names import check_written
 from airpuck.cli.output import is_stdout
 from airpuck.cli.views import FromFile
@@ -132,6 +133,5 @@ ProtocolName = Annotated[
 ]
 Horizon = Annotated[float, number("S", "After how long errors are reported.", numbers.HORIZON)]
 EncoderName = Annotated[
-    Literal["paper", "actuation"],
-    Option("--encoder", help="paper; actuation: estimates what each motor really does, too."),
+    str, Setting("paper; actuation: estimates the effectiveness of each motor, too.")
 ]

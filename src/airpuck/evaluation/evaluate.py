@@ -5,7 +5,7 @@ Its result at 0.2 s is table:prediction_error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -77,13 +77,11 @@ PROTOCOLS = {
 ProtocolName = Literal["paper", "paper-long", "causal"]
 
 
-def make_encoder(name: str, model: Model, protocol: Protocol) -> Encoder:
-    """Build an encoder by its name."""
-    encoders = {
-        "paper": lambda: PaperEncoder(model.indexing),
-        "actuation": lambda: ActuationEncoder("causal" if protocol.causal else "smoothed"),
-    }
-    return chosen(name, encoders, "encoder")()
+#: Encoders by name, each made for a model and a protocol.
+ENCODERS: dict[str, Callable[[Model, Protocol], Encoder]] = {
+    "paper": lambda model, _: PaperEncoder(model.indexing),
+    "actuation": lambda _, protocol: ActuationEncoder("causal" if protocol.causal else "smoothed"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +251,7 @@ def evaluate(
     if not isinstance(protocol, Protocol):
         protocol = chosen(protocol, PROTOCOLS, "protocol")
     if isinstance(encoder, str):
-        encoder = make_encoder(encoder, model, protocol)
+        encoder = chosen(encoder, ENCODERS, "encoder")(model, protocol)
     if protocol.causal and not encoder.causal:
         raise InputError(
             f"the encoder {encoder.name} looks ahead, which the protocol {protocol.name} forbids; "

@@ -43,7 +43,7 @@ _FORMAT = "airpuck model 1"
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A craft with known parameters: what identification gives and all other rooms use.
+    """A craft with known parameters: the result of identification, used by all other packages.
 
     Attributes
     ----------
