@@ -59,7 +59,7 @@ def test_identify_tells_what_it_left_out(bag, tmp_path):
     assert process.returncode == 0, process.stderr
     assert "1 jump" in next(x for x in process.stdout.splitlines() if x.startswith("left out: "))
     assert json.loads((tmp_path / "f.json").read_text())["faults"]["spans"]
-    assert "whose predictions meet a fault" in (tmp_path / "r" / "index.html").read_text()
+    assert "windows overlap a fault" in (tmp_path / "r" / "index.html").read_text()
 
 
 def test_wrong_options_are_refused(bag, tmp_path):

@@ -65,7 +65,7 @@ def test_the_page_lists_what_was_found(flight, tmp_path):
     marked = replace(flight, excluded=SPANS[2:3])
     found = (SPANS[0], SPANS[1], SPANS[3])
     page = fault_report(marked, found, published_model("M3"), tmp_path).read_text()
-    for words in ("motor_a_1 stalled", "measured", "0.60", "whose predictions meet a fault"):
+    for words in ("motor_a_1 stalled", "measured", "0.60", "windows overlap a fault"):
         assert words in page
     assert (tmp_path / "figures" / "fault_timeline.png").stat().st_size > 5000
 

@@ -104,7 +104,7 @@ def test_a_fit_to_several_recordings_names_all_of_them(study, tmp_path, undrawn)
     both = [replace(study.training, source=f"lab/{name}") for name in ("monday", "tuesday")]
     page = fit_report(study.fits[3], both, tmp_path).read_text(encoding="utf-8")
     assert f"identified from {2 * study.training.duration:.1f} s of flight" in page
-    assert "2 recordings, of which pictures show the first" in page
+    assert "2 recordings; figures show the first" in page
     assert "lab/monday" in page and "lab/tuesday" in page
 
 

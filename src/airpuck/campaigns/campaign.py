@@ -1,4 +1,4 @@
-"""`campaign`: compute what a spec asks for and has no result yet; sum up what there is."""
+"""`campaign`: compute the items of a spec that have no result yet; summarise all results."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _STATISTICS = ("count", "mean", "sd", "min", "q05", "q50", "q95", "max")
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign that has come to its end."""
+    """A completed campaign."""
 
-    #: Its items.
+    #: Items in the order of the spec.
     entries: tuple[Entry, ...]
-    #: What became of each.
+    #: Result of each item.
     results: tuple[ItemResult, ...]
-    #: Number of items that had no result before.
+    #: Number of items computed in this run.
     computed: int
 
     @property
@@ -46,13 +46,13 @@ class Campaign:
 
     @property
     def settings(self) -> list[dict[str, Any]]:
-        """Of each setting of the grid: ``setting, items, failed, figures``.
+        """Summary of each setting of the grid: ``setting, items, failed, figures``.
 
-        ``figures`` has for each name ``count, mean, sd, min, q05, q50, q95, max`` over all rows
-        where it is known; nan where there is none.
+        ``figures`` maps each name to ``count, mean, sd, min, q05, q50, q95, max`` of its finite
+        values over all rows; nan without such values.
         """
         pairs = zip(self.entries, self.results, strict=True)
-        # The items of a setting follow one another.
+        # Items of one setting are adjacent.
         groups = itertools.groupby(pairs, key=lambda pair: pair[0].setting)
         return [_summary(setting, [result for _, result in group]) for setting, group in groups]
 
@@ -92,7 +92,7 @@ def campaign(
     retry: bool = False,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> Campaign:
-    """Run many independent flights or fits on Dask; what has a result already is not run again.
+    """Run many independent flights, fits or games on Dask; skip items with a result.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ def campaign(
     workers : int, optional
         Number of these processes; by default as many as there are processors.
     retry : bool, default False
-        Whether items that failed are run again.
+        Whether to run failed items again.
     progress : callable, optional
-        Called with the number of items that have a result, of all, and of those that failed.
+        Called with the numbers of finished items, all items and failed items.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def campaign(
     Raises
     ------
     InputError
-        If the spec is wrong, Dask is not installed, or the scheduler is not there.
+        If the spec is invalid, Dask is missing, or the scheduler does not answer.
     """
     if workers is not None:
         numbers.WORKERS.check(workers, "workers")
@@ -139,7 +139,7 @@ def completed(
 ) -> Campaign:
     """Compute the items that have no result in a folder yet.
 
-    `compute` takes entries, and ``tell`` for the share of one that is done, by its key.
+    `compute` takes entries and a callback ``tell(key, share)`` for the progress of one of them.
     """
     results = {}
     for entry in entries:
@@ -165,12 +165,12 @@ def completed(
 
 
 def _is_whole(item: Item, result: ItemResult) -> bool:
-    """Return whether what an item wrote is there, as it wrote it."""
+    """Return whether the files that an item wrote are unchanged."""
     return item.written() in (None, result.written)
 
 
 def read_result(folder: Path, key: str) -> ItemResult | None:
-    """Read the result of an item, if it has one."""
+    """Read the result of an item; None if there is none."""
     path = folder / "items" / f"{key}.json"
     if not path.exists():
         return None
@@ -178,11 +178,11 @@ def read_result(folder: Path, key: str) -> ItemResult | None:
     try:
         return ItemResult.model_validate_json(text, strict=True)
     except ValueError as error:
-        raise InputError(f"is no result of a campaign ({error}); remove it", file=path) from error
+        raise InputError(f"is not a campaign result ({error}); remove it", file=path) from error
 
 
 def write_result(folder: Path, entry: Entry, result: ItemResult) -> None:
-    """Write the result of an item, in one step."""
+    """Write the result of an item atomically."""
     content = {
         "airpuck": __version__,
         "kind": type(entry.item).__name__,
@@ -194,7 +194,7 @@ def write_result(folder: Path, entry: Entry, result: ItemResult) -> None:
 
 
 def _summary(setting: dict[str, Any], results: list[ItemResult]) -> dict[str, Any]:
-    """Sum up the results of one setting."""
+    """Summarise the results of one setting."""
     rows = [row for result in results for row in result.rows]
     names = dict.fromkeys(name for row in rows for name in row)
     failed = sum(result.failure is not None for result in results)
@@ -214,7 +214,7 @@ def statistics(values: list[float]) -> dict[str, float]:
 
 
 def _lines(entry: Entry, result: ItemResult) -> Iterator[dict[str, Any]]:
-    """Lay out the rows of one item, or its failure, for the table."""
+    """Yield the table rows of one item, or its failure."""
     common = {"key": entry.key, "seed": entry.item.seed, "failure": result.failure}
     for field, value in entry.setting.items():
         plain = isinstance(value, (str, int, float))

@@ -1,4 +1,4 @@
-"""What a result depends on beside its item's fields: our code, the user's, and files."""
+"""Hashes of everything else that a result depends on: our code, the user's code, and files."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import FOLDER_FILES, refused
 from airpuck.recording.files import sha256
 
-#: Not read, and written while code runs.
+#: Bytecode, which changes while code runs.
 _CACHE = "__pycache__"
-#: Where modules are installed, which belong to an environment and not to a user's code.
+#: Folders of installed modules, which belong to the environment, not to the user's code.
 _INSTALLED = tuple(Path(sysconfig.get_path(n)) for n in ("stdlib", "purelib", "platlib"))
 
 
 @cache
 def program() -> str:
-    """Hash this package: all of its files, whatever the version says."""
+    """Hash all files of this package."""
     folder = Path(airpuck.__file__).parent
     return _of(folder, (f for f in folder.rglob("*") if f.is_file() and _CACHE not in f.parts))
 
@@ -38,13 +38,13 @@ def of_file(path: str | os.PathLike[str]) -> str:
 
 
 def of_recording(path: str | os.PathLike[str]) -> str:
-    """Hash a file, or all files of a folder that may be a recording."""
+    """Hash a recording: a file, or all files of a folder."""
     folder = Path(path)
     return _of(folder, _files(folder)) if folder.is_dir() else sha256(folder)
 
 
 def of_code(path: str | os.PathLike[str]) -> str:
-    """Hash a Python file with all modules that it imports and that are not installed."""
+    """Hash a Python file and the modules it imports, without installed ones."""
     first = Path(path).absolute()
     search = [str(first.parent), *sys.path]
     sources: set[Path] = set()
@@ -58,10 +58,10 @@ def of_code(path: str | os.PathLike[str]) -> str:
 
 
 def _imports(source: Path) -> set[str]:
-    """Return the packages and modules that a file names, by their first name."""
+    """Return the top-level names of the modules that a file imports."""
     try:
         tree = ast.parse(source.read_bytes())
-    # Who runs the code says what is wrong with it.
+    # Running the code will report the syntax error.
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return set()
     names = set()
@@ -81,13 +81,13 @@ def _found(name: str, search: tuple[str, ...]) -> tuple[Path, ...]:
     specification = PathFinder.find_spec(name, list(search))
     if specification is None:
         return ()
-    # Installed for development, we are outside of site-packages.
+    # In a development install this package lies outside site-packages.
     places = tuple(map(Path, specification.submodule_search_locations or ()))
     return places or ((Path(specification.origin),) if specification.origin else ())
 
 
 def _sources(name: str, search: list[str]) -> Iterator[Path]:
-    """Yield the files of a module that is not installed; of a package all of them."""
+    """Yield the files of a module or package, unless it is installed."""
     for place in _found(name, tuple(search)):
         installed = any(place.is_relative_to(folder) for folder in _INSTALLED)
         if installed or place == Path(airpuck.__file__).parent:
@@ -96,7 +96,7 @@ def _sources(name: str, search: list[str]) -> Iterator[Path]:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the files in a folder and those below it; refuse one that holds too many."""
+    """Yield all files below a folder; raise InputError if there are too many."""
     seen = 0
     for place, folders, names in os.walk(folder):
         seen += len(names) + len(folders)
@@ -108,6 +108,6 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _of(folder: Path, files: Iterable[Path]) -> str:
-    """Hash files with their names as seen from a folder."""
+    """Hash files with their names relative to a folder."""
     lines = [f"{os.path.relpath(file, folder)} {sha256(file)}" for file in sorted(files)]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()

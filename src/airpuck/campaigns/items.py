@@ -1,4 +1,4 @@
-"""What a campaign can compute: items, each wholly described by its fields."""
+"""Items of campaigns, each fully described by its fields."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.tracking_study import DWELL, Tracked, tracking_study
 
-#: A number; null in JSON stands for one that is not known.
+#: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
 #: Figures by name.
 Row = dict[str, Figure]
 
 
-#: Of all craft of a fleet together [s]: a gigabyte.
+#: Longest total flight time of a fleet [s], about a gigabyte.
 _MOST_FLOWN = 100_000
 
 
 def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
-    """Complete a spec's table, which names only what differs from the packaged file."""
+    """Complete a spec's table, which lists only differences from the packaged file."""
 
     def complete(table: Any) -> Section:
         if not isinstance(table, Mapping):
@@ -66,7 +66,7 @@ def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
 
 
 def _known_rung(name: str) -> str:
-    """Refuse an unknown rung."""
+    """Check that a rung exists."""
     try:
         named_rung(name)
     except InputError as error:
@@ -75,7 +75,7 @@ def _known_rung(name: str) -> str:
 
 
 def _within(limits: Range) -> pydantic.AfterValidator:
-    """Refuse a number outside of a range."""
+    """Check that a number lies within a range."""
 
     def check(number: float) -> float:
         limits.check(number, "")
@@ -94,38 +94,38 @@ Duration = Annotated[float, _within(numbers.FLIGHT_DURATION)]
 Hold = Annotated[float, _within(numbers.HOLD)]
 #: The class in FILE.py:NAME.
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
-#: Hashes what a name stands for.
+#: Function that hashes the file or code behind a name.
 Fingerprint = Callable[[str], str]
-#: How much a craft differs from its model, at random; see `moved`.
+#: Relative random spread of a craft around its model; see `moved`.
 Spread = Fraction
 
 
 class Item(Section):
     """Base of all kinds of items."""
 
-    #: Fields that name models, recordings or tactics, and how what they name is hashed: it belongs
-    #: to the key.
+    #: Fields that name models, recordings or tactics, each with the function that hashes its
+    #: content for the key.
     SOURCES: ClassVar[Mapping[str, Fingerprint]] = {}
 
-    #: Of everything random in it.
+    #: Seed of all random numbers.
     seed: Natural = 0
 
     @abstractmethod
     def run(self) -> list[Row]:
         """Compute the item's figures."""
 
-    def told(self, tell: Callable[[float], None]) -> Item:
-        """Return an item that may tell, while it runs, which share of it is done."""
+    def reporting(self, tell: Callable[[float], None]) -> Item:
+        """Return an item that may report its progress through `tell` (0 to 1)."""
         return self
 
     def written(self) -> str | None:
-        """Hash what it wrote besides its figures; None where it writes nothing."""
+        """Hash the files that the item wrote; None if it writes none."""
         return None
 
     def key(self, known: dict[tuple[Fingerprint, str], str] | None = None) -> str:
-        """Hash the fields, the content of what they name, and our code.
+        """Hash the fields, the content of the files they name, and our code.
 
-        Items that share `known` hash each file once.
+        `known` caches the hashes of files across items.
         """
         content, known = self.model_dump(mode="json"), {} if known is None else known
         for field, fingerprint in self.SOURCES.items():
@@ -136,14 +136,14 @@ class Item(Section):
 
 
 def is_file(name: str | None) -> bool:
-    """Tell names of files from those of what comes with the package."""
+    """Return whether a name is a file, not a packaged model or player."""
     return name is not None and name.partition(":")[0] not in ("paper", *PLAYERS)
 
 
 def _identity(
     name: str | None, fingerprint: Fingerprint, known: dict[tuple[Fingerprint, str], str]
 ) -> str | None:
-    """Return what stands for a name in a key: of a file its content, and which class of it."""
+    """Return the identity of a name for keys: the hash of a file, and the class in it."""
     if name is None or not is_file(name):
         return name
     attribute, file = _CLASS.search(name), _CLASS.sub("", name)
@@ -157,28 +157,28 @@ class TwinItem(Item):
 
     SOURCES: ClassVar = {"truth": of_file}
 
-    #: What the twin is.
+    #: Model of the twin.
     truth: str = "paper:M3"
     truth_spread: Spread = 0.0
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     def craft(self) -> Model:
-        """Return what the twin is."""
+        """Return the model of the twin."""
         return varied(read_model(self.truth), self.truth_spread, self.seed)
 
 
 class Identification(Item):
     """Base of items that identify a model."""
 
-    #: What is identified.
+    #: Rung to identify.
     model: RungName = "M3"
     #: Samples from one window to the next; by default 7/240 s.
     stride: Count | None = None
-    #: Whether windows that are predicted badly count less.
+    #: Whether badly predicted windows get less weight.
     robust: bool = False
 
     def loss(self, data: Trajectory) -> Loss:
-        """Return what the fit minimises."""
+        """Return the loss of the fit."""
         spacing = Loss.spacing if self.stride is None else self.stride * data.sample_period
         return Loss(spacing=spacing, robust=self.robust)
 
@@ -189,15 +189,15 @@ class Tracking(TwinItem):
     SOURCES: ClassVar = {"model": of_file, "truth": of_file}
 
     truth: str = "paper:M4"
-    #: What the controller believes.
+    #: Model of the controller.
     model: str = "paper:M4"
     #: Time at each set point.
     dwell_s: Annotated[float, _within(numbers.DWELL)] = DWELL
-    #: As flown in the paper; "full", the default of all laws but lqr, also compensates the delay
-    #: and rejects disturbances.
+    #: "paper": as flown in the paper. "full", the default of all laws but lqr, also compensates the
+    #: delay and rejects disturbances.
     controller: Literal["paper", "full"] | None = None
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
-    #: By default the tuning's.
+    #: By default the law of the tuning file.
     regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
 
     def run(self) -> list[Row]:
@@ -217,7 +217,7 @@ class Tracking(TwinItem):
 
 
 class Recovery(TwinItem, Identification):
-    """One excitation flight of the twin, identified, and compared with the truth."""
+    """One excitation flight of the twin, with a fit that is compared with the truth."""
 
     duration_s: Duration = 90.0
     amplitude: Amplitude = 1.0
@@ -225,7 +225,7 @@ class Recovery(TwinItem, Identification):
 
     def run(self) -> list[Row]:
         """Fly, identify, compare; see `Item.run`."""
-        # The offset of the centre of mass is fixed to the body, as in what is identified.
+        # As in the fitted model, the offset of the centre of mass is fixed in the body.
         truth = replace(self.craft(), frame="body", indexing="start")
         recording = excite(
             truth,
@@ -243,7 +243,7 @@ class Recovery(TwinItem, Identification):
 
 
 class Fleet(Item):
-    """A batch of craft that fly the same commands in open loop, beside one as the model says."""
+    """A batch of varied craft in open loop, compared with one craft that obeys the model."""
 
     SOURCES: ClassVar = {"model": of_file}
 
@@ -251,7 +251,7 @@ class Fleet(Item):
     spread: Spread = 0.0
     #: Number of craft.
     craft: Count = 500
-    #: Length of the flight; commands are drawn anew every `hold_s`, up to `amplitude`.
+    #: Length of the flight; new random commands up to `amplitude` every `hold_s`.
     duration_s: Duration = 0.5
     hold_s: Annotated[Hold, pydantic.Field(ge=0.01)] = 0.2
     amplitude: Amplitude = 1.0
@@ -262,7 +262,7 @@ class Fleet(Item):
     def _fits_in_memory(self) -> Fleet:
         if self.craft * self.duration_s > _MOST_FLOWN:
             flown = f"{self.craft} craft for {self.duration_s:g} s"
-            raise ValueError(f"{flown} take gigabytes; give fewer craft, and more seeds")
+            raise ValueError(f"{flown} take gigabytes; give fewer craft and more seeds")
         return self
 
     def run(self) -> list[Row]:
@@ -272,7 +272,7 @@ class Fleet(Item):
         hold, steps = round(self.hold_s / 0.01), max(1, round(self.duration_s / 0.01))
         rng = np.random.default_rng([self.seed, 8])
         drawn = rng.uniform(lowest, max(lowest, self.amplitude), (-(-steps // hold), n))
-        # Seeds of different items of a campaign must not meet.
+        # Random seeds, so items of one campaign share none.
         seeds = rng.integers(2**62, size=self.craft).tolist()
         flight = fly_fleet(
             [model, *(varied(model, self.spread, seed) for seed in seeds)],
@@ -286,7 +286,7 @@ class Fleet(Item):
 
 
 class Fitting(Identification):
-    """One fit to recordings; or `resamplings` of them, to data drawn with replacement."""
+    """One fit to recordings, or `resamplings` fits to data drawn with replacement."""
 
     SOURCES: ClassVar = {
         "recordings": of_recording,
@@ -295,19 +295,19 @@ class Fitting(Identification):
     }
 
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
-    #: A recording to judge the fit on, by the paper's protocol.
+    #: Recording for validation by the paper's protocol.
     validation: str | None = None
     #: Vehicle file; by default the paper's craft.
     vehicle: str | None = None
-    #: Part of each recording to learn from.
+    #: Part of each recording to learn from, as fractions of its length.
     span: tuple[float, float] | None = None
-    #: How much the start differs from the nominal values, at random; see `moved`.
+    #: Relative random spread of the start around the nominal values; see `moved`.
     start_spread: Spread = 0.0
-    #: Fits to blocks of time drawn with replacement, from the fit to all data.
+    #: Number of fits to blocks of time drawn with replacement; each starts at the fit to all data.
     resamplings: Annotated[Natural, pydantic.Field(le=numbers.REPLICATES.high)] = 0
-    #: Of the thrust polynomials.
+    #: Degree of the thrust polynomials.
     degree: Annotated[int, pydantic.Field(ge=1, le=9)] | None = None
-    #: Where the offset of the centre of mass is constant.
+    #: Frame in which the offset of the centre of mass is constant.
     frame: Literal["body", "world"] = "body"
 
     @pydantic.model_validator(mode="after")
@@ -315,7 +315,7 @@ class Fitting(Identification):
         if self.resamplings == 1:
             raise ValueError("resamplings must be 0 or at least 2")
         if self.resamplings and (self.robust or self.start_spread):
-            raise ValueError("resamplings go with neither robust nor start_spread")
+            raise ValueError("resamplings cannot be combined with robust or start_spread")
         return self
 
     def run(self) -> list[Row]:
@@ -334,7 +334,7 @@ class Fitting(Identification):
         return _trajectory(name, vehicle, of_recording(name), vehicle and of_file(vehicle))
 
     def fit(self) -> Fit:
-        """Identify, from where the seed says."""
+        """Identify a model; `start_spread` and the seed set the start."""
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
         trajectories = [self._load(name) for name in self.recordings]
         if self.span is not None:
@@ -351,7 +351,7 @@ class Fitting(Identification):
         return identify(trajectories, rung, vehicle=craft, initial=start, loss=loss)
 
     def _resampled(self) -> list[Row]:
-        """Fit to resampled data, each time from the fit to all."""
+        """Fit to resampled data, each time starting from the fit to all data."""
         # A frozen pydantic model has a hash, which the type checker does not see.
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
         fit = _fit_to_all(whole, whole.key())
@@ -361,16 +361,16 @@ class Fitting(Identification):
 
 
 class ShortestTime(Item):
-    """The shortest time from a moving craft to a place; the seed draws the yaw at the start."""
+    """The shortest time for a moving craft to reach a place; the seed sets its initial yaw."""
 
     SOURCES: ClassVar = {"model": of_file}
 
     model: str = "paper:M3"
     distance_m: Annotated[float, pydantic.Field(ge=0, le=10)]
     speed_m_s: Annotated[float, pydantic.Field(ge=0, le=3)] = 0.0
-    #: Between the velocity and the way to the place.
+    #: Angle between the velocity and the direction to the place.
     direction_rad: Annotated[float, pydantic.Field(ge=0, le=math.pi)] = 0.0
-    #: To rest there, or to pass with any velocity.
+    #: "rest", or pass with any velocity.
     arrival: Arrival = "rest"
 
     def run(self) -> list[Row]:
@@ -379,14 +379,14 @@ class ShortestTime(Item):
         velocity = self.speed_m_s * np.array(
             [np.cos(self.direction_rad), np.sin(self.direction_rad)]
         )
-        # Its program is built once for all items of a worker.
+        # A worker builds the solver once for all items with this model.
         model = _planned(self.model, *(() if ":" in self.model else (of_file(self.model),)))
         time = shortest_time(model, self.distance_m, velocity.tolist(), float(yaw), self.arrival)
         return [{"time_s": time}]
 
 
-# Items of one campaign share recordings, and resamplings the fit that they begin at. A worker may
-# outlive the content of a file: its hash is part of what is remembered.
+# Items of one campaign share recordings, and resamplings share their initial fit. The keys of these
+# caches include file hashes, because a file may change during the life of a worker.
 
 
 @lru_cache(maxsize=8)
@@ -417,20 +417,20 @@ def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
 
 
 def varied(model: Model, spread: float, seed: int) -> Model:
-    """Return another craft of the kind, its parameters `moved`."""
+    """Return a model with `moved` parameters."""
     if not spread:
         return model
     return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)
 
 
 def named(prefix: str, values: Any) -> Row:
-    """Name the channels x, y [m] and yaw [rad] of a figure."""
+    """Return one figure for each of x, y [m] and yaw [rad]."""
     channels = ("x_m", "y_m", "yaw_rad")
     return {f"{prefix}_{name}": float(v) for name, v in zip(channels, values, strict=True)}
 
 
 def flight_figures(flown: Tracked) -> Row:
-    """Sum up a flight to set points."""
+    """Summarise a flight to set points."""
     results = flown.results
     settled = [r.settling_time for r in results if r.settling_time is not None]
     steady = np.abs([r.steady_state_error or (np.nan,) * 3 for r in results])
@@ -447,7 +447,7 @@ def flight_figures(flown: Tracked) -> Row:
 
 
 def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:
-    """Compare thrust curves: relative root mean square error over all speeds, of each propeller."""
+    """Return the relative RMS error of each thrust curve over all speeds."""
     speeds = np.tile(np.linspace(0.03, 1, 200), (len(truth.parameters.thrust), 1))
     found, true = (thrust(m.dynamics.thrust, speeds) for m in (model, truth))
     return np.sqrt(np.mean((found - true) ** 2, axis=1) / np.mean(true**2, axis=1))
@@ -478,11 +478,11 @@ def recovery_errors(model: Model, truth: Model) -> Row:
 
 
 def _progress(fit: Fit) -> Row:
-    """Say how a fit ended."""
+    """Return loss, iterations and convergence of a fit."""
     return {name: float(getattr(fit, name)) for name in ("loss", "iterations", "converged")}
 
 
 def _labelled(model: Model, parameters: Parameters) -> Row:
-    """Name the parameters."""
+    """Return the parameters by label."""
     labels = parameters.labels(model.vehicle.propeller_names)
     return dict(zip(labels, parameters.to_vector().tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""`match`: games of air hockey between two players, several at once."""
+"""`match`: games of air hockey between two players, in parallel."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class MatchResult:
     Attributes
     ----------
     left, right : str
-        Who played.
+        The players.
     seeds : tuple of int
-        Of the games.
+        Seed of each game.
     games : tuple of dict
-        The figures of each; see `airpuck.hockey.game.Game.figures`.
+        Figures of each game; see `airpuck.hockey.game.Game.figures`.
     wall_s : float
-        How long the games took to play, one after the other [s].
+        Sum of the computing times of all games [s].
     """
 
     left: str
@@ -52,17 +52,17 @@ class MatchResult:
 
     @property
     def wins(self) -> tuple[int, int]:
-        """Games that left and right have won."""
+        """Games won by left and right."""
         ahead = [game["left_goals"] - game["right_goals"] for game in self.games]
         return sum(lead > 0 for lead in ahead), sum(lead < 0 for lead in ahead)
 
     def total(self, name: str) -> int:
-        """Return a figure of left and right together, summed over all games.
+        """Sum a figure of both sides over all games.
 
         Parameters
         ----------
         name : str
-            Without its side, such as ``rail_contacts``.
+            Name without the side, such as ``rail_contacts``.
 
         Returns
         -------
@@ -124,26 +124,26 @@ def match(
     Parameters
     ----------
     left, right : str
-        Who plays: ``airpuck``, ``human``, ``keeper`` or ``striker``, each perhaps with ``:LEVEL``,
-        or ``FILE.py:NAME``.
+        Players: ``airpuck``, ``human``, ``keeper`` or ``striker``, optionally with ``:LEVEL``, or
+        ``FILE.py:NAME``.
     games : int, default 1
-        How many games.
+        Number of games.
     seed : int, default 0
-        Of the first game; the next has the next.
+        Seed of the first game; it grows by one from game to game.
     model : str, default "paper:M3"
-        What a craft is: a model file, or one of the paper's.
+        Model of the craft: a model file, or one of the paper's.
     settings : TwinSettings, optional
         Table, puck, radio, noise; by default the packaged ones.
     rules : Rules, optional
         By default first to seven.
     output : path-like, optional
-        Folder to keep the games in, as bags ``games/SEED-KEY``, where KEY stands for all that
-        makes the game; those that are there already are not played again.
+        Folder for the games, as bags ``games/SEED-KEY``, where KEY is a hash of everything that
+        determines a game. Games already in the folder are not played again.
     workers : int, optional
         Number of processes; by default as many as there are processors. One needs no Dask.
     progress : callable, optional
-        Called with the number of games that are played, those under way in part, the number of
-        all, and of those that failed.
+        Called with the number of games played, including fractions of those in progress, the
+        number of all games, and the number of failed ones.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def match(
     Raises
     ------
     InputError
-        If a player is unknown or fails, or Dask is not installed.
+        If a player is unknown or fails, or Dask is missing.
     """
     numbers.GAMES.check(games, "games")
     for number in (seed, seed + games - 1):
@@ -188,7 +188,7 @@ def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
         game = item.model_copy(update={"seed": seed})
         key = game.key(hashes)
         if folder is not None:
-            # Games of others may be kept in the same folder.
+            # The folder may also hold games of other players.
             bag = (folder / "games" / f"{seed}-{key[:8]}").absolute()
             game = game.model_copy(update={"bag": str(bag)})
         yield Entry(key, {}, game)
@@ -197,6 +197,6 @@ def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
 def _here(
     entries: list[Entry], tell: Callable[[str, float], None]
 ) -> Iterator[tuple[Entry, ItemResult]]:
-    """Play one after the other."""
+    """Play games sequentially in this process."""
     for entry in entries:
         yield entry, compute(entry.item, partial(tell, entry.key))

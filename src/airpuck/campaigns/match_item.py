@@ -25,21 +25,21 @@ class Match(Item):
 
     SOURCES: ClassVar = {"left": of_code, "right": of_code, "model": of_file}
 
-    #: Who plays; see `airpuck.hockey.contestant.contestant`.
+    #: Players; see `airpuck.hockey.contestant.contestant`.
     left: str = "airpuck"
     right: str = "human"
-    #: What a craft is.
+    #: Model of the craft.
     model: str = "paper:M3"
     rules: Rules = pydantic.Field(default_factory=Rules)
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
-    #: Folder to write the game to; no part of what is computed.
+    #: Folder to write the game to; does not affect the result.
     bag: Annotated[str | None, pydantic.Field(exclude=True)] = None
 
-    #: See `Item.told`.
+    #: See `Item.reporting`.
     _tell: Callable[[float], None] | None = None
 
-    def told(self, tell: Callable[[float], None]) -> Match:
-        """Return a game that tells how far it is; see `Item.told`."""
+    def reporting(self, tell: Callable[[float], None]) -> Match:
+        """Return a game that reports its progress; see `Item.reporting`."""
         game = self.model_copy()
         game._tell = tell
         return game
@@ -63,7 +63,7 @@ class Match(Item):
         )
         game.play(*([self._tell] if self._tell else []))
         if self.bag is not None:
-            # Of an earlier run, which was interrupted or whose bag was damaged since.
+            # Removes the bag of an interrupted run, or a damaged one.
             shutil.rmtree(self.bag, ignore_errors=True)
             write_bag(game.recording(), self.bag)
         return [game.figures()]

@@ -1,4 +1,4 @@
-"""The spec of a campaign: what all items share, a grid of what differs, seeds."""
+"""The spec of a campaign: fields that all items share, a grid of varied fields, seeds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from airpuck.campaigns.items import (
 )
 from airpuck.campaigns.match_item import Match
 
-#: What a spec may ask for.
+#: Kinds of items.
 KINDS = {
     "tracking": Tracking,
     "recovery": Recovery,
@@ -37,7 +37,7 @@ KINDS = {
     "shortest_time": ShortestTime,
     "match": Match,
 }
-#: More items than this are taken for a mistake: all are laid out before the first is computed.
+#: Largest number of items; all are created before the first one runs.
 _MOST = 100_000
 
 
@@ -45,11 +45,11 @@ class Spec(Section):
     """Content of a spec file."""
 
     kind: Literal["tracking", "recovery", "fit", "fleet", "shortest_time", "match"]
-    #: How many, from 0 on, or which.
+    #: Number of seeds from 0, or a list of seeds.
     seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1
     #: Fields that all items share.
     base: dict[str, Any] = pydantic.Field(default_factory=dict)
-    #: Fields, each with a list of values: every combination is a setting.
+    #: Fields with lists of values; every combination is a setting.
     grid: dict[str, Any] = pydantic.Field(default_factory=dict)
 
 
@@ -57,19 +57,19 @@ class Spec(Section):
 class Entry:
     """An item and its place in the campaign."""
 
-    #: Of the item: the same computation has the same key in every campaign.
+    #: Key of the item; equal computations have equal keys in all campaigns.
     key: str
-    #: The values from the grid, by dotted field.
+    #: Values from the grid, by dotted field.
     setting: dict[str, Any]
     item: Item
 
 
 def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
-    """Read a spec file, and lay out all of its items."""
+    """Read a spec file and create all of its items."""
     spec, folder = read_toml(path, Spec), Path(path).resolve().parent
     for table, content in (("base", spec.base), ("grid", spec.grid)):
         if "seed" in content:
-            raise InputError("is given by seeds; leave it out", file=path, field=f"{table}.seed")
+            raise InputError("is set by seeds; remove it", file=path, field=f"{table}.seed")
     kind, axes = KINDS[spec.kind], dict(_axes(spec.grid, path))
     seeds = range(spec.seeds) if isinstance(spec.seeds, int) else spec.seeds
     size = math.prod(map(len, axes.values()), start=len(seeds))
@@ -86,7 +86,7 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
                 value = {name: value}
             content = laid_over(content, value)
         sources = {name: _resolved(content[name], folder) for name in kind.SOURCES & content.keys()}
-        # Checked once for all seeds.
+        # One check covers all seeds.
         item = checked({**content, **sources}, kind, file=path)
         for seed in seeds:
             seeded = item.model_copy(update={"seed": seed})
@@ -112,7 +112,7 @@ def _axes(
 
 
 def _resolved(names: Any, folder: Path) -> Any:
-    """Make names of files absolute."""
+    """Make file names absolute."""
     if isinstance(names, list):
         return [_resolved(name, folder) for name in names]
     if not isinstance(names, str) or not is_file(names):

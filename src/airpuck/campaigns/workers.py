@@ -1,4 +1,4 @@
-"""Items to the workers of a Dask cluster, and results back, whatever becomes of the workers."""
+"""Run items on the workers of a Dask cluster, and survive the death of workers."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from airpuck.campaigns.items import Item, Row
 from airpuck.campaigns.spec import Entry
 from airpuck.compute.process import Stopped, stop
 
-#: An item is given up when this many workers have died of it.
+#: Number of dead workers after which an item counts as failed.
 DEADLY = 3
-#: How long a scheduler may take to answer, and then to have a worker [s].
+#: Timeout for the scheduler to answer, and then to have a worker [s].
 PATIENCE = 10.0
-#: Under which workers tell how far they are.
+#: Dask topic of progress events.
 _TOPIC = "airpuck-progress"
 _SETTINGS = {
-    # A worker's death is no failure of its item yet.
+    # Dask retries an item after a worker's death.
     "distributed.scheduler.allowed-failures": DEADLY - 1,
-    # On a busy machine a worker takes long to start again: no reason to give it up.
+    # On a busy machine a worker may take long to restart.
     "distributed.deploy.lost-worker-timeout": "1h",
     "distributed.comm.timeouts.connect": "5m",
-    # Dask takes a busy loop in compiled code for a fault, and says so.
+    # Dask would warn about long runs of compiled code.
     "distributed.admin.tick.limit": "1h",
 }
 
 
 class ItemResult(pydantic.BaseModel):
-    """What became of an item; a figure that is not finite is null in its file, and then nan."""
+    """Result of an item; its file holds null for NaN."""
 
     rows: tuple[Row, ...]
-    #: Hash of what it wrote beside them.
+    #: Hash of the other files that the item wrote.
     written: str | None = None
-    #: Why it failed.
+    #: Reason of a failure.
     failure: str | None = None
-    #: Time it took, unless its workers died [s].
+    #: Computing time, unless its workers died [s].
     wall_s: float | None = None
 
 
@@ -58,8 +58,8 @@ def dispatch(
 ) -> Iterator[tuple[Entry, ItemResult]]:
     """Compute items on workers, and yield each with its result, in any order.
 
-    What they tell of items under way goes to `tell`: key and share done. No more items are under
-    way than workers have threads, so that one that kills its worker puts no other under suspicion.
+    Workers report the progress of an item through `tell(key, share)`. There are never more items in
+    progress than worker threads, so a worker that dies takes no waiting items with it.
     """
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
     waiting, under_way = iter(entries), {}
@@ -68,9 +68,9 @@ def dispatch(
         while True:
             threads = max(1, sum(client.nthreads().values()))
             while len(under_way) < threads and (entry := next(waiting, None)) is not None:
-                told = partial(_tell, entry.key)
+                report = partial(_tell, entry.key)
                 key = f"item-{entry.key}"
-                future = client.submit(compute, entry.item, told, key=key, pure=False)
+                future = client.submit(compute, entry.item, report, key=key, pure=False)
                 under_way[future.key] = entry
                 future.add_done_callback(finished.put)
             if not under_way:
@@ -88,13 +88,13 @@ def dispatch(
 def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
     """Put the first Ctrl-C or SIGTERM in the queue; the second raises at once.
 
-    An exception that a signal raises is lost where it comes up in a destructor or in a callback of
-    the garbage collector, and Dask has both. A `SimpleQueue` may be put to there.
+    Python drops exceptions that a signal raises in a destructor or in a callback of the garbage
+    collector, and Dask has both. `SimpleQueue.put` is safe there.
     """
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
-    # What somebody else handles stays so.
+    # Keeps handlers that other code has installed.
     taken = [n for n, h in before.items() if h in (signal.default_int_handler, stop)]
 
     def note(number: int, _frame: Any) -> None:
@@ -114,7 +114,7 @@ def compute(item: Item, tell: Callable[[float], None] = lambda share: None) -> I
     """Compute one item; runs on a worker."""
     started, rows, written, failure = time.perf_counter(), (), None, None
     try:
-        rows = tuple(item.told(tell).run())
+        rows = tuple(item.reporting(tell).run())
         written = item.written()
     except Exception as error:
         failure = _described(error)
@@ -123,22 +123,22 @@ def compute(item: Item, tell: Callable[[float], None] = lambda share: None) -> I
 
 
 def _tell(key: str, share: float) -> None:
-    """Tell, on a worker, which share of an item is done."""
+    """Report the progress of an item; runs on a worker."""
     from distributed import get_worker
 
     get_worker().log_event(_TOPIC, (key, share))
 
 
 def _described(error: BaseException) -> str:
-    """Describe an error, with its type where the message is not written for users."""
+    """Describe an error, with its type unless the message is written for users."""
     if isinstance(error, (InputError, ArithmeticError)):
         return str(error)
-    # Compilers write many lines.
+    # Messages of compilers have many lines.
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _result(future: Any) -> ItemResult:
-    """Take a result, or find out why there is none."""
+    """Return the result of a future, or the reason of its failure."""
     from distributed.scheduler import KilledWorker
 
     if future.status == "finished":
@@ -178,12 +178,12 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 
 def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which stops its workers: a terminal sends it to all."""
+    """Ignore Ctrl-C on a worker; the terminal sends it to all, and the parent stops workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _check_workers(client: Any, scheduler: str) -> None:
-    """Refuse a cluster without workers, or with ones that would compute something else."""
+    """Check that a cluster has workers and that they run this version of airpuck."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
         programs = set(client.run(program).values())
@@ -197,5 +197,5 @@ def _check_workers(client: Any, scheduler: str) -> None:
 
 
 def _unusable(scheduler: str, why: str) -> InputError:
-    """Name the scheduler in what is refused."""
+    """Return an error that names the scheduler."""
     return InputError(why, file=scheduler, field="--scheduler")

@@ -1,4 +1,4 @@
-"""Tables and figures; the only package that imports matplotlib.
+"""Pages, tables, figures and animations; the only package that imports matplotlib.
 
 Entry points: `animation.animate`, `demo.demo`, `evaluation_report.evaluation_report`,
 `fit_report.fit_report`, `page.write_page`, `reproduce.reproduce`.

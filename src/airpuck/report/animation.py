@@ -1,4 +1,4 @@
-"""A recorded flight as a moving picture."""
+"""Animations of recorded flights and games."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
 from airpuck.report.scene import TABLE, read_scene
 
-#: A GIF of more frames would be hundreds of megabytes.
+#: Most frames of a GIF; more would take hundreds of megabytes.
 _MOST_FRAMES = 10_000
 
 
@@ -29,32 +29,32 @@ def animate(
     table: tuple[float, float] | AirHockey = TABLE,
     log: FlightLog | None = None,
 ) -> Path:
-    """Show a flight from above: the craft on its table, its thrusts, its set point.
+    """Animate a flight from above: the craft on its table, its thrusts and its set point.
 
     Parameters
     ----------
     recording : Recording
-        Poses and commands, and set points where it has any.
+        Poses and commands, and optionally set points.
     path : path-like
-        What to write: ``.gif``, or ``.html`` for a page to play, pause and search in.
+        File to write: ``.gif``, or ``.html`` for a page with play, pause and seek.
     vehicle : Vehicle, optional
         The craft; by default the paper's.
     span : (float, float), default (0, 1)
         Part of the flight, as fractions of its length.
     speed : float, default 1
-        Seconds of the flight for each second of the animation; a page begins with it.
+        Seconds of the flight for each second of the animation; the initial speed of a page.
     frames_per_second : float, default 25
-        Frames of a GIF for each second [1/s], 50 at most; a page has as many as the screen.
+        Frame rate of a GIF [1/s], at most 50; a page follows the screen.
     table : (float, float) or AirHockey, default `AirHockey()`
-        Length and width of the table around the origin [m], 2.2 and 1.1 by default, or of a game
-        table, goals, puck and mallet. It is not drawn if the flight leaves it.
+        Length and width of the table around the origin [m], by default 2.2 and 1.1; for a game,
+        also goals, puck and mallet. A table that the flight leaves is not drawn.
     log : FlightLog, optional
-        Of the same flight, for the plans ahead of a predictive law.
+        Log of the same flight, to draw the plans of a predictive law.
 
     Returns
     -------
     Path
-        The file. An existing one is replaced when the new one is complete.
+        The file. An existing file is replaced once the new one is complete.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def animate(
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in (".gif", ".html"):
-        raise InputError("is neither .gif nor .html; an animation is one of them", file=path)
+        raise InputError("is neither .gif nor .html; give one of these suffixes", file=path)
     numbers.SPEED.check(speed, "speed")
     numbers.FRAME_RATE.check(frames_per_second, "frames per second")
     play = table if isinstance(table, AirHockey) else _sized(*table)
@@ -95,7 +95,7 @@ def animate(
 
 
 def _sized(length: float, width: float) -> AirHockey:
-    """Return a table of a length and a width."""
+    """Return a table of the given length and width."""
     for side in (length, width):
         numbers.TABLE_SIDE.check(side, "table")
     table = TABLE.table.model_copy(update={"length_m": length, "width_m": width})

@@ -25,16 +25,16 @@ from airpuck.report import scene as moments
 from airpuck.report import style
 from airpuck.report.scene import PAUSE, FlightScene, Frames, GameScene
 
-#: Width of the picture, largest size of the table, and what is around it [in].
+#: Width of the picture, largest size of the table, and the margins [in].
 _WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
 _LEFT, _HEADER, _LEGEND, _PANELS, _BOTTOM, _GAP = 0.5, 0.46, 0.34, 1.2, 0.5, 0.42
-#: Height of the panels with their titles, and of the numbers below the table [in].
+#: Height of the panels with their titles, and of the tick labels below the table [in].
 _BELOW, _TICKS = _BOTTOM + _PANELS + 0.2, 0.25
 #: Room for the rails around the table [m].
 _RAIL = 0.035
-#: Colours of the GIF; one more number stands for a pixel that is as before.
+#: Colours of the GIF; the next index marks an unchanged pixel.
 _COLORS = 255
-#: Marks where the craft is, and where it was asked to be, over time.
+#: Marker of the pose and the set point over time.
 _DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "clip_on": False}
 
 
@@ -44,22 +44,22 @@ def write_animation_gif(
     """Write a GIF."""
     times = moments.frame_times(scene.start, scene.stop, speed, frames_per_second)
     frames = moments.frames_at(scene, times)
-    stage = _Stage(moments.thinned(scene), frames, speed)
+    background = _Background(moments.thinned(scene), frames, speed)
     count = len(frames.time)
-    samples = [stage.picture(count * k // 6) for k in range(6)]
-    pictures = (stage.picture(k) for k in range(count))
-    _write_gif(path, pictures, _palette(samples, stage.colors), frames_per_second)
+    samples = [background.picture(count * k // 6) for k in range(6)]
+    pictures = (background.picture(k) for k in range(count))
+    _write_gif(path, pictures, _palette(samples, background.colors), frames_per_second)
 
 
 def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Image:
-    """Choose colours for all frames: the wanted, the commonest, and a selection of the others."""
+    """Return a palette for all frames: the wanted, the most frequent, then other colours."""
     together = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
     counted = together.getcolors(together.width * together.height) or []
     common = [color for _, color in sorted(counted, reverse=True)[:64]]
     others = np.reshape(together.quantize(_COLORS).getpalette() or [], (-1, 3))
     kept = np.rint(255 * np.array([to_rgb(color) for color in wanted]))
     for color in [*common, *others]:
-        # Pillow looks colours up coarsely: none may stand near a commoner one, such as white.
+        # Pillow's lookup is coarse: a colour close to white, say, would replace white.
         if np.abs(kept - color).max(axis=1).min() > 10 and len(kept) < _COLORS:
             kept = np.vstack([kept, color])
     palette = Image.new("P", (1, 1))
@@ -70,7 +70,7 @@ def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Ima
 def _write_gif(
     path: Path, pictures: Iterable[Image.Image], palette: Image.Image, frames_per_second: float
 ) -> None:
-    """Write frames one by one, each what has changed: Pillow's `save` would hold all in memory."""
+    """Stream frames that hold only the changes; Pillow's `save` would hold all in memory."""
     before, ticks = None, 0
     with path.open("wb") as file:
         for number, picture in enumerate(pictures, start=1):
@@ -92,8 +92,8 @@ def _write_gif(
         file.write(b";")
 
 
-class _Stage:
-    """A figure that stands still, on which each frame is drawn anew."""
+class _Background:
+    """A static background on which each frame is drawn."""
 
     def __init__(self, scene: FlightScene, frames: Frames, speed: float) -> None:
         self.scene, self.frames = scene, frames
@@ -138,7 +138,7 @@ class _Stage:
 
 
 def _draw(axes: Axes, artist: Artist) -> None:
-    """Draw an artist on what is there, and forget it."""
+    """Draw an artist once on the present picture."""
     axes.add_artist(artist)
     axes.draw_artist(artist)
     artist.remove()
@@ -147,7 +147,7 @@ def _draw(axes: Axes, artist: Artist) -> None:
 def _moving_on_table(
     scene: FlightScene, frames: Frames, arrows: Float[np.ndarray, "n 2 2"], k: int
 ) -> Iterator[Artist]:
-    """Give what moves on the table, from the back to the front."""
+    """Yield the moving artists on the table, from back to front."""
     vehicle, pose = scene.vehicle, frames.pose[k]
     lines, age = moments.trail(scene, float(frames.time[k]), moments.TRAIL)
     colors, widths = _faded(0.1 + 0.9 * age), 2.4 - 1.4 * age
@@ -161,7 +161,7 @@ def _moving_on_table(
         yield Circle(tuple(plan.points[-1]), 0.1 * vehicle.radius_m, fc=color, ec="none")
     if scene.game is not None:
         yield from _beside(scene.game, vehicle, frames.time[k : k + 1])
-    if not frames.known[k]:  # nobody knows where its propellers push
+    if not frames.known[k]:  # the directions of its thrusts are unknown
         yield from _craft(vehicle, pose, style.GREY, ls=(0, (2, 2)))
         above = pose[1] + 1.15 * vehicle.radius_m
         yield Text(pose[0], above, "no pose", color=style.GREY, fontsize=8, ha="center")
@@ -173,7 +173,7 @@ def _moving_on_table(
 
 
 def _beside(game: GameScene, vehicle: Vehicle, now: Float[np.ndarray, " 1"]) -> Iterator[Patch]:
-    """Give the disc of the other side, and the puck."""
+    """Yield the opponent and the puck."""
     sizes, color = game.play, _tint(-game.side)
     if game.other is not None:
         ((pose,), _) = moments.poses_at(game.other.time, game.other.pose, np.inf, now)
@@ -191,14 +191,14 @@ def _beside(game: GameScene, vehicle: Vehicle, now: Float[np.ndarray, " 1"]) -> 
 
 
 def _tint(side: int) -> str:
-    """Return the colour of a side, by the sign of its x."""
+    """Return the colour of a side, given by its sign of x."""
     return style.BLUE if side < 0 else style.VERMILLION
 
 
 def _craft(
     vehicle: Vehicle, pose: Float[np.ndarray, " 3"], color: str, **outline: Any
 ) -> Iterator[Patch]:
-    """Give the shapes of the craft at a pose; only the outline where it was asked to be."""
+    """Yield the shapes of the craft at a pose; at a set point the outline only."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[cos, sin], [-sin, cos]])
     face, mark = ("none", color) if color == style.ASKED else ("white", style.BLACK)
@@ -213,19 +213,19 @@ def _craft(
 
 
 def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
-    """Mix black with the floor's colour; opaque, so that overlapping ends do not show."""
+    """Mix black with the floor's colour; opaque, so that overlapping ends stay invisible."""
     share = np.clip(share, 0, 1)[:, None]
     return (1 - share) * np.array(to_rgb(style.BLACK)) + share * np.array(to_rgb(style.FLOOR))
 
 
 @style.styled
 def _scenery(scene: FlightScene, speed: float) -> Figure:
-    """Draw what stands still: table, panels for x, y, yaw and the motors, legend."""
+    """Draw the static parts: table, panels for x, y, yaw and the motors, legend."""
     x0, x1, y0, y1 = scene.view
     width, height = x1 - x0 + 2 * _RAIL, y1 - y0 + 2 * _RAIL
-    scale = min(_WIDEST / width, _TALLEST / height)  # inches for a metre
+    scale = min(_WIDEST / width, _TALLEST / height)  # inches per metre
     total = _HEADER + scale * height + _TICKS + _LEGEND + _BELOW
-    # An even number of pixels, for those who turn the GIF into a video.
+    # Video encoders need an even number of pixels.
     total = round(total * style.RESOLUTION / 2) * 2 / style.RESOLUTION
     figure = Figure(figsize=(_WIDTH, total), dpi=style.RESOLUTION)
     FigureCanvasAgg(figure)
@@ -245,7 +245,7 @@ def _scenery(scene: FlightScene, speed: float) -> Figure:
     y = 1 - 0.23 / total
     name = figure.text(_LEFT / _WIDTH, y, scene.vehicle.name, va="center", weight="bold", size=13)
     after = name.get_window_extent().x1 / (_WIDTH * style.RESOLUTION) + 0.012
-    pace = "" if speed == 1 else f"  ·  at {speed:g} × its speed"
+    pace = "" if speed == 1 else f"  ·  {speed:g} × real time"
     figure.text(after, y - 0.0015, scene.name + pace, fontsize=10, color=style.GREY, va="center")
     return figure
 
@@ -263,7 +263,7 @@ def _draw_table(axes: Axes, scene: FlightScene) -> None:
     axes.set(xticks=across, yticks=up)
     axes.vlines(across, y0, y1, color=style.GRID, lw=0.8, zorder=0.5)
     axes.hlines(up, x0, x1, color=style.GRID, lw=0.8, zorder=0.5)
-    # Names of the axes stand between the last two numbers.
+    # Axis labels go between the last two tick labels.
     below, beside = axes.get_xaxis_transform(), axes.get_yaxis_transform()
     small: dict[str, Any] = {"fontsize": 8, "ha": "center"}
     axes.text(across[-1] - step / 2, -0.008, "x [m]", transform=below, va="top", **small)
@@ -298,9 +298,9 @@ def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " tick
 
 
 def _draw_panels(panels: list[Axes], scene: FlightScene) -> None:
-    """Draw the state beside the set point, and the commands, over time."""
+    """Draw poses, set points and commands over time."""
     known = np.diff(scene.time, append=np.inf) <= scene.pause
-    # A NaN after each stretch breaks the line there.
+    # A NaN after each stretch breaks the line.
     rows = np.flatnonzero(~known) + 1
     time = np.insert(scene.time, rows, np.nan)
     pose = np.insert(scene.pose, rows, np.nan, axis=0)
@@ -332,7 +332,7 @@ def _draw_motors(axes: Axes, scene: FlightScene) -> None:
     axes.grid(False)
     names = moments.short_names(scene.vehicle.propeller_names)
     axes.set_yticks(np.arange(n)[::-1] + 0.4, names)
-    # Many rows and long names take small letters.
+    # Many rows or long names need small type.
     size = max(min(8.0, 50.0 / n, 48.0 / max(map(len, names))), 4.0)
     axes.tick_params(axis="y", length=0, labelsize=size)
     for text, color in zip(axes.get_yticklabels(), colors, strict=True):
@@ -340,7 +340,7 @@ def _draw_motors(axes: Axes, scene: FlightScene) -> None:
 
 
 def _draw_legend(axes: Axes, scene: FlightScene, scale: float) -> None:
-    """Draw what is what, in inches; the arrow has the table's scale."""
+    """Draw the legend in inches; the arrow has the table's scale."""
     axes.set_axis_off()
     share = np.linspace(0, 1, 13)
     points = np.stack([0.1 + 0.3 * share, np.zeros(13)], axis=1)
@@ -366,4 +366,4 @@ def _draw_legend(axes: Axes, scene: FlightScene, scale: float) -> None:
     for color in style.BOUND_COLORS.values():
         axes.plot([begin, begin + 0.15], [0, 0], color=color, lw=2.2)
         begin += 0.17
-    axes.text(begin + 0.05, 0, "plan: free, motor, rail", **words)
+    axes.text(begin + 0.05, 0, "plan: no limit, motor, motion", **words)

@@ -1,4 +1,4 @@
-"""A picture of a craft: the layout of its propellers."""
+"""The craft: propeller layout and frames."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from airpuck.physics.angle import wrapped
 from airpuck.report import style
 from airpuck.report.page import PageSection, Picture, packaged_text
 
-#: Propellers whose radii or half-angles agree this well get one common annotation [m, rad].
+#: Largest spread of radii or half-angles that share one annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
-#: Propellers farther apart than twice this are partners, but no pair side by side [rad].
+#: Largest half-angle between neighbouring partners [rad].
 _WIDEST_HALF_ANGLE = 1.0
 
 
 def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
-    """Draw a craft as a file of the kind that ends in ``.svg``, ``.png`` or ``.pdf``."""
+    """Draw a craft in the format of a suffix: ``.svg``, ``.png`` or ``.pdf``."""
     formats: dict[str, Literal["svg", "png", "pdf"]]
     formats = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
     return style.drawn(craft_figure(vehicle), formats[suffix])
@@ -31,22 +31,19 @@ def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
 def craft_section(vehicle: Vehicle) -> PageSection:
     """Show the craft and its frames."""
     layout = (
-        "Propeller layout, to scale, seen from above. An arrow is the force of a propeller on the "
-        "craft; ↺ and ↻ show which way it turns the craft. "
+        "Propeller layout, to scale, seen from above. Arrows show the force of each propeller on "
+        "the craft, ↺ and ↻ the direction of its moment. "
     )
     paired = 2 * len(vehicle.pairs)
     if paired:
-        layout += (
-            "The two propellers of a pair have one colour and push against each other, so that a "
-            "pair can push either way. "
-        )
+        layout += "The two propellers of a pair share a colour and push in opposite directions. "
     if paired < vehicle.n_propellers:
-        layout += "A propeller without a partner has a colour of its own. "
-    layout += "From the vehicle file: measured, not learned."
+        layout += "Each unpaired propeller has its own colour. "
+    layout += "These values come from the vehicle file; they are measured, not learned."
     frames = (
-        "Schematic, whatever the craft has for propellers. Left: position p and yaw γ of the body "
-        "frame in the world frame. Right: α is the rotation of the propeller layout against the "
-        "measured yaw, r the offset of the centre of mass from the geometric centre; exaggerated."
+        "Schematic, independent of the propeller layout. Left: position p and yaw γ of the body "
+        "frame in the world frame. Right, exaggerated: rotation α of the layout relative to the "
+        "measured yaw, and offset r of the centre of mass from the geometric centre."
     )
     pictures = (
         Picture("craft", craft_figure(vehicle), layout),
@@ -59,9 +56,8 @@ def craft_section(vehicle: Vehicle) -> PageSection:
 def craft_figure(vehicle: Vehicle) -> Figure:
     """Draw the propeller layout to scale.
 
-    Shows the disc from above, each propeller with its name, where its thrust pushes the craft and
-    which way that turns it, pairs in one colour, and the body frame. Where the layout is regular,
-    the common radius and half-angle are given.
+    Shows the disc from above, the name, force and moment of each propeller, pairs in one colour,
+    and the body frame. A regular layout is annotated with its radius and half-angle.
     """
     figure = style.new_figure(5.4, 5.2)
     axes = figure.add_subplot()
@@ -70,7 +66,7 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     axes.add_patch(Circle((0, 0), disc, facecolor="#f5f5f5", edgecolor=style.GREY, lw=1.0))
     _draw_propellers(axes, vehicle)
     _draw_geometry(axes, vehicle)
-    # The frame must fit between the centre and the innermost propeller.
+    # The axes must fit between the centre and the innermost propeller.
     radii = 1e3 * np.hypot(*vehicle.positions.T)
     inside = radii.min() - 1e3 * style.propeller_size(vehicle)
     axis = min(0.3 * disc, 0.65 * max(inside, 0.2 * disc))
@@ -87,7 +83,7 @@ def craft_figure(vehicle: Vehicle) -> Figure:
 
 
 def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
-    """Draw each propeller with its name, its thrust and the sense of its moment."""
+    """Draw each propeller with its name, force and direction of moment."""
     positions, colors = 1e3 * vehicle.positions, style.propeller_colors(vehicle)
     disc = 1e3 * vehicle.radius_m
     size = 1e3 * style.propeller_size(vehicle)
@@ -111,14 +107,14 @@ def _draw_propellers(axes: Axes, vehicle: Vehicle) -> None:
 
 
 def _draw_center_of_mass(axes: Axes, size: float) -> None:
-    """Draw the sign of a centre of mass at the centre, where a vehicle file takes it to be."""
+    """Draw the symbol of the centre of mass at the centre, its place in a vehicle file."""
     axes.add_patch(Circle((0, 0), size, facecolor="white", edgecolor=style.BLACK, lw=0.8))
     for first in (0, 180):
         axes.add_patch(Wedge((0, 0), size, first, first + 90, facecolor=style.BLACK, lw=0))
 
 
 def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
-    """Annotate the radius of the propellers and the half-angle of the pairs, where regular."""
+    """Annotate the radius of the propellers and the half-angle of the pairs, if regular."""
     radii = np.hypot(*vehicle.positions.T)
     notes = [f"solid: radius {1e3 * vehicle.radius_m:.4g} mm"]
     if np.ptp(radii) < _SAME_RADIUS and radii[0] > 0:
@@ -134,7 +130,7 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
         _draw_half_angle(axes, angles, delta, 1e3 * float(radii.min()))
         notes.append(f"δ = {np.degrees(delta):.1f}°")
     axes.text(0.02, 0.98, "\n".join(notes), transform=axes.transAxes, va="top", ha="left")
-    words = "arrow: force on the craft; ↺ ↻: which way it turns it;\nquartered disc: centre of mass"
+    words = "arrow: force on the craft; ↺ ↻: direction of moment;\nquartered disc: centre of mass"
     small = {"fontsize": 8, "color": style.GREY, "transform": axes.transAxes}
     axes.text(0.98, 0.02, words, va="bottom", ha="right", **small)
 
@@ -142,7 +138,7 @@ def _draw_geometry(axes: Axes, vehicle: Vehicle) -> None:
 def _draw_half_angle(
     axes: Axes, angles: Float[np.ndarray, "pairs 2"], delta: float, near: float
 ) -> None:
-    """Draw the half-angle δ of the pair that lies farthest from the drawn axes, `near` mm out."""
+    """Draw the half-angle δ of the pair farthest from the axes, out to `near` [mm]."""
     middles = np.angle(np.exp(1j * angles).sum(axis=1))
     from_axes = np.minimum(np.abs(middles), np.abs(middles - np.pi / 2))
     middle = float(middles[from_axes.argmax()])

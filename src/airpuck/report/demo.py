@@ -1,4 +1,4 @@
-"""The paper's study without hardware: fly, record, identify, validate, and fly with the result."""
+"""The paper's study without hardware: fly, record, identify, validate, and fly the result."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from airpuck.identification.fit_result import Fit
     from airpuck.report.page import Origin
 
-#: Excitation experiments: seeds of the one to learn from and the one to validate on.
+#: Seeds of the excitation experiments.
 _SEEDS = {"training": 1, "validation": 2}
-#: What is identified.
+#: Models to identify.
 _MODELS = ("M0", "M1", "M2", "M3", "M4")
 #: Models that fly the set points.
 _PILOTS = ("M0", "M4")
-#: A file with this name says that a folder may be made anew.
+#: A file with this name marks a folder that a demo may overwrite.
 _MARKER = "written-by-airpuck-demo"
 
 
@@ -43,13 +43,13 @@ def demo(
 ) -> Path:
     """Fly the excitation experiment twice on the twin, identify M0 … M4, fly with the result.
 
-    The truth of the twin is the published M3; sensors and radio are as in the real recordings,
-    which are saved and read back as ROS 2 bags.
+    The twin flies the published M3, with sensors and radio as in the real recordings. All flights
+    are saved as ROS 2 bags and read back.
 
     Parameters
     ----------
     out : path-like
-        Folder for the page, figures, models and bags; bags are replaced only if a demo wrote them.
+        Folder for the page, figures, models and bags. Only bags of an earlier demo are replaced.
     duration : float, default 90
         Length of each excitation experiment [s].
     progress : callable, optional
@@ -65,7 +65,7 @@ def demo(
     Raises
     ------
     InputError
-        If the folder holds bags of somebody else, or cannot be written to.
+        If the folder holds other bags, or cannot be written to.
     """
     from airpuck.evaluation.evaluate import compare
     from airpuck.preprocessing.pipeline import load_trajectory
@@ -78,14 +78,14 @@ def demo(
     bags = _own_folder(out / "bags")
     truth = _truth()
     names = " and ".join(_SEEDS)
-    progress(f"flying the {names} experiments on the twin, side by side: {duration:g} s each")
+    progress(f"flying the {names} experiments on the twin in parallel: {duration:g} s each")
     with _flying_beside(bags / "validation", _SEEDS["validation"], duration):
         fly_experiment(bags / "training", _SEEDS["training"], duration)
     trajectories = {name: load_trajectory(bags / name) for name in _SEEDS}
     for name, trajectory in trajectories.items():
         delay = 1e3 * trajectory.delay
         progress(f"preprocessed {bags / name}: transport delay {delay:.1f} ms")
-    progress(f"identifying {', '.join(_MODELS)}, side by side")
+    progress(f"identifying {', '.join(_MODELS)} in parallel")
     fits = _identified(trajectories["training"])
     for fit in fits:
         name = fit.model.name
@@ -97,7 +97,7 @@ def demo(
     judged = JudgedModels(trajectories["validation"], tuple(evaluations), (best_possible,), "true")
     for evaluation in evaluations:
         x, y, yaw = errors_as_text(evaluation.rmse)
-        progress(f"{evaluation.model}: after 0.2 s off by {x} mm, {y} mm, {yaw} rad")
+        progress(f"{evaluation.model}: RMSE after 0.2 s: {x} mm, {y} mm, {yaw} rad")
     pilots = [fit.model for fit in fits if fit.model.name in _PILOTS]
     progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
     flights = tracking_study(pilots, truth)
@@ -117,8 +117,8 @@ def demo(
 
 
 def _truth() -> Model:
-    """Return what flies: the published M3."""
-    # The offset of a real craft's centre of mass turns with it.
+    """Return the model that the twin flies: the published M3."""
+    # In a real craft, the offset of the centre of mass turns with the body.
     return replace(published_model("M3"), frame="body", indexing="start")
 
 
@@ -131,7 +131,7 @@ def fly_experiment(folder: str | os.PathLike[str], seed: int, duration: float) -
 
 @contextmanager
 def _flying_beside(folder: Path, seed: int, duration: float) -> Iterator[None]:
-    """Call `fly_experiment` in a process of its own; a flight keeps one core busy."""
+    """Call `fly_experiment` in another process, because one flight keeps one core busy."""
     code = "import json, sys, airpuck.report.demo as d; d.fly_experiment(*json.loads(sys.argv[1]))"
     words = [sys.executable, "-c", code, json.dumps([str(folder), seed, duration])]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
@@ -142,31 +142,31 @@ def _flying_beside(folder: Path, seed: int, duration: float) -> Iterator[None]:
             raise
         _, said = process.communicate()
     if process.returncode:
-        raise RuntimeError(f"the flight in a process of its own failed: {said.strip()}")
+        raise RuntimeError(f"the {folder.name} flight failed: {said.strip()}")
 
 
 def _identified(training: Trajectory) -> list[Fit]:
-    """Identify all models, side by side, from one recording."""
+    """Identify all models in parallel."""
     from airpuck.compute.process import usable_cores
     from airpuck.identification.fit import identify
 
-    # While one compiles or moves packets, others compute; the one that takes longest comes first.
+    # The slowest fit starts first; while one compiles or retimes packets, others compute.
     with ThreadPoolExecutor(usable_cores()) as pool:
         fits = {name: pool.submit(identify, training, name) for name in reversed(_MODELS)}
         return [fits[name].result() for name in _MODELS]
 
 
 def _own_folder(folder: Path) -> Path:
-    """Make a folder, and refuse one that holds what somebody else put there."""
-    theirs = folder.exists() and any(not path.name.startswith(".") for path in folder.iterdir())
-    if theirs and not (folder / _MARKER).is_file():
-        raise InputError("holds recordings of yours; choose another folder (-o)", file=folder)
+    """Make a folder, or raise InputError if it holds files of the user."""
+    foreign = folder.exists() and any(not path.name.startswith(".") for path in folder.iterdir())
+    if foreign and not (folder / _MARKER).is_file():
+        raise InputError("holds files that no demo wrote; choose another folder (-o)", file=folder)
     with replacing(folder / _MARKER):
         return folder
 
 
 def _replace_bag(recording: Recording, folder: Path) -> None:
-    """Write a bag; one that was there stays until the new one is whole."""
+    """Write a bag; an old one stays until the new one is complete."""
     import shutil
 
     from airpuck import write_bag

@@ -41,20 +41,20 @@ _CHANNELS = ("x mm", "y mm", "γ rad")
 class JudgedModels:
     """Models judged on one recording."""
 
-    #: What they were judged on.
+    #: The recording.
     trajectory: Trajectory
-    #: How well they predict it; each is named by its `model`.
+    #: One evaluation for each model, which its `model` names.
     evaluations: tuple[Evaluation, ...]
-    #: How well those predict it that they are compared with.
+    #: Evaluations of the models to compare with.
     reference: tuple[Evaluation, ...] = ()
-    #: What the reference is, in a word.
+    #: One word for the reference.
     reference_label: str = "published"
     #: Known faults of the recording.
     faults: tuple[Span, ...] = ()
 
     @cached_property
     def best(self) -> Evaluation:
-        """The model whose three errors are lowest on geometric average."""
+        """The evaluation with the lowest geometric mean of its three errors."""
         return min(self.evaluations, key=lambda e: float(np.log(np.maximum(e.rmse, 1e-300)).sum()))
 
 
@@ -65,7 +65,7 @@ def errors_as_text(values: np.ndarray) -> list[str]:
 
 
 def verdict_section(verdicts: Mapping[str, Verdict], best: str) -> PageSection:
-    """Say in words which models can be trusted: the best in full, of others what is wrong."""
+    """Summarise the verdicts: all sentences on the best model, two on each of the others."""
     sentences = list(verdicts[best].sentences)
     sentences += [" ".join(one.sentences[:2]) for name, one in verdicts.items() if name != best]
     return PageSection("summary", "In short", (Text(sentences, bullets=True),))
@@ -74,9 +74,9 @@ def verdict_section(verdicts: Mapping[str, Verdict], best: str) -> PageSection:
 def judged_sections(
     judged: JudgedModels, vehicle: Vehicle, error_table: PageTable | None = None
 ) -> list[PageSection]:
-    """Show a flight and its predictions, how large errors are, and where in time.
+    """Show a flight with its predictions, the size of their errors, and when they occur.
 
-    The table of errors can be replaced.
+    `error_table` replaces the usual table of errors.
     """
     return [
         _flight_section(judged, vehicle),
@@ -86,46 +86,47 @@ def judged_sections(
 
 
 def path_section(trajectory: Trajectory, vehicle: Vehicle) -> PageSection:
-    """Show a flight where no model was judged on one."""
+    """Show a flight that no model was judged on."""
     return PageSection("flight", "The flight", (_path_picture(trajectory, vehicle),))
 
 
 def _path_picture(trajectory: Trajectory, vehicle: Vehicle) -> Picture:
-    """Show the way of a flight from above."""
-    caption = "The flight from above; the craft, to scale, where it started. Grey: rails, if near."
+    """Show the path of a flight from above."""
+    caption = "The flight from above, with the craft at its start, to scale. Grey: rails, if near."
     return Picture("path", path_figure(trajectory, vehicle), caption)
 
 
 def _flight_section(judged: JudgedModels, vehicle: Vehicle) -> PageSection:
-    """Show what was measured beside what was predicted."""
+    """Show measured and predicted poses."""
     best, first = judged.best, judged.evaluations[0]
-    # More than a few lines hide each other.
+    # More than three lines hide each other.
     shown = judged.evaluations if len(judged.evaluations) <= 3 else (first, best)
     shown = (*(one for one in shown if one is not best), best)
     ahead = best.sample_period * len(best.errors)
     caption = (
-        f"{SHOWN_S:g} s of the flight with errors of the usual size. A prediction starts at each "
-        f"dot from the measured state, and runs for {ahead:.2f} s on the commands alone."
+        f"{SHOWN_S:g} s of the flight with errors of typical size. A prediction starts at each dot "
+        f"from the measured state and uses only the commands for the next {ahead:.2f} s."
     )
     predicted = Picture("prediction", prediction_figure(judged.trajectory, shown), caption)
     blocks = (predicted, _path_picture(judged.trajectory, vehicle))
-    return PageSection("flight", "Measured against predicted", blocks)
+    return PageSection("flight", "Measured and predicted", blocks)
 
 
 def _prediction_section(judged: JudgedModels, table: PageTable | None) -> PageSection:
-    """Show how far predictions are off."""
+    """Show the errors of predictions."""
     evaluations, label = judged.evaluations, judged.reference_label
-    horizon = "Root mean square error over the time predicted."
+    horizon = "RMS error over the prediction horizon."
     if judged.reference:
         horizon += (
-            " Where broad and dashed lines of a colour coincide, our fit predicts like the "
+            " Broad and dashed lines of one colour coincide where our fit predicts as well as the "
             f"{label} parameters."
         )
     ranks = [100 * np.mean(np.abs(e.at_horizon) <= e.rmse[:, None], axis=1) for e in evaluations]
     distribution = (
-        "Share of windows whose error is smaller than a value. The RMSE (dots) "
-        f"lies above {np.min(ranks):.0f} to {np.max(ranks):.0f} % of the windows: the higher, the "
-        "more it is ruled by a few, and the less it says about the typical window, at 50 %."
+        "Cumulative distribution of the errors over the windows. The RMSE (dots) exceeds the error "
+        f"of {np.min(ranks):.0f} to {np.max(ranks):.0f} % of the windows. The higher this share, "
+        "the more a few large errors dominate the RMSE, and the less it describes the typical "
+        "window, at 50 %."
     )
     shares = error_distribution_figure(evaluations)
     curves = horizon_figure(evaluations, judged.reference, label)
@@ -139,42 +140,42 @@ def _prediction_section(judged: JudgedModels, table: PageTable | None) -> PageSe
 
 
 def _timeline_section(judged: JudgedModels) -> PageSection:
-    """Show where in time the errors of the best model are."""
+    """Show when the best model errs."""
     best = judged.best
     shares = squares_held(best.at_horizon, worst_windows(best.at_horizon))
     caption = (
-        f"Absolute error of each window of {best.model}. The worst {100 * WORST:.0f} % of "
-        f"the windows, chosen for each channel, hold {shares} % of the squared error of "
-        "x / y / yaw."
+        f"Absolute error of {best.model} in each window. In each channel, the worst "
+        f"{100 * WORST:.0f} % of the windows account for {shares} % of the squared error "
+        "(x / y / yaw)."
     )
     if judged.faults:
         touched = touched_by(best, judged.faults)
         caption += (
-            " Shaded: known faults of this recording, where the craft accelerates far less than "
-            "any model expects from the commands, because motors are off, the radio link is out or "
-            f"a motor does not spin up. The {touched.sum()} of {len(touched)} windows that touch "
-            f"them hold {squares_held(best.at_horizon, touched)} % of it; none is left out."
+            " Shaded: known faults of this recording. The craft accelerates far less than the "
+            "commands should make it, because motors are off, the radio link is out or a motor "
+            f"does not spin up. {touched.sum()} of {len(touched)} windows overlap a fault; they "
+            f"account for {squares_held(best.at_horizon, touched)} % and are not excluded."
         )
     figure = error_timeline_figure(best, judged.faults)
     picture = Picture("error_timeline", figure, caption)
-    return PageSection("time", "Where in time the errors are", (picture,))
+    return PageSection("time", "Errors over time", (picture,))
 
 
 def _protocol_words(evaluation: Evaluation) -> str:
-    """Describe in a sentence how errors were measured."""
+    """Describe the protocol in a sentence."""
     protocol = evaluation.protocol
     after = evaluation.horizon_step * evaluation.sample_period
     before = round(protocol.encoder_time / evaluation.sample_period)
     return (
         f"Protocol “{protocol.name}”, encoder “{evaluation.encoder}”: "
-        f"{evaluation.errors.shape[2]} windows that do not overlap, of {before} samples for the "
-        f"encoder and {len(evaluation.errors)} steps to predict; errors after step "
+        f"{evaluation.errors.shape[2]} windows without overlap, each of {before} samples for the "
+        f"encoder and {len(evaluation.errors)} predicted steps. Errors are those after step "
         f"{evaluation.horizon_step} ({after:.3f} s)."
     )
 
 
 def _error_table(judged: JudgedModels) -> PageTable:
-    """Tabulate errors of all models."""
+    """Tabulate the errors of all models."""
     named = [(f"{e.model}, {judged.reference_label}", e) for e in judged.reference]
     named += [(e.model, e) for e in judged.evaluations]
     baseline = coasting(judged.evaluations[0], judged.trajectory)
@@ -185,12 +186,12 @@ def _error_table(judged: JudgedModels) -> PageTable:
     ]
     kinds = (
         "root mean square",
-        "median: the typical window",
+        "median (typical window)",
         "RMS from every start, 95 % interval",
     )
     caption = (
-        "Errors of the predicted poses. From every start: windows that overlap, so that it does "
-        "not matter where the first begins. Constant velocity: a craft that coasts."
+        "Errors of the predicted poses. From every start: overlapping windows, so the result does "
+        "not depend on where the first window starts. Constant velocity: a craft that coasts."
     )
     groups = [("", 1), *((kind, 3) for kind in kinds)]
     return PageTable(caption, ["model", *3 * _CHANNELS], rows, groups)
@@ -199,10 +200,10 @@ def _error_table(judged: JudgedModels) -> PageTable:
 def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
     """Tabulate fit percentages and information criteria of models on one recording."""
     caption = (
-        "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent, predicted by the estimates of a filter and "
-        "simulated; below zero a simulation is further off than the mean. Likelihood of the "
-        "one-step innovations, with the parameters fitted in model and noise: lower AIC and BIC "
-        "are better; only differences between models on the same recording mean something."
+        "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent, of predictions from filter estimates and "
+        "of simulations. A negative fit is worse than predicting the mean. Log-likelihood, AIC and "
+        "BIC are those of the one-step innovations and count the parameters of model and noise. "
+        "Lower AIC and BIC are better; compare them on one recording only."
     )
     first = fits[0]
     kinds = (
@@ -225,14 +226,14 @@ def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
 
 
 def _intervals_as_text(evaluation: Evaluation) -> list[str]:
-    """Format the intervals of the errors from every start; a dash where there is none."""
+    """Format the intervals of the errors from every start, or a dash."""
     low, high = map(errors_as_text, evaluation.every_start.interval)
     return [f"{a} … {b}" if a != "nan" else "–" for a, b in zip(low, high, strict=True)]
 
 
 def _median_table(judged: JudgedModels) -> PageTable:
-    """Tabulate median errors, the reference's beside the models'."""
-    caption = "Median absolute error: the typical window."
+    """Tabulate median errors of the reference and the models."""
+    caption = "Median absolute error (typical window)."
     reference = {e.model: errors_as_text(e.median_abs) for e in judged.reference}
     rows = [
         [e.model, *reference.get(e.model, ("", "", "")), *errors_as_text(e.median_abs)]
@@ -243,7 +244,7 @@ def _median_table(judged: JudgedModels) -> PageTable:
 
 
 def sources_section(*trajectories: Trajectory) -> PageSection:
-    """List what the numbers come from."""
+    """List the recordings behind the numbers."""
     from airpuck import __version__
 
     rows = [
@@ -272,24 +273,24 @@ def evaluation_report(
     fits: Sequence[FitMeasures] = (),
     origin: Origin | None = None,
 ) -> Path:
-    """Write a page on models of one craft that were judged on one recording.
+    """Write a page that compares models of one craft on one recording.
 
     Parameters
     ----------
     models : sequence of Model
         The models.
     evaluations : sequence of Evaluation
-        How well they predict, in the same order.
+        Their evaluations, in the same order.
     trajectory : Trajectory
-        What they were judged on.
+        The recording.
     out : path-like
         Folder to write to.
     names : sequence of str, optional
-        What to call the models; by default their rungs.
+        Display names of the models; by default their rungs.
     differences : sequence of str, optional
         Sentences on how the models differ.
     fits : sequence of FitMeasures, optional
-        How well they fit, in the same order.
+        Their fit to the recording, in the same order.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -321,8 +322,8 @@ def evaluation_report(
     curves = Picture(
         "thrust",
         thrust_figure(models, trajectory, commands="commands of this flight"),
-        "Thrust of each motor over its normalised speed. Bars: share of this flight's samples at "
-        "each command, in twentieths of the range.",
+        "Thrust of each motor over its normalised speed. Bars: histogram of this flight's "
+        "commands.",
     )
     sections += [
         PageSection("thrust", "Thrust curves", (curves,)),

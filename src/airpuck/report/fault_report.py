@@ -1,4 +1,4 @@
-"""What was wrong in a recording, when, and how sure that is: a page, and a section of others."""
+"""Faults of a recording with their times and confidence: a page, and a section of others."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ _COLORS = {
     CONTACT: style.ORANGE,
     UNEXPLAINED: style.SKY,
 }
-#: What is sure fills all of its colour; what is doubtful fills less, down to this.
+#: Opacity of a fault with zero confidence.
 _FAINTEST = 0.25
 
 
 def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> PageSection:
-    """Show when a recording cannot be trusted."""
+    """Show when and why a recording cannot be trusted."""
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
     if not spans:
-        words = f"None was found in {trajectory.duration:.1f} s with {model.name}."
+        words = f"{model.name} shows no faults in {trajectory.duration:.1f} s."
         return PageSection("faults", "Faults", (Text([words]),))
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
     words = (
-        f"Faults found with {model.name}, with the probability of their causes, and the errors of "
-        f"its predictions after {evaluation.horizon_step * evaluation.sample_period:.2f} s. The "
-        f"{touched.sum()} of {len(touched)} windows whose predictions meet a fault hold "
-        f"{squares_held(evaluation.at_horizon, touched)} % of the squared error of x / y / yaw."
+        f"Faults found with {model.name}, the probability of each cause, and prediction errors "
+        f"after {evaluation.horizon_step * evaluation.sample_period:.2f} s. {touched.sum()} of "
+        f"{len(touched)} windows overlap a fault; they account for "
+        f"{squares_held(evaluation.at_horizon, touched)} % of the squared error (x / y / yaw)."
     )
     extent = float(trajectory.time[0]), float(trajectory.time[-1])
     figure = fault_timeline_figure(spans, evaluation, extent)
@@ -49,12 +49,12 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
         for s in spans
     ]
     headings = ["cause", "from [s]", "to [s]", "duration [s]", "confidence"]
-    table = PageTable("What no model should be learned from.", headings, rows)
+    table = PageTable("Spans to exclude from identification.", headings, rows)
     return PageSection("faults", "Faults", (Picture("fault_timeline", figure, words), table))
 
 
 def confidence(span: Span) -> str:
-    """Write how sure a span is."""
+    """Format the confidence of a fault."""
     return "measured" if span.confidence == 1 else f"{min(span.confidence, 0.99):.2f}"
 
 
@@ -69,7 +69,7 @@ def fault_report(
     usable = trajectory.leave_out(faults).usable.mean()
     lead = (
         f"{trajectory.source}: {trajectory.duration:.1f} s, {len(trajectory)} samples, "
-        f"{100 * usable:.1f} % of them without any fault."
+        f"{100 * usable:.1f} % of them without faults."
     )
     section = fault_section(trajectory, faults, model)
     return write_page(out, "Faults of a recording", lead, [section], origin)
@@ -84,7 +84,7 @@ def fault_color(cause: str) -> str:
 def fault_timeline_figure(
     spans: Sequence[Span], evaluation: Evaluation, extent: tuple[float, float]
 ) -> Figure:
-    """Draw faults along a recording, one row for each cause, above the error of each window."""
+    """Draw faults over time, one row per cause, above the errors of the windows."""
     causes = list(dict.fromkeys(span.cause for span in sorted(spans, key=lambda s: s.start)))
     rows = max(len(causes), 1)
     figure = style.new_figure(style.PAGE_WIDTH, 3.6 + 0.24 * rows)
@@ -92,7 +92,7 @@ def fault_timeline_figure(
     top = panels[0]
     for span in spans:
         row, color = causes.index(span.cause), fault_color(span.cause)
-        # The edge keeps what is short visible.
+        # The edge keeps short faults visible.
         look = {"color": color, "lw": 1.5, "alpha": _FAINTEST + (1 - _FAINTEST) * span.confidence}
         top.broken_barh([(span.start, span.stop - span.start)], (row - 0.35, 0.7), **look)
         if span.confidence < 1:
@@ -103,7 +103,7 @@ def fault_timeline_figure(
     top.set_yticks(range(len(causes)), causes)
     top.set_ylim(rows - 0.4, -0.6)
     top.grid(visible=False, axis="y")
-    top.set_title("faults, each with the probability of its cause", loc="left")
+    top.set_title("faults and the probability of each cause", loc="left")
     touched = touched_by(evaluation, spans)
     errors = evaluation.at_horizon
     sizes = (1e3 * np.hypot(errors[0], errors[1]), np.abs(errors[2]))
@@ -112,7 +112,7 @@ def fault_timeline_figure(
         panel.set_ylabel(f"error of\n{name}")
     panels[-1].set_xlim(*extent)
     panels[-1].margins(x=0.01)
-    panels[-1].set_xlabel("time [s]; of a window: the present, where its prediction starts")
-    meets = style.key("whose prediction meets a fault", style.VERMILLION, marker=".")
+    panels[-1].set_xlabel("time [s]; windows are drawn where their prediction starts")
+    meets = style.key("windows that overlap a fault", style.VERMILLION, marker=".")
     style.top_legend(figure, [style.key("windows", style.BLUE, marker="."), meets])
     return figure

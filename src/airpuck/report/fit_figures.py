@@ -26,13 +26,13 @@ from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 from airpuck.report import style
 
-#: Width of a bin of commands, and the share of samples at the top of the right-hand scale [%].
+#: Width of a bin of commands, and upper end of the scale of shares [%].
 _BIN, _TOP = 0.05, 30.0
 #: Bins of the histogram of packet delays.
 _DELAY_BINS = 24
 
 
-#: How a 95 % band looks.
+#: Look of a 95 % band.
 _BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0, "zorder": 1.5}
 
 
@@ -87,9 +87,9 @@ def thrust_figure(
 ) -> Figure:
     """Draw the thrust of every motor over its speed, and which speeds were commanded.
 
-    Broad: fitted, with 95 % bands where a model knows its uncertainty; dashed: the reference. Grey
-    bars give the share of the training samples at each command, the bracket below them the range
-    that was commanded. All curves are in newtons, at the physical scale.
+    Broad: fitted, with 95 % bands where a model stores its uncertainty; dashed: the reference. Grey
+    bars are a histogram of the commands, the bracket is their range. All curves are in newtons, at
+    the physical scale.
     """
     vehicle = models[0].vehicle
     order, columns = _arrangement(vehicle)
@@ -108,7 +108,7 @@ def thrust_figure(
         for model, band in bands:
             axes.fill_between(speed, *band[:, motor], color=colors[model.name], **_BAND)
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
-    # A band that knows nothing must not flatten the curves.
+    # A very wide band must not flatten the curves.
     highest = max(float(curve.max()) for _, curve, _ in curves)
     widest = max((np.nanmax(band[1], initial=0.0) for _, band in bands), default=0.0)
     highest = max(highest, min(widest, 1.3 * highest))
@@ -134,7 +134,7 @@ def thrust_figure(
 
 
 def draw_thrusts(axes: Axes, model: Model) -> list[Artist]:
-    """Draw the thrust curves of all propellers, with 95 % bands, into axes; return a legend.
+    """Draw the thrust curves of all propellers with 95 % bands; return the legend's entries.
 
     The second propeller of a pair is dashed.
     """
@@ -160,7 +160,7 @@ def _curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "
 
 
 def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"]:
-    """Return the ends of the 95 % intervals of all thrust curves of a model that knows them."""
+    """Return the 95 % bands of all thrust curves; the model must store its uncertainty."""
     assert model.known is not None
     reach = model.known.quantile * model.standard_error(lambda m: _curves(m, speed))
     middle = _curves(model, speed)
@@ -168,13 +168,13 @@ def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 
 
 
 def _label(model: Model) -> str:
-    """Name a model, noting where its scale was fixed after the fit."""
+    """Name a model, and note a scale that was fixed after the fit."""
     direct = model.parameters.configuration_matrix is not None
     return f"{model.name} (scale fixed)" if direct else model.name
 
 
 def _arrangement(vehicle: Vehicle) -> tuple[list[int], int]:
-    """Return the order of the motors in a grid, and its columns; up to four pairs stand upright."""
+    """Return the order of the motors in a grid and its columns; up to four pairs form columns."""
     groups = style.propeller_groups(vehicle)
     if len(groups) <= 4 and {len(group) for group in groups} == {2}:
         return [group[row] for row in (0, 1) for group in groups], len(groups)
@@ -182,7 +182,7 @@ def _arrangement(vehicle: Vehicle) -> tuple[list[int], int]:
 
 
 def _draw_commands(axes: Axes, commands: Float[np.ndarray, " N"], *, last: bool) -> None:
-    """Draw the share of samples in each bin of commands, on a scale of its own."""
+    """Draw a histogram of commands on a second scale."""
     share, edges = np.histogram(commands, bins=np.arange(0, 1 + _BIN / 2, _BIN))
     share = 100 * share / max(len(commands), 1)
     scale = axes.twinx()
@@ -210,8 +210,8 @@ def parameter_figure(
     """Draw relative differences between fitted and reference parameters, with 95 % intervals.
 
     Shows the linear and angular acceleration of each propeller at full speed, then inertia and time
-    constant where they are learned. Accelerations are products of Π and thrust, so that models that
-    learn Π can be compared too. Intervals are those of the fits.
+    constant where learned. Accelerations are products of Π and thrust, so models that learn Π
+    compare, too. The fits give the intervals.
     """
     models = [model for model in fitted if model.name in reference]
     names = models[0].vehicle.propeller_names
@@ -236,19 +236,19 @@ def parameter_figure(
     return figure
 
 
-#: Quantities beside the accelerations.
+#: Quantities shown next to the accelerations.
 _SCALARS = ("inertia", "motor_time_constant")
 
 
 def _scalars(model: Model) -> Float[np.ndarray, " 2"]:
-    """Return the quantities beside the accelerations."""
+    """Return the quantities shown next to the accelerations."""
     return np.array([float(getattr(model.parameters, name)) for name in _SCALARS])
 
 
 def _ratios(
     model: Model, reference: Model, quantity: Callable[[Model], Any]
 ) -> Float[np.ndarray, "2 *shape"]:
-    """Divide quantities, and half their 95 % intervals, by the reference's; NaN: not known."""
+    """Divide quantities, and half their 95 % intervals, by the reference's."""
     ours, theirs = np.asarray(quantity(model)), np.asarray(quantity(reference))
     known = model.known
     reach = known.quantile * model.standard_error(quantity) if known else np.zeros_like(ours)
@@ -259,7 +259,7 @@ def _ratios(
 def _draw_ratios(
     axes: Axes, labels: Sequence[str], ratios: Mapping[str, Float[np.ndarray, "2 K"]]
 ) -> None:
-    """Draw ratios as differences in percent: a line of dots for each label, a colour per model."""
+    """Draw ratios as differences in percent: a row for each label, a colour for each model."""
     rows = style.label_rows(axes, labels)
     spread = np.linspace(0.26, -0.26, len(ratios)) if len(ratios) > 1 else (0.0,)
     colors = style.model_colors(ratios)
@@ -276,14 +276,14 @@ def _draw_ratios(
 def packet_delay_figure(
     sent: Float[np.ndarray, " K"], delays: PacketDelays, model: Model
 ) -> Figure:
-    """Draw the delay of every packet that is known, ± two standard errors, and the distribution."""
+    """Draw the known packet delays, ± two standard errors, and their distribution."""
     figure = style.new_figure(style.PAGE_WIDTH, 2.9)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
     mean = 1e3 * model.transport_delay
     delay, reach = mean + 1e3 * delays.deviation, 2e3 * delays.standard_error
     dots = {"ls": "", "marker": "o", "ms": 2.6, "lw": 0.7}
     left.errorbar(sent[delays.packet], delay, reach, color=style.BLUE, **dots)
-    label = "mean, as learned with the model"
+    label = "mean, learned with the model"
     handles = [left.axhline(mean, color=style.GREY, lw=1.0, label=label)]
     left.set(xlabel="time [s]", ylabel="delay of a packet [ms]")
     bars: dict[str, Any] = {"orientation": "horizontal", "alpha": 0.55}
@@ -312,11 +312,11 @@ def write_design_figure(
 
 @style.styled
 def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figure:
-    """Draw the relative standard errors of every quantity: now, usual, proposed, checked."""
+    """Draw the relative standard errors of all quantities: now, usual, proposed, checked."""
     figure = style.new_figure(style.PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
     rows = style.label_rows(axes, found.quantities.labels)
-    # Flights that were flown alone are compared with predictions of what they give alone.
+    # Checked flights ran without earlier data, so their predictions exclude them, too.
     usual, proposal = (
         100 * (one.relative if checked is None else one.relative_alone)
         for one in (found.usual, found.proposal)
@@ -341,7 +341,7 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     axes.grid(visible=True, axis="x", which="minor")
     axes.set_xlabel(
-        f"standard error after {found.proposal.plan.duration_s:g} s [% of what it matters against]"
+        f"standard error after {found.proposal.plan.duration_s:g} s [% of the quantity's scale]"
     )
     style.top_legend(figure, handles)
     return figure

@@ -53,38 +53,38 @@ from airpuck.report.page import (
 )
 from airpuck.report.parameter_table import coefficient_rows, effect_rows, main_rows, parameter_table
 
-#: What stands behind a value.
+#: Footnote on the standard errors in tables of parameters.
 _INTERVALS = (
-    " ±: standard error, from blocks of two seconds taken as independent; a learned value without "
-    "one is held by a constraint, or known only as part of a product. What is wrong in all of the "
-    "data alike is not in it."
+    " ±: standard error, with blocks of two seconds taken as independent. A learned value without "
+    "one is held by a constraint, or known only as a factor of a product. Systematic errors common "
+    "to all the data are not included."
 )
 
 
 @dataclass(frozen=True, eq=False)
 class FitStudy:
-    """Models of one craft, learned from one trajectory."""
+    """Models of one craft, learned from one recording."""
 
-    #: What the models were learned from.
+    #: The training recording.
     training: Trajectory
-    #: How they were learned.
+    #: The fits.
     fits: tuple[Fit, ...]
-    #: What they are compared with, by name of the rung.
+    #: Models to compare with, by rung.
     reference: Mapping[str, Model] = field(default_factory=dict)
-    #: What the reference is, in a word.
+    #: One word for the reference.
     reference_label: str = "published"
 
     @property
     def models(self) -> list[Model]:
-        """The models that were learned."""
+        """The learned models."""
         return [fit.model for fit in self.fits]
 
     @cached_property
     def reference_losses(self) -> dict[str, float]:
-        """Loss of each reference model on the data of the fit of the same name.
+        """Loss of each reference model on the data of the fit of the same rung.
 
-        Those are the data as the fit prepared them: the same windows, faults left out and packets
-        moved alike. The reference has its own conventions of encoder and frame, and its own delay.
+        The data are as the fit prepared them, without faults and with retimed packets. The
+        reference keeps its own conventions of encoder and frame, and its own delay.
         """
         losses = {}
         for fit in self.fits:
@@ -98,12 +98,12 @@ class FitStudy:
 
 
 def study_sections(study: FitStudy) -> list[PageSection]:
-    """Show what models are, and how they were found."""
+    """Show the thrust curves and parameters of the models, and how they were fitted."""
     return [_thrust_section(study), _parameter_section(study), _optimiser_section(study)]
 
 
 def _thrust_section(study: FitStudy) -> PageSection:
-    """Show the thrust curves, of M3 and M4 where they are there."""
+    """Show the thrust curves; of M3 and M4 only, if these are among the models."""
     models = [m for m in study.models if m.name in ("M3", "M4")] or study.models
     reference = [study.reference[m.name] for m in models if m.name in study.reference]
     caption = "Thrust of each motor over its normalised speed. "
@@ -112,22 +112,21 @@ def _thrust_section(study: FitStudy) -> PageSection:
     if any(m.known is not None for m in models):
         caption += "Bands: 95 % intervals at each speed. "
     caption += (
-        "Bars: share of the training samples at each command, in twentieths of the range (a bar "
-        "that is cut off has its share beside it); the bracket on the axis is the range that was "
-        "commanded, outside of which a curve is extrapolated."
+        "Bars: histogram of the training commands; a truncated bar is labelled with its value. The "
+        "bracket on the axis is the commanded range; outside it a curve is extrapolated."
     )
     if any(m.parameters.configuration_matrix is not None for m in [*models, *reference]):
         caption += (
-            " The scale of M4's thrusts is arbitrary: s times the thrust and 1/s times the "
-            "propeller's column of Π predict the same. It is fixed so that a propeller's column of "
-            "Π has the length 1/m in x and y, as Newton's law demands."
+            " M4 knows thrust up to a scale: s times the thrust and 1/s times the propeller's "
+            "column of Π predicts the same motion. The scale is fixed so that each column of Π has "
+            "length 1/m in x and y, as Newton's law demands."
         )
     figure = thrust_figure(models, study.training, reference, study.reference_label)
     return PageSection("thrust", "Thrust curves", (Picture("thrust", figure, caption),))
 
 
 def _optimiser_section(study: FitStudy) -> PageSection:
-    """Show how the fits were found."""
+    """Show how the fits converged."""
     losses, label = study.reference_losses, study.reference_label
     rows = []
     for fit in study.fits:
@@ -150,30 +149,30 @@ def _optimiser_section(study: FitStudy) -> PageSection:
     settings = study.fits[0].model.fit
     weights = ", ".join(f"{weight:g}" for weight in settings["weights"])
     table = (
-        f"Losses in 10⁻⁵. Loss: mean of the squared errors, weighted by ({weights}) per m, m and "
-        f"rad, over windows, {settings['prediction_length']} steps and the channels x, y, γ, "
-        f"without any regulariser; a training window every {settings['stride']} samples, on the "
-        "data as each fit prepares them: compare losses within a row. Time includes compiling, and "
-        "waiting for each other where fits run side by side."
+        f"Losses in 10⁻⁵: mean squared error, weighted by ({weights}) per m, m and rad, over "
+        f"windows, {settings['prediction_length']} steps and the channels x, y, γ, without "
+        f"regulariser. A training window starts every {settings['stride']} samples. Each fit "
+        "prepares its own data, so compare losses within a row only. Time includes compilation "
+        "and, for parallel fits, waiting."
     )
     history = (
-        f"Loss over the iterations (method: {settings.get('method')}); it leaps where faults are "
-        "left out and packets moved."
+        f"Loss over the iterations (method: {settings.get('method')}). It jumps where faults are "
+        "excluded and packets retimed."
     )
     if losses:
         history += (
-            f" Dashed: the {label} parameters on the same data, prepared for the last fit of the "
-            "same model, with their own conventions of encoder and frame. A fit has the lowest "
-            "loss that there is on its data, so that even the truth lies above it."
+            f" Dashed: the {label} parameters on the data of the last fit of the same model, with "
+            "their own conventions of encoder and frame. A fit minimises the loss on its data, so "
+            "even the true parameters have a higher one."
         )
     figure = loss_history_figure(study.fits, losses, label)
     cells = [list(row.values()) for row in rows]
     blocks = (PageTable(table, list(rows[0]), cells), Picture("loss_history", figure, history))
-    return PageSection("optimiser", "How the fits were found", blocks)
+    return PageSection("optimiser", "Convergence of the fits", blocks)
 
 
 def _parameter_section(study: FitStudy) -> PageSection:
-    """Show the parameters."""
+    """Show the parameters and what the data determine of them."""
     label, groups = study.reference_label, [("", 2)]
     models, headings = [], ["", "unit"]
     for model in study.models:
@@ -183,32 +182,29 @@ def _parameter_section(study: FitStudy) -> PageSection:
         models += shown.values()
         headings += shown.keys()
         groups.append((model.name, len(shown)))
-    main = (
-        "Parameters; bold: learned. F(1) is the thrust at full speed, of M4 at the physical scale."
-    )
+    main = "Parameters; bold: learned. F(1): thrust at full speed, for M4 at the physical scale."
     main += f" {_meanings(study.models)}."
     if any(m.known is not None for m in models):
         main += _INTERVALS
     blocks: list[Block] = [parameter_table(main, headings, main_rows(models), groups)]
     if study.reference:
         caption = (
-            "Relative differences of what each propeller does at full speed, and of inertia and "
-            "time constant where they are learned. The accelerations are products of Π and thrust, "
-            "which no choice of scale can change, so that M4 can be compared. Bars: 95 % intervals "
-            "of the fit."
+            "Relative differences of the accelerations from each propeller at full speed, and of "
+            "inertia and time constant where learned. Accelerations are products of Π and thrust "
+            "and do not depend on M4's scale. Bars: 95 % intervals of the fit."
         )
         figure = parameter_figure(study.models, study.reference, label)
         blocks.append(Picture("parameters", figure, caption))
     determined = [f"{fit.model.name}: {w}." for fit in study.fits for w in knowledge_words(fit)]
     if determined:
-        summary = "What the data determine: conditioning, correlations, constraints"
+        summary = "Identifiability: conditioning, correlations, constraints"
         blocks.append(Details(summary, (Text(determined, bullets=True),)))
     tables = []
     if any(model.parameters.configuration_matrix is not None for model in models):
         caption = (
-            "What each propeller does at full speed. m‖Π_xy‖ is the factor from a thrust as "
-            "learned to newtons: 1 where Π follows from first principles or the scale was fixed "
-            "after the fit, arbitrary in the published M4."
+            "Effect of each propeller at full speed. m‖Π_xy‖ converts a learned thrust to newtons. "
+            "It is 1 where Π follows from first principles or the scale was fixed after the fit, "
+            "and arbitrary in the published M4."
         )
         tables.append(parameter_table(caption, headings, effect_rows(models), groups))
     caption = "Thrust coefficients as learned, F(φ) = aφ + bφ² + cφ³ + …."
@@ -218,7 +214,7 @@ def _parameter_section(study: FitStudy) -> PageSection:
 
 
 def _meanings(models: Sequence[Model]) -> str:
-    """Say what the symbols mean of what the models have."""
+    """Explain the symbols of the parameters in use."""
     used = [
         f"{q.symbol}: {q.meaning.partition(';')[0]}"
         for q in QUANTITIES
@@ -228,10 +224,10 @@ def _meanings(models: Sequence[Model]) -> str:
 
 
 def selection_section(selection: Selection) -> PageSection:
-    """Show how well every rung predicted what was held out, and which was taken."""
+    """Show how well each rung predicts held-out data, and which one was selected."""
     title = (
-        f"{selection_title(selection)}, root mean square. The last column is the change of all "
-        f"three channels together, weighted as in the loss. {selection_words(selection)}."
+        f"{selection_title(selection)}, RMS. The last column is the change over all three "
+        f"channels, weighted as in the loss. {selection_words(selection)}."
     )
     table = PageTable(title, SELECTION_HEADINGS, selection_rows(selection))
     return PageSection("selection", "Which terms help", (table,))
@@ -255,13 +251,13 @@ def fit_report(
     fits : Fit or sequence of Fit
         Fits of one craft to one recording.
     training : Trajectory or sequence of Trajectory
-        What they were learned from; of several, pictures show the first.
+        The training recordings; figures show the first.
     out : path-like
         Folder to write to.
     judged : JudgedModels, optional
-        How well they predict another recording, in the same order.
+        Evaluations on another recording, in the same order.
     truth : Model, optional
-        What flew, where it is known; the report compares the fits with it.
+        The true model, if known, to compare the fits with.
     title : str, optional
         By default the name of the craft.
     more : sequence of PageSection, optional
@@ -284,7 +280,7 @@ def fit_report(
     if not fits:
         raise InputError("there is no fit to report on")
     if truth is not None:
-        # What flew has no encoder: give it the convention of the fits, so that losses compare.
+        # The truth has no encoder; with that of the fits, losses compare.
         truth = replace(truth, indexing=fits[0].model.indexing)
     study = FitStudy(
         training=training,
@@ -311,7 +307,7 @@ def fit_report(
         f"{samples} samples, {vehicle.n_propellers} propellers"
     )
     if len(learned) > 1:
-        lead += f", {len(learned)} recordings, of which pictures show the first"
+        lead += f", {len(learned)} recordings; figures show the first"
     if last.model.delay_learned:
         lead += f", transport delay {delay_words(last.model)}"
     elif training.delay_known:
@@ -323,7 +319,7 @@ def fit_report(
 def _verdicts(
     fits: Sequence[Fit], judged: JudgedModels | None, training: Trajectory
 ) -> PageSection:
-    """Say in words which fits can be trusted."""
+    """Summarise which fits can be trusted."""
     if judged is None:
         verdicts = {fit.model.name: verdict(fit.model, training) for fit in fits}
         return verdict_section(verdicts, fits[-1].model.name)
@@ -335,13 +331,12 @@ def _verdicts(
 
 
 def _delay_section(fit: Fit, training: Trajectory) -> PageSection:
-    """Show when single packets arrived."""
+    """Show the delays of single packets."""
     delays = fit.packet_delays[0]
     caption = (
-        f"Delay of the {len(delays)} packets that changed the thrust enough to show in the poses, "
-        f"± two standard errors; transport delay {delay_words(fit.model)}. A packet that was lost "
-        "looks late by the time until the next one. The jitter is what the spread has beyond the "
-        "standard errors."
+        f"Delay of the {len(delays)} packets that changed the thrust visibly, ± two standard "
+        f"errors; transport delay {delay_words(fit.model)}. A lost packet appears late by the time "
+        "to the next one. Jitter is the spread that the standard errors do not explain."
     )
     figure = packet_delay_figure(training.command_time, delays, fit.model)
     return PageSection("delay", "Transport delay", (Picture("packet_delays", figure, caption),))

@@ -1,4 +1,4 @@
-"""A page of text, tables and figures in one file, which needs nothing from outside."""
+"""Pages of text, tables and figures in one self-contained file."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from matplotlib.figure import Figure
 from airpuck.boundary.outputs import replacing
 from airpuck.report.style import drawn
 
-#: Letters in a line of a table that still fits on a page.
+#: Characters in the widest table row that fits on a page at full size.
 _WIDE = 110
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure and what to see in it."""
+    """A figure with its caption."""
 
-    #: Name of its file, without the suffix.
+    #: File name without the suffix.
     name: str
-    #: A figure, which becomes a PNG, or the text of an SVG.
+    #: A figure, written as PNG and PDF, or the text of an SVG.
     figure: Figure | str
     #: Plain text.
     caption: str
@@ -37,18 +37,18 @@ class PageTable:
 
     #: Plain text.
     caption: str
-    #: One for each column.
+    #: One heading for each column.
     headings: Sequence[str]
-    #: Texts of the cells; the first of a row names it.
+    #: Cell texts; the first cell of a row is its heading.
     rows: Sequence[Sequence[str]]
-    #: A line above the headings: texts, and how many columns each spans.
+    #: Group headings above the headings: text and number of columns spanned.
     groups: Sequence[tuple[str, int]] = ()
-    #: Row and column of cells to stress.
+    #: Row and column of highlighted cells.
     marked: frozenset[tuple[int, int]] = frozenset()
 
     @property
     def wide(self) -> bool:
-        """Whether it needs smaller letters to fit on a page."""
+        """Whether the table needs smaller type to fit on a page."""
         columns = zip(self.headings, *self.rows, strict=True)
         return sum(3 + max(map(len, column)) for column in columns) > _WIDE
 
@@ -59,17 +59,16 @@ class Text:
 
     #: Plain text.
     paragraphs: Sequence[str]
-    #: Whether they are the items of a list.
+    #: Whether the paragraphs are items of a bulleted list.
     bullets: bool = False
 
 
 @dataclass(frozen=True)
 class Details:
-    """What only some readers want: folded away until they open it."""
+    """Blocks that stay folded until a reader opens them."""
 
-    #: What it holds.
+    #: Label of the fold.
     summary: str
-    #: Its content.
     blocks: Sequence[PageTable | Text]
 
 
@@ -80,21 +79,19 @@ Block = Picture | PageTable | Text | Details
 class PageSection:
     """A section of a page."""
 
-    #: Its name in links.
+    #: Name in links.
     anchor: str
-    #: Its heading.
     title: str
-    #: Its content.
     blocks: Sequence[Block]
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a page comes from."""
+    """Command and date, for the foot of a page."""
 
-    #: When it was made.
+    #: When the page was made.
     date: str
-    #: The command line that made it.
+    #: Command line that made the page.
     command: str
 
 
@@ -107,9 +104,8 @@ def write_page(
 ) -> Path:
     """Write a page as ``index.html`` and its pictures as files in ``figures``.
 
-    The page holds its pictures within itself, so that it can be sent alone. Beside the PNG that it
-    shows, each figure is there as a PDF. Each file is written to a temporary name and renamed; the
-    page comes last.
+    The page embeds its pictures, so it can be sent as a single file. ``figures`` holds each figure
+    as PNG and PDF. Each file is written under a temporary name and renamed, the page last.
 
     Parameters
     ----------
@@ -154,12 +150,12 @@ def write_page(
 
 
 def packaged_text(name: str) -> str:
-    """Read a text that comes with the package."""
+    """Read a text file of the package."""
     return (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
 
 
 def render(template: str, **values: Any) -> str:
-    """Fill in a template that comes with the package; values are escaped."""
+    """Fill in a template of the package; values are escaped."""
     import jinja2
 
     environment = jinja2.Environment(

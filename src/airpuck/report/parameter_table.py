@@ -21,7 +21,7 @@ _LADDER = [quantity for quantity in QUANTITIES if quantity.rungs]
 class Cell(NamedTuple):
     """One value in a table of parameters."""
 
-    #: The value, ± its standard error where there is one; a dash where the model does not use it.
+    #: Value ± standard error, if known; a dash if the model does not use the quantity.
     text: str = "–"
     #: Whether it was learned.
     free: bool = False
@@ -32,7 +32,7 @@ class Row(NamedTuple):
 
     label: str
     unit: str
-    #: One for each model.
+    #: One cell for each model.
     cells: list[Cell]
 
 
@@ -42,7 +42,7 @@ def parameter_table(
     rows: Sequence[Row],
     groups: Sequence[tuple[str, int]] = (),
 ) -> PageTable:
-    """Lay out rows as a table of a page; what was learned is bold."""
+    """Return rows as a table of a page, with learned values in bold."""
     texts = [[row.label, row.unit, *(cell.text for cell in row.cells)] for row in rows]
     learned = frozenset(
         (i, j + 2) for i, row in enumerate(rows) for j, cell in enumerate(row.cells) if cell.free
@@ -51,7 +51,7 @@ def parameter_table(
 
 
 def ladder_table(models: Sequence[Model]) -> PageTable:
-    """Tabulate which parameters each rung has free (table:models)."""
+    """Tabulate the free parameters of each rung (table:models)."""
     rows = []
     for model in models:
         rung, cells = named_rung(model.name), []
@@ -67,15 +67,15 @@ def ladder_table(models: Sequence[Model]) -> PageTable:
                 cells.append(Cell(", ".join(f"{x:.3g}" for x in value)))
         rows.append(Row(model.name, rung.summary, cells))
     caption = (
-        "Table 1 of the paper: free and fixed parameters, from the rungs of the package. A dash: "
-        "not used. Π “from the others”: by first principles."
+        "Table 1 of the paper: free and fixed parameters of each rung. A dash: not used. Π “from "
+        "the others”: by first principles."
     )
     headings = [q.symbol if "," in q.unit else f"{q.symbol} [{q.unit}]" for q in _LADDER]
     return parameter_table(caption, ["model", "", *headings], rows)
 
 
 def main_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate what a person asks for first; thrusts come last."""
+    """Tabulate the main quantities; thrusts come last."""
     listed = {q.label: q for model in models for q in main_quantities(model)}
     rows = [
         row
@@ -86,7 +86,7 @@ def main_rows(models: Sequence[Model]) -> list[Row]:
 
 
 def coefficient_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate every thrust coefficient as learned, without any change of scale."""
+    """Tabulate every thrust coefficient at the learned scale."""
     degree = max(np.shape(model.parameters.thrust)[1] for model in models)
     letters = [chr(ord("a") + power) for power in range(degree)]
     labels = [f"{a} {name}" for name in models[0].vehicle.propeller_names for a in letters]
@@ -99,7 +99,7 @@ def coefficient_rows(models: Sequence[Model]) -> list[Row]:
 
 
 def effect_rows(models: Sequence[Model]) -> list[Row]:
-    """Tabulate what each propeller does at full speed, which no choice of scale changes."""
+    """Tabulate the effect of each propeller at full speed, which does not depend on scale."""
 
     def rows(label: str, unit: str, values: Callable[[Model], Any], form: str) -> list[Row]:
         labels = [f"{label} {name}" for name in models[0].vehicle.propeller_names]
@@ -120,7 +120,7 @@ def _rows(
     values: Callable[[Model], Any],
     form: str,
 ) -> list[Row]:
-    """Tabulate values that a parameter makes: a row for each of them, a cell for each model."""
+    """Tabulate values derived from a parameter: a row for each value, a cell for each model."""
     columns = [_cells(model, len(labels), quantity, values, form) for model in models]
     return [Row(label, unit, cells) for label, *cells in zip(labels, *columns, strict=True)]
 
@@ -128,7 +128,7 @@ def _rows(
 def _cells(
     model: Model, count: int, quantity: str, values: Callable[[Model], Any], form: str
 ) -> list[Cell]:
-    """Write one model's values, with standard errors where there are any."""
+    """Format the values of one model, with standard errors if known."""
     direct = model.parameters.configuration_matrix is not None
     unused = direct and quantity in UNUSED_WHERE_DIRECT
     if unused or getattr(model.parameters, quantity) is None:

@@ -1,4 +1,4 @@
-"""A plan, and a race: paths on the table, commands and times."""
+"""Planned and flown paths on the table, commands and times."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from airpuck.report import style
 from airpuck.twin.race import Race
 from airpuck.twin.tracking_study import Tracked
 
-#: Crafts that are drawn along the path.
+#: Number of craft drawn along the path.
 _SHOWN = 7
 
 
@@ -32,7 +32,7 @@ def write_plan_figure(plan: Plan, path: str | os.PathLike[str], table: Table | N
 
 @style.styled
 def plan_figure(plan: Plan, table: Table | None = None) -> Figure:
-    """Draw the path from above, and thrusts with the commands behind them over time."""
+    """Draw the path from above, and thrusts and commands over time."""
     vehicle = plan.model.vehicle
     figure = style.new_figure(style.PAGE_WIDTH, 2.6 + 0.55 * vehicle.n_propellers)
     heights = [2.6, 0.55 * vehicle.n_propellers]
@@ -104,7 +104,7 @@ def write_race_figure(race: Race, path: str | os.PathLike[str], table: Table) ->
 
 @style.styled
 def race_figure(race: Race, table: Table) -> Figure:
-    """Draw paths from above, and times beside the plan, its bound and a set point."""
+    """Draw all paths from above, and flight times with the plan's time and lower bound."""
     figure = style.new_figure(style.PAGE_WIDTH, 4.9)
     above, below = figure.subplots(2, 1, height_ratios=[3.4, 1])
     _draw_course(above, race.plan, table)
@@ -137,12 +137,12 @@ def race_figure(race: Race, table: Table) -> Figure:
 
 @style.styled
 def path_figure(flights: Sequence[Tracked]) -> Figure:
-    """Draw the ways from above, to scale, with the plans of predictive laws."""
+    """Draw flown paths from above, to scale, with the plans of predictive laws."""
     count = len(flights)
     figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 2.4 * -(-count // 2))
     panels = style.panels(figure, count, min(count, 2), sharex=True, sharey=True)
     for axes, flight in zip(panels, flights, strict=True):
-        _draw_way(axes, flight)
+        _draw_flown(axes, flight)
         axes.label_outer()
     keys = [
         style.key("flown", style.LIGHT, lw=6.0),
@@ -156,8 +156,8 @@ def path_figure(flights: Sequence[Tracked]) -> Figure:
     return figure
 
 
-def _draw_way(axes: Axes, flight: Tracked) -> None:
-    """Draw one flight from above."""
+def _draw_flown(axes: Axes, flight: Tracked) -> None:
+    """Draw one flight and its plans from above."""
     table, radius = flight.table, flight.vehicle.radius_m
     for (x, y), look in (
         (table.reach(0.0), {"edgecolor": style.RAIL, "lw": 3.0}),

@@ -1,6 +1,6 @@
-"""The report's own pictures in a user's axes: `airpuck.plot`.
+"""Figures of the reports in a user's axes: `airpuck.plot`.
 
-Without axes a function makes a figure with pyplot, which a notebook then shows.
+Without axes, a function creates a pyplot figure, which a notebook displays.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def thrust(model: Model, axes: Axes | None = None) -> Axes:
-    """Draw the thrust of every propeller over its speed, with 95 % bands where they are known.
+    """Draw the thrust of every propeller over its speed, with 95 % bands if known.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def thrust(model: Model, axes: Axes | None = None) -> Axes:
 
 
 def horizon(evaluations: Evaluation | Sequence[Evaluation], axes: Any = None) -> list[Axes]:
-    """Draw the root mean square error of predictions over the time predicted.
+    """Draw the RMS error of predictions over the prediction horizon.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ def predictions(
     evaluations: Evaluation | Sequence[Evaluation],
     figure: Figure | SubFigure | None = None,
 ) -> Any:
-    """Draw measured poses and what models predict of them, over some typical seconds.
+    """Draw measured and predicted poses over a typical stretch of a flight.
 
     Parameters
     ----------
     trajectory : Trajectory
-        What was evaluated.
+        The recording that was evaluated.
     evaluations : Evaluation or sequence of Evaluation
         Its evaluations.
     figure : matplotlib Figure or SubFigure, optional
@@ -120,14 +120,14 @@ def predictions(
 
 
 def path(trajectory: Trajectory, vehicle: Vehicle, axes: Axes | None = None) -> Axes:
-    """Draw the way of a flight from above.
+    """Draw the path of a flight from above.
 
     Parameters
     ----------
     trajectory : Trajectory
         The flight.
     vehicle : Vehicle
-        The craft, drawn where it started.
+        The craft, drawn at its start.
     axes : matplotlib Axes, optional
         Where to draw; by default in a new figure.
 
@@ -142,12 +142,12 @@ def path(trajectory: Trajectory, vehicle: Vehicle, axes: Axes | None = None) -> 
 
 
 def _several(evaluations: Any) -> list[Evaluation]:
-    """Return a list, of one or of several."""
+    """Return a list of evaluations."""
     return list(evaluations) if isinstance(evaluations, Sequence) else [evaluations]
 
 
 def _axes(given: Any, count: int) -> list[Axes]:
-    """Return the axes that were given, or those of a new figure."""
+    """Check the given axes, or create a figure with axes."""
     if given is None:
         from matplotlib import pyplot
 

@@ -19,7 +19,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.report import style
 
-#: Share of the windows that is called the worst.
+#: Share of the windows called the worst.
 WORST = 0.08
 
 
@@ -35,16 +35,16 @@ def worst_windows(errors: Float[np.ndarray, "*channels W"]) -> Bool[np.ndarray, 
 def squares_held(
     errors: Float[np.ndarray, "*channels W"], marked: Bool[np.ndarray, "*channels_or_none W"]
 ) -> str:
-    """Write what percentage of each channel's summed squared error the marked windows hold."""
+    """Format the share of marked windows in each channel's squared error [%]."""
     squares = errors**2
-    # A model that predicts without any error has no squares to share out.
+    # Avoids 0/0 for a perfect prediction.
     total = np.maximum(squares.sum(axis=-1), 1e-300)
     shares = np.atleast_1d(100 * (squares * marked).sum(axis=-1) / total)
     return " / ".join(f"{share:.0f}" for share in shares)
 
 
 def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray, " W"]:
-    """Mark the windows whose prediction touches a span."""
+    """Mark the windows whose prediction overlaps a span."""
     stop = evaluation.start + evaluation.horizon_step * evaluation.sample_period
     touched = np.zeros(len(evaluation.start), dtype=bool)
     for span in spans:
@@ -56,10 +56,10 @@ def touched_by(evaluation: Evaluation, spans: Sequence[Span]) -> Bool[np.ndarray
 def horizon_figure(
     fitted: Sequence[Evaluation], reference: Sequence[Evaluation] = (), label: str = "published"
 ) -> Figure:
-    """Draw the root mean square error over the time predicted.
+    """Draw the RMS error over the prediction horizon.
 
-    Fitted models are broad lines, the reference thin dashed ones in the same colours. A vertical
-    line marks when tables report the error.
+    Fitted models are broad lines, the reference thin dashed lines of the same colours. A vertical
+    line marks the horizon reported in tables.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.5)
     handles = draw_horizon(list(figure.subplots(1, 3)), fitted, reference, label)
@@ -73,7 +73,7 @@ def draw_horizon(
     reference: Sequence[Evaluation] = (),
     label: str = "published",
 ) -> list[Artist]:
-    """Draw `horizon_figure` into axes for x, y and yaw; return what a legend needs."""
+    """Draw `horizon_figure` into axes for x, y and yaw; return the legend's entries."""
     broad: dict[str, Any] = {"lw": 3.0, "alpha": 0.45} if reference else {"lw": 1.8, "alpha": 0.8}
     dashed: dict[str, Any] = {"lw": 1.1, "ls": style.DASHED, "zorder": 3}
     colors = style.model_colors(evaluation.model for evaluation in (*fitted, *reference))
@@ -87,7 +87,7 @@ def draw_horizon(
         axes.axvline(reported, color=style.GREY, lw=0.8, ls=":")
         place = {"transform": axes.get_xaxis_transform(), "ha": "right", "va": "top"}
         axes.text(reported, 0.99, f"{reported:.2g} s ", color=style.GREY, fontsize=8, **place)
-        axes.set(xlabel="time predicted [s]", ylabel=f"RMSE of {name} [{unit}]")
+        axes.set(xlabel="prediction horizon [s]", ylabel=f"RMSE of {name} [{unit}]")
         axes.set(xlim=(0, None), ylim=(0, None))
     handles: list[Artist] = [style.key(name, color, lw=3) for name, color in colors.items()]
     if reference:
@@ -100,7 +100,7 @@ def draw_horizon(
 def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
     """Draw the cumulative distribution of the absolute errors of each model.
 
-    Dots mark the RMSE on each curve, which a few large errors put far to the right of the median.
+    A dot on each curve marks the RMSE, which a few large errors move far beyond the median.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.3)
     panels = list(figure.subplots(1, 3, sharey=True))
@@ -111,7 +111,7 @@ def error_distribution_figure(evaluations: Sequence[Evaluation]) -> Figure:
 def draw_error_distribution(
     panels: Sequence[Axes], evaluations: Sequence[Evaluation]
 ) -> list[Artist]:
-    """Draw `error_distribution_figure` into axes for x, y and yaw; return its legend's entries."""
+    """Draw `error_distribution_figure` into three axes; return the legend's entries."""
     colors = style.model_colors(evaluation.model for evaluation in evaluations)
     for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         lowest = []
@@ -134,10 +134,10 @@ def draw_error_distribution(
 
 @style.styled
 def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -> Figure:
-    """Draw the error of every window along the flight.
+    """Draw the error of every window over the flight.
 
-    The worst windows are red, and the title gives the share of the summed squared error that they
-    hold; known faults of the recording are shaded.
+    The worst windows are red; titles give their share of the squared error. Known faults of the
+    recording are shaded.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 5.4)
     panels = figure.subplots(3, 1, sharex=True)
@@ -154,7 +154,7 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
         axes.margins(x=0.01)
         title = (
             f"median {median:.3g} {unit}, RMSE {rmse:.3g} {unit}; the worst {100 * WORST:.0f} % of "
-            f"windows hold {squares_held(errors, worst)} % of the squared error"
+            f"windows account for {squares_held(errors, worst)} % of the squared error"
         )
         axes.set_title(title, loc="left", fontsize=8.5, fontweight="normal")
     panels[-1].set_xlabel("start of the prediction [s]")
@@ -172,7 +172,7 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
 
 
 def _name_faults(axes: Axes, faults: Sequence[Span]) -> None:
-    """Write the cause of each fault beside its shade; lower where it would meet the one before."""
+    """Label each shaded fault with its cause, alternating in height where labels would overlap."""
     axes.set_ylim(0, 1.15 * axes.get_ylim()[1])
     height, free_from = 0.98, -np.inf
     for fault in faults:
@@ -180,21 +180,21 @@ def _name_faults(axes: Axes, faults: Sequence[Span]) -> None:
         look = {"va": "top", "fontsize": 7, "color": style.GREY}
         place = axes.get_xaxis_transform()
         style.note(axes, fault.cause, (fault.stop, height), (3, 0), xycoords=place, **look)
-        # About how far a text of this size reaches, as a part of the time axis.
+        # Approximate width of the label on the time axis.
         free_from = fault.stop + 0.0085 * len(fault.cause) * np.ptp(axes.get_xlim())
 
 
-#: How much of a flight is shown [s].
+#: Length of the stretch shown [s].
 SHOWN_S = 5.0
-#: Pieces that a path is drawn with: enough for a smooth line in a small file.
+#: Line segments of a path, for a smooth line in a small file.
 _PIECES = 3000
 
 
 def typical_stretch(evaluation: Evaluation) -> tuple[float, float]:
-    """Choose some seconds of a flight in which predictions err as they usually do.
+    """Return the start and end of a stretch with typical prediction errors.
 
-    Among the stretches with the most predictions, that whose mean squared error, each channel
-    divided by its own, is the median.
+    Of the stretches with the most predictions, it has the median mean squared error, with each
+    channel normalised by its overall mean.
     """
     start, length = evaluation.start, evaluation.sample_period * len(evaluation.errors)
     square = evaluation.at_horizon**2
@@ -209,7 +209,7 @@ def typical_stretch(evaluation: Evaluation) -> tuple[float, float]:
 
 
 def _one_after_another(start: Float[np.ndarray, " W"], length: float) -> Int[np.ndarray, " K"]:
-    """Choose predictions that do not overlap."""
+    """Return predictions that do not overlap."""
     chosen, free = [], -np.inf
     for number, begin in enumerate(start.tolist()):
         if begin >= free:
@@ -220,10 +220,9 @@ def _one_after_another(start: Float[np.ndarray, " W"], length: float) -> Int[np.
 
 @style.styled
 def prediction_figure(trajectory: Trajectory, evaluations: Sequence[Evaluation]) -> Figure:
-    """Draw the measured pose, and what models predict of it, over some typical seconds.
+    """Draw measured and predicted poses over a typical stretch of a flight.
 
-    Each prediction starts at a dot and knows nothing of what was measured after it. Right: how far
-    it is off.
+    Each prediction starts at a dot and uses no later measurements. Right: its errors.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 5.6)
     draw_predictions(figure, trajectory, evaluations)
@@ -285,26 +284,26 @@ def _draw_channel(
 
 @style.styled
 def path_figure(trajectory: Trajectory, vehicle: Vehicle) -> Figure:
-    """Draw the way of a flight from above, with the craft where it started, to scale."""
+    """Draw the path of a flight from above, with the craft at its start, to scale."""
     figure = style.new_figure(6.4, 4.9)
     draw_path(figure.add_subplot(), trajectory, vehicle)
     return figure
 
 
 def draw_path(axes: Axes, trajectory: Trajectory, vehicle: Vehicle) -> None:
-    """Draw `path_figure` into axes; the rails of the usual table where the flight kept inside."""
+    """Draw `path_figure` into axes, with the default table if the flight stays on it."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     step = max(len(trajectory) // _PIECES, 1)
     kept = np.flatnonzero(trajectory.usable)[::step]
     time, place = trajectory.time[kept], trajectory.state[kept, :2]
     pieces = np.stack([place[:-1], place[1:]], axis=1)
-    # No line across what is left out.
+    # Excluded samples interrupt the line.
     joined = np.diff(time) < 5 * step * trajectory.sample_period
-    way = LineCollection(pieces[joined].tolist(), cmap="viridis", lw=1.2)
-    way.set_array(time[:-1][joined])
-    axes.add_collection(way)
-    figure.colorbar(way, ax=axes, label="time [s]", shrink=0.85)
+    line = LineCollection(pieces[joined].tolist(), cmap="viridis", lw=1.2)
+    line.set_array(time[:-1][joined])
+    axes.add_collection(line)
+    figure.colorbar(line, ax=axes, label="time [s]", shrink=0.85)
     x, y, yaw = trajectory.state[0, :3].tolist()
     radius = vehicle.radius_m
     look = {"facecolor": (style.VERMILLION, 0.15), "edgecolor": style.VERMILLION, "zorder": 4}

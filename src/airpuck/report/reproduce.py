@@ -44,9 +44,9 @@ RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"
 
-#: Where the measured acceleration of the validation recording stays below half of what the commands
-#: should cause. The craft rests at first; about every 30 s all motors stop while commands are
-#: logged; twice a single motor stops.
+#: Spans of the validation recording whose measured acceleration stays below half of that commanded.
+#: The craft rests at first. About every 30 s all motors stop although commands are logged. Twice a
+#: single motor stops.
 FAULTS = (
     Span(0.0, 2.2, "motors off"),
     Span(28.25, 28.75, "radio out"),
@@ -67,42 +67,42 @@ PRINTED = {
     "M4": ("10.8", "9.6", "0.387"),
 }
 
-#: What every number rests on, and where the paper's text and numbers disagree.
+#: Conventions behind the numbers, and differences between the paper's text and numbers.
 _CONVENTIONS = (
-    "Protocol “paper”: the validation recording is cut into windows that do not overlap, of "
-    "E + T = 20 + 50 samples at 240 Hz. The encoder looks at the first 20, the model predicts the "
-    "next 50, and errors are reported after step 48 (0.2 s). No window is left out; yaw is "
-    "continuous, so that its error needs no wrapping.",
-    "Published parameters are evaluated with the convention of the code that they were learned "
-    "with: within the encoder's window the motors follow the command at the end of each interval, "
-    "and the offset of the centre of mass stays fixed in the world frame (eq. acc_dyn).",
-    "Our fits use one convention throughout: the command at an interval's start acts over it, in "
-    "the encoder as in the prediction; the centre of mass is fixed to the body. So the encoder "
-    "differs from the published one by one sample of command.",
-    "The loss is that of the published fits: squares of the errors of x and y in metres and of a "
-    "tenth of the yaw error in radians, mean over steps 1 to 50, channels and windows. The "
-    "paper's text has unweighted yaw.",
-    "Thrust curves must rise on [0, 1]: a linear constraint in each step of Levenberg-Marquardt, "
-    "in place of the paper's regulariser. The published code penalises 3cφ where the proposition "
-    "has 3cφ²; here it is as proved.",
-    "The paper's angles πi/3 between pairs are 2πi/3 on the craft (three pairs, 120° apart), and "
-    "α turns the directions of the thrusts with their positions.",
-    "The authors' recordings come preprocessed: velocities from smoothed positions (not causal), "
-    "commands shifted by the transport delay of five samples.",
+    "Protocol “paper”: the validation recording is cut into windows of E + T = 20 + 50 samples at "
+    "240 Hz, without overlap. The encoder sees the first 20, the model predicts the next 50, and "
+    "errors are those after step 48 (0.2 s). All windows count. Yaw is continuous, so its error "
+    "needs no wrapping.",
+    "Published parameters keep the conventions of the code that learned them: in the encoder, "
+    "motors follow the command at the end of each interval, and the offset of the centre of mass "
+    "is fixed in the world frame (eq. acc_dyn).",
+    "Our fits use one convention in encoder and prediction: the command at the start of an "
+    "interval acts over it, and the centre of mass is fixed in the body. The encoder therefore "
+    "differs from the published one by one sample of the command.",
+    "The loss equals the published one: the mean of the squared errors of x and y in metres and of "
+    "a tenth of the yaw error in radians, over steps 1 to 50, channels and windows. The paper's "
+    "text does not mention the weight of yaw.",
+    "A linear constraint in each Levenberg-Marquardt step keeps thrust curves increasing on [0, 1] "
+    "and replaces the paper's regulariser. The published code penalises 3cφ where the proposition "
+    "has 3cφ²; we follow the proposition.",
+    "The paper's angles πi/3 between pairs are 2πi/3 on the craft (three pairs, 120° apart). α "
+    "rotates both the positions and the directions of the thrusts.",
+    "The authors' recordings are preprocessed: velocities come from positions smoothed without "
+    "causality, and commands are shifted by the transport delay of five samples.",
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The paper's study, done again."""
+    """Results of `reproduce`."""
 
     #: Fits and published models.
     study: FitStudy
-    #: How well both predict.
+    #: Their evaluations.
     judged: JudgedModels
     #: The report.
     page: Path
-    #: Time that everything took [s].
+    #: Computing time of the whole study [s].
     wall_s: float
 
     def to_json(self) -> dict[str, Any]:
@@ -151,13 +151,13 @@ def reproduce(
     Returns
     -------
     Reproduction
-        All numbers.
+        Numbers of the study.
 
     Raises
     ------
     InputError
-        If a recording is missing or damaged, or the folder cannot be written to. Nothing is
-        written before all numbers are there.
+        If a recording is missing or damaged, or the folder cannot be written to. Files are
+        written only after all computations.
     """
     started = time.perf_counter()
     training, validation = _experiments(data)
@@ -166,7 +166,7 @@ def reproduce(
     progress("evaluated the published parameters")
     fits = []
     for name in RUNGS:
-        # As in the paper, whose fits saw the faults of the recording, too.
+        # The paper's fits also included the faults of the recording.
         fits.append(identify(training, name, preparation=Preparation(faults="keep")))
         progress(f"identified {name} in {fits[-1].wall_s:.1f} s, {fits[-1].iterations} iterations")
     study = FitStudy(training, tuple(fits), published)
@@ -219,18 +219,18 @@ def _write_report(
     ]
     return write_page(
         out,
-        "Identifying a hovercraft: the paper's study, done again",
+        "Identifying a hovercraft: the paper's study reproduced",
         "R. Schwan, N. Schmid, E. Chassaing, K. Samaha, C. N. Jones: On identifying the non-linear "
         "dynamics of a hovercraft using an end-to-end deep learning approach (IFAC-PapersOnLine "
-        "58-15, 2024, 289–294). Its published parameters and our own fits, learned from the same "
-        "recording, judged on the same other recording.",
+        "58-15, 2024, 289–294). Published parameters and our own fits, both learned from the "
+        "paper's training recording and evaluated on its validation recording.",
         sections,
         origin,
     )
 
 
 def _summary_section(study: FitStudy, judged: JudgedModels, wall_s: float) -> PageSection:
-    """Summarise the findings in a few lines."""
+    """Summarise the findings."""
     published, forms = judged.reference, (".1f", ".1f", ".3f")
     agree = sum(
         f"{error:{form}}" == printed
@@ -251,10 +251,10 @@ def _summary_section(study: FitStudy, judged: JudgedModels, wall_s: float) -> Pa
         f"{_change(ratio.mean())} on average (negative: ours are lower).",
         f"Levenberg-Marquardt needed {min(steps)} to {max(steps)} iterations; all fits and "
         f"evaluations took {wall_s:.1f} s.",
-        f"The typical window is predicted much better than the RMSE says: {best.model} (fitted) "
-        f"has medians of {medians} against RMSE of {rmse} (x mm / y mm / γ rad), because the worst "
-        f"{100 * WORST:.0f} % of the windows hold {share} % of the squared error. Many of these "
-        "lie at faults of the recording.",
+        f"Predictions of the typical window are much better than the RMSE: {best.model} (fitted) "
+        f"has medians of {medians} and an RMSE of {rmse} (x mm / y mm / γ rad), because the worst "
+        f"{100 * WORST:.0f} % of the windows account for {share} % of the squared error. Many of "
+        "these overlap faults of the recording.",
         " ".join(verdict(model, judged.trajectory, best).sentences),
     )
     return PageSection("summary", "In short", (Text(findings, bullets=True),))
@@ -264,13 +264,13 @@ def _learning_section(study: FitStudy) -> PageSection:
     """Show Table 1 and how a model is learned (fig:learning_architecture)."""
     caption = (
         "From a recording to parameters. The encoder estimates position, velocity and motor speeds "
-        "at the present t from E samples; the model predicts T steps under the recorded commands; "
-        "the squared errors, over many windows, are the loss, which the optimiser lowers by "
-        "changing θ (green) in encoder and model alike."
+        "at time t from E samples. The model predicts T steps from the recorded commands. The "
+        "optimiser minimises the squared errors over many windows by changing θ (green) in encoder "
+        "and model."
     )
     diagram = packaged_text("learning_architecture.svg")
     blocks = (ladder_table(study.models), Picture("learning_architecture", diagram, caption))
-    return PageSection("learning", "The models, and how they are learned", blocks)
+    return PageSection("learning", "The models and how they are learned", blocks)
 
 
 def _table_2(judged: JudgedModels) -> PageTable:
@@ -299,5 +299,5 @@ def _table_2(judged: JudgedModels) -> PageTable:
 def _change(ratio: float) -> str:
     """Format a ratio as a difference in percent."""
     percent = round(100 * (float(ratio) - 1), 1)
-    # No break before the sign of percent, a true minus, and no sign before zero.
+    # With a no-break space before the percent sign, a true minus and no sign before zero.
     return f"{percent:+.1f}\u00a0%".replace("-", "−") if percent else "0.0\u00a0%"

@@ -1,4 +1,4 @@
-"""A page on how well a model describes a recording: what `airpuck resid -o` writes."""
+"""Residual tests of a model on a recording: the page of `airpuck resid -o`."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from airpuck.report.evaluation_report import fit_table, sources_section
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 
 _STRUCTURE = (
-    "Acceleration that the model lacks, in bins of as many samples each, with 99 % bands, each by "
-    "itself: zero where nothing depends on anything. Speeds, motor speed and time act along the "
-    "body (forward, left), the position along the world (x, y). In red what differs at "
-    "the 1 % level, all panels together, by 2 % or more of what the motors do; in orange what "
-    "differs by less."
+    "Mean acceleration that the model lacks, in bins of equal counts, with pointwise 99 % bands. "
+    "A complete model gives zero everywhere. Effects of speeds, motor speed and time are shown in "
+    "the body frame (forward, left), those of position in the world frame (x, y). Red: significant "
+    "at the 1 % level over all panels and at least 2 % of the motors' acceleration. Orange: "
+    "significant but smaller."
 )
-#: Opacity of the total band, and of that of the parameters on it.
+#: Opacity of the total band and of the band from the parameters.
 _TOTAL, _PARAMETERS = 0.35, 0.55
-#: Times the largest error in a panel that its axis shows of a band.
+#: Largest half width of a band in a panel, in units of the largest error.
 _MOST_SHOWN = 5.0
 
 
@@ -48,52 +48,49 @@ def residual_report(
 ) -> Path:
     """Write a page on the residual tests."""
     caption = (
-        "Correlations of the one-step innovations, which allow for late packets, turned into the "
-        "frame of the body, "
-        f"{tests.samples} samples. Above: with themselves. Below: with the command in force that "
-        "many samples before; broad lines are motors whose test rejects at the 1 % level. Bands "
-        "hold 99 % of the values, each by itself, where there is nothing to find. Left of zero are "
-        "commands still to come."
+        "Correlations of the one-step innovations in the body frame, corrected for late packets, "
+        f"{tests.samples} samples. Top: autocorrelation. Bottom: correlation with the command at "
+        "each lag; broad lines are motors whose test rejects at the 1 % level. Negative lags are "
+        "future commands. Bands hold 99 % of the values pointwise if the model is complete."
     )
     residuals = Picture("residuals", residual_figure(tests, model.vehicle), caption)
     structure = Picture("structure", structure_figure(tests), _STRUCTURE)
     sections = [
         PageSection("tests", "Residual tests", (Text(tests.verdicts, bullets=True), residuals)),
-        PageSection("structure", "What residuals depend on", (structure,)),
+        PageSection("structure", "Structure of the residuals", (structure,)),
         *([_bands_section(bands)] if bands else []),
         PageSection("fit", "Fit", (fit_table([model.name], [fit]), _noise_table(tests))),
         sources_section(trajectory),
     ]
-    verdict = "nothing was rejected" if tests.passed else "the model does not explain all there is"
+    verdict = "all tests passed" if tests.passed else "some residuals remain unexplained"
     lead = (
-        f"{model.name} on {trajectory.duration:.1f} s of flight: {verdict}. Innovations are what "
-        "remains of each pose when it is predicted from those before; with the true model they are "
-        "white and independent of the commands."
+        f"{model.name} on {trajectory.duration:.1f} s of flight: {verdict}. An innovation is a "
+        "measured pose minus its one-step prediction; with the true model, innovations are white "
+        "and independent of the commands."
     )
     return write_page(out, f"Residuals of {model.name}", lead, sections, origin)
 
 
 def _bands_section(bands: Sequence[PredictionBands]) -> PageSection:
-    """Show predicted against measured trajectories."""
+    """Show predicted and measured trajectories."""
     parameters = (
-        "the dark part is what the parameters' standard errors alone make of it. "
+        "The dark part comes from the parameters' standard errors alone. "
         if bands[0].by_parameters is not None
-        else "the model's file has no standard errors, so none of its parameters are in them. "
+        else "The model file has no standard errors, so the bands exclude parameter errors. "
     )
     caption = (
-        "Predictions from the estimate of a filter that gets all poses before, and none after; "
-        "right columns: measured minus predicted. Bands should hold 95 % of the measured poses: "
-        f"{parameters}The rest is what the model does not explain, estimated from one-step "
-        "innovations, and the noise of the pose. Drawn is the simulation with the median error. "
-        "Errors are propagated linearly: with yaw unsure by more than a radian, bands of x and y "
-        "are an order of magnitude."
+        "Predictions from the estimate of a filter that sees only the poses before; right columns: "
+        f"measured minus predicted. Bands should hold 95 % of the measured poses. {parameters}The "
+        "rest is pose noise and unmodelled motion, estimated from one-step innovations. The "
+        "simulation shown has the median error. Errors are propagated linearly: once the band of "
+        "yaw exceeds a radian, those of x and y are only orders of magnitude."
     )
     both = bands[0], bands[-1]
     panels = list(zip(both, _drawn_windows(*both), strict=True))
     if any(_cut_at(*panel, channel) for panel in panels for channel in range(3)):
         caption += (
-            f" A band that is wider than {_MOST_SHOWN:g} times the largest error drawn is cut off; "
-            "the table has widths."
+            f" Bands wider than {_MOST_SHOWN:g} times the largest error are truncated; the table "
+            "lists their widths."
         )
     rows = [
         [
@@ -105,9 +102,9 @@ def _bands_section(bands: Sequence[PredictionBands]) -> PageSection:
         for one in bands
     ]
     table = PageTable(
-        "Poses at the end of a prediction: share within the 95 % band, of all predictions that do "
-        "not overlap; median half width of the bands.",
-        ["ahead", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
+        "Poses at the end of predictions without overlap: share within the 95 % band, and median "
+        "half width of the bands.",
+        ["horizon", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
         rows,
     )
     picture = Picture("prediction_bands", prediction_bands_figure(bands[0], bands[-1]), caption)
@@ -115,15 +112,15 @@ def _bands_section(bands: Sequence[PredictionBands]) -> PageSection:
 
 
 def _noise_table(tests: ResidualTests) -> PageTable:
-    """Tabulate the noise that was found."""
+    """Tabulate the estimated noise."""
     noise = tests.innovations.noise
     kinds = (
         ("pose", noise.pose, "m, m, rad"),
         ("white acceleration", noise.acceleration, "m/s²/√Hz, rad/s²/√Hz"),
-        ("drive of the disturbance", noise.disturbance, "m/s³/√Hz, rad/s³/√Hz"),
+        ("disturbance random walk", noise.disturbance, "m/s³/√Hz, rad/s³/√Hz"),
     )
     rows = [[name, *(f"{v:.3g}" for v in values), unit] for name, values, unit in kinds]
-    caption = "Noise of the largest likelihood: standard deviation of the poses, densities."
+    caption = "Maximum-likelihood noise: standard deviation of the poses, and spectral densities."
     return PageTable(caption, ["", "x", "y", "γ", "unit"], rows)
 
 
@@ -131,16 +128,16 @@ def _noise_table(tests: ResidualTests) -> PageTable:
 def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
     """Draw the correlations of the innovations with their 99 % bands.
 
-    The upper row is their autocorrelation, the lower row their correlation with commands: at
-    positive lags those that act already; at negative ones those to come, which show only under
-    feedback or where the model lets commands act too late.
+    The upper row is their autocorrelation, the lower row their correlation with commands. Positive
+    lags are past commands. Negative lags are future ones, which correlate only under feedback or if
+    the model's delay is too long.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 5.2)
     rows = figure.subplots(2, len(tests.whiteness), squeeze=False)
     colors = style.propeller_colors(vehicle)
     styles = {}
     for i, (name, color) in enumerate(zip(vehicle.propeller_names, colors, strict=True)):
-        # The second propeller of a pair is dashed.
+        # Dashed: the second propeller of a pair.
         styles[name] = {"color": color, "ls": "-" if colors.index(color) == i else (0, (3, 1.2))}
     for above, below, white in zip(*rows, tests.whiteness, strict=True):
         lags = np.arange(1, len(white.autocorrelation) + 1)
@@ -165,7 +162,7 @@ def residual_figure(tests: ResidualTests, vehicle: Vehicle) -> Figure:
 
 @style.styled
 def structure_figure(tests: ResidualTests) -> Figure:
-    """Draw what residuals depend on: a column for each regressor, a row for each channel."""
+    """Draw the residuals over each regressor (columns) for each channel (rows)."""
     regressors = list(dict.fromkeys(one.regressor for one in tests.structure))
     figure = style.new_figure(style.PAGE_WIDTH, 5.4)
     grid = figure.subplots(3, len(regressors), squeeze=False, sharex="col", sharey="row")
@@ -180,15 +177,15 @@ def structure_figure(tests: ResidualTests) -> Figure:
         axes.set_ylabel(name)
     handles: list[Artist] = [
         style.key("mean in a bin, 99 % band", style.BLUE),
-        style.key("differs, below 2 % of what motors do", style.ORANGE),
-        style.key("differs", style.VERMILLION),
+        style.key("significant, below 2 % of the motors' acceleration", style.ORANGE),
+        style.key("significant", style.VERMILLION),
     ]
     style.top_legend(figure, handles)
     return figure
 
 
 def _draw_structure(axes: Axes, one: Structure) -> None:
-    """Draw the means of one channel over the bins of one regressor."""
+    """Draw the bin means of one channel over one regressor."""
     color = style.BLUE if not one.shown else style.ORANGE if one.passed else style.VERMILLION
     axes.axhline(0, color=style.GREY, lw=0.7)
     axes.errorbar(one.middle, one.mean, one.half_band, color=color, marker="o", ms=3, lw=1.1)
@@ -198,7 +195,7 @@ def _draw_structure(axes: Axes, one: Structure) -> None:
 def _draw_correlations(
     axes: Axes, tests: ResidualTests, channel: str, styles: Mapping[str, Mapping[str, Any]]
 ) -> None:
-    """Draw the correlation of one channel with each motor's command, failed tests bold."""
+    """Draw the correlation of one channel with each command; failed tests are bold."""
     correlations = [test for test in tests.correlations if test.channel == channel]
     if correlations:
         _draw_white_band(axes, max(test.band for test in correlations))
@@ -220,13 +217,13 @@ def _draw_correlations(
 
 
 def _draw_white_band(axes: Axes, band: float) -> None:
-    """Shade where 99 % of the correlations lie if there is nothing to find."""
+    """Shade the band that holds 99 % of the correlations of white noise."""
     axes.axhspan(-band, band, color=style.LIGHT, lw=0)
     axes.axhline(0, color=style.GREY, lw=0.7)
 
 
 def typical_window(bands: PredictionBands) -> int:
-    """Choose the window whose error is the median one."""
+    """Return the window with the median error."""
     errors = (bands.predicted - bands.measured)[-1]
     scale = np.sqrt(np.mean(errors**2, axis=1, keepdims=True))
     size = np.sum((errors / np.where(scale > 0, scale, 1.0)) ** 2, axis=0)
@@ -236,7 +233,7 @@ def typical_window(bands: PredictionBands) -> int:
 def _drawn_windows(
     ahead: PredictionBands, simulated: PredictionBands
 ) -> tuple[list[int], list[int]]:
-    """Choose a typical simulation, and the shorter predictions within its time."""
+    """Return the shorter predictions within a typical simulation, and that simulation."""
     whole = typical_window(simulated)
     begin, end = simulated.start[whole], simulated.time[-1, whole]
     within = (ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)
@@ -244,7 +241,7 @@ def _drawn_windows(
 
 
 def _cut_at(bands: PredictionBands, windows: list[int], channel: int) -> float | None:
-    """Return where a panel cuts off bands that would hide its errors; None where it shows all."""
+    """Return the half width at which a panel truncates its bands; None if it need not."""
     error = (bands.measured - bands.predicted)[:, channel, windows]
     reach = _MOST_SHOWN * float(np.abs(error).max(initial=0.0))
     widest = np.nanmax(bands.total[:, channel, windows], initial=0.0)
@@ -255,9 +252,9 @@ def _cut_at(bands: PredictionBands, windows: list[int], channel: int) -> float |
 def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) -> Figure:
     """Draw predictions with their bands over some seconds of a recording.
 
-    Left: the measured pose and predictions that start anew again and again. Middle: measured minus
-    predicted, which the bands should hold. Right: the same of the simulation with the median error,
-    over all of these seconds. Bands much wider than the errors are cut off.
+    Left: measured poses, short predictions and a simulation. Middle: errors and bands of the short
+    predictions. Right: errors and bands of the simulation, which has the median error. Bands much
+    wider than the errors are truncated.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 6.4)
     shown, (whole,) = _drawn_windows(ahead, simulated)
@@ -296,13 +293,13 @@ def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) 
         Patch(color=style.SKY, alpha=_TOTAL, label="95 % band"),
     ]
     if ahead.by_parameters is not None:
-        handles.append(Patch(color=style.BLUE, alpha=_PARAMETERS, label="of it, parameters"))
+        handles.append(Patch(color=style.BLUE, alpha=_PARAMETERS, label="from parameters"))
     style.top_legend(figure, handles)
     return figure
 
 
 def _draw_errors(axes: Axes, bands: PredictionBands, window: int, channel: int) -> None:
-    """Draw measured minus predicted of one window, and the bands about zero."""
+    """Draw measured minus predicted for one window, with its bands around zero."""
     factor, time = style.ERRORS[channel][2], bands.time[:, window]
     parts = [(bands.total, style.SKY, _TOTAL)]
     if bands.by_parameters is not None:

@@ -30,84 +30,85 @@ from airpuck.recording.stream import Recording, Stream
 
 #: The authors' air-hockey table; its centre is the origin.
 TABLE = AirHockey()
-#: An arrow of the largest thrust is as long as this many radii of the craft.
+#: Length of the arrow of the largest thrust, in radii of the craft.
 _LONGEST_ARROW = 4.5
 #: Half width of an arrow's shaft, half width and length of its head, in radii of the craft.
 SHAFT, HEAD_WIDTH, HEAD_LENGTH = 0.07, 0.21, 0.42
 
-#: A plan is shown for so long, or until the next [s].
+#: A plan is shown for this time, or until the next one [s].
 PLAN_LASTS = 0.15
-#: How far back the trail reaches [s].
+#: Duration of the trail [s].
 TRAIL = 2.5
-#: Poses farther apart in time than this are not connected [s].
+#: Longest gap between connected poses [s].
 _LONGEST_PAUSE = 0.05
-#: A flight may reach this far beyond the rails, for motion capture is not exactly centred [m].
+#: Distance that a flight on the table may reach beyond the rails, because the origin of motion
+#: capture is only roughly the table's centre [m].
 _BEYOND_RAILS = 0.05
-#: Room around a flight that is not shown with its table [m].
+#: Margin around a flight that is shown without its table [m].
 _MARGIN = 0.15
 
 
 class PlannedPath(NamedTuple):
-    """Where a predictive law expected the craft to go."""
+    """A path planned by a predictive law."""
 
-    #: When [s].
+    #: Time of the plan [s].
     time: float
     #: Positions [m].
     points: Float[np.ndarray, "N 2"]
-    #: What held it back.
+    #: Kind of limit that binds.
     bound: Bound
 
 
 @dataclass(frozen=True, eq=False)
 class FlightScene:
-    """A part of a flight, ready to be shown."""
+    """A span of a flight, prepared for an animation."""
 
     #: The craft.
     vehicle: Vehicle
-    #: What the recording is called.
+    #: Name of the recording.
     name: str
-    #: The part shown, on the time axis of `align_clocks` [s].
+    #: Span shown, on the time axis of `align_clocks` [s].
     start: float
     stop: float
     #: Times of the poses, strictly increasing [s].
     time: Float[np.ndarray, " N"]
     #: x, y [m], yaw (continuous) [rad].
     pose: Float[np.ndarray, "N 3"]
-    #: Poses farther apart in time than this belong to different stretches [s].
+    #: Longest gap between connected poses [s].
     pause: float
     #: Times of the commands, strictly increasing [s].
     command_time: Float[np.ndarray, " K"]
     #: Motor commands in [0, 1], in the order of the vehicle's propellers.
     command: Float[np.ndarray, "K n"]
-    #: A command holds no longer than this; then nothing is known [s].
+    #: Longest time that a command holds; after it the command is unknown [s].
     command_pause: float
-    #: When each set point was given, strictly increasing; empty where none was recorded [s].
+    #: Times of the set points, strictly increasing; empty if none were recorded [s].
     reference_time: Float[np.ndarray, " R"]
     #: Set points: x, y [m], yaw [rad].
     reference: Float[np.ndarray, "R 3"]
-    #: Length and width of the table around the origin [m]; None if the flight is not on it.
+    #: Length and width of the table around the origin [m]; None if the flight leaves it.
     table: tuple[float, float] | None
-    #: What to show: least and largest x, least and largest y [m].
+    #: Visible area: least and largest x, least and largest y [m].
     view: tuple[float, float, float, float]
-    #: In the order of their times.
+    #: Ordered by time.
     plans: tuple[PlannedPath, ...] = ()
-    #: Puck, the other's disc and the score, where it is a game.
+    #: Puck, opponent and score of a game.
     game: GameScene | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A flight at chosen moments."""
+    """A flight at given moments."""
 
     #: The moments [s].
     time: Float[np.ndarray, " F"]
-    #: Where the craft is, or where it was last seen: x, y [m], yaw (continuous) [rad].
+    #: Pose of the craft, or its last known one: x, y [m], yaw (continuous) [rad].
     pose: Float[np.ndarray, "F 3"]
-    #: Whether it was seen at that moment.
+    #: Whether the pose is known.
     known: Bool[np.ndarray, " F"]
-    #: The command in force; NaN where none is.
+    #: The command in force, or NaN.
     command: Float[np.ndarray, "F n"]
-    #: The set point, its yaw within half a turn of the craft's; NaN before the first.
+    #: The set point, with yaw within half a turn of the craft's; NaN before the first.
     reference: Float[np.ndarray, "F 3"]
 
 
@@ -118,14 +119,13 @@ def read_scene(
     play: AirHockey = TABLE,
     log: FlightLog | None = None,
 ) -> FlightScene:
-    """Take from a recording what an animation shows.
+    """Prepare a recording for an animation.
 
-    Poses that are not finite are left out, and so are poses that repeat exactly for longer than the
-    longest pause: what is missing is then a gap.
+    Poses that are not finite, and frozen poses, become gaps.
     """
     if not 0 <= span[0] < span[1] <= 1:
         raise InputError(
-            f"{span[0]:g} {span[1]:g} is no part of a recording; give two fractions of its "
+            f"{span[0]:g} {span[1]:g} is not a span; give two fractions of the recording's "
             "length, 0 <= A < B <= 1",
             field="span",
         )
@@ -156,7 +156,7 @@ def read_scene(
     asked = _in_force(reference_time, start, stop)
     game = read_game(recording, play, on_axis, 1 if poses[0, 0] > 0 else -1, (start, stop))
     places = poses[shown, :2]
-    if game is None:  # who plays stays on the table, whatever it is asked for
+    if game is None:  # in a game, set points may lie off the table
         places = np.concatenate([places, reference[asked, :2]])
     rails, view = _surroundings(places, vehicle.radius_m, (play.table.length_m, play.table.width_m))
     return FlightScene(
@@ -180,7 +180,7 @@ def read_scene(
 
 
 def _plans(log: FlightLog, begin: float, start: float, stop: float) -> tuple[PlannedPath, ...]:
-    """Return the plans of a span; the first command was sent at `begin` [s]."""
+    """Return the plans within a span; `begin` is the time of the first command [s]."""
     since = begin - float(log.time[0])
     found = [
         PlannedPath(float(log.time[k]) + since, plan.states[:, :2], plan.bound_by)
@@ -190,7 +190,7 @@ def _plans(log: FlightLog, begin: float, start: float, stop: float) -> tuple[Pla
 
 
 def plan_at(scene: FlightScene, time: float) -> PlannedPath | None:
-    """Return the newest plan at a moment [s], while it lasts."""
+    """Return the newest plan at a moment [s], or None once it has expired."""
     made = [plan for plan in scene.plans if time - PLAN_LASTS < plan.time <= time]
     return made[-1] if made else None
 
@@ -198,16 +198,16 @@ def plan_at(scene: FlightScene, time: float) -> PlannedPath | None:
 def _poses(
     pose: Stream, time: Float[np.ndarray, " K"], source: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Return times and poses that were measured, with continuous yaw; frozen ones are left out."""
+    """Return times and valid poses, with continuous yaw and without frozen ones."""
     time, usable = _usable(pose, time, "pose")
     if len(time) < 2:
-        raise InputError("has fewer than two finite poses; there is nothing to show", file=source)
+        raise InputError("has fewer than two finite poses, too few for an animation", file=source)
     check_poses(usable, time, source)
     fresh = np.ones(len(time), dtype=bool)
     for span in find_frozen(time, usable.values):
         if span.stop - span.start > _longest_pause(time):
             fresh[(time > span.start) & (time <= span.stop)] = False
-    fresh[-1] = True  # the flight is as long as it was, even where its end is frozen
+    fresh[-1] = True  # keeps the duration of a flight with a frozen end
     time, values = time[fresh], usable.values[fresh]
     values[:, 2] = np.unwrap(values[:, 2])
     return time, values
@@ -216,7 +216,7 @@ def _poses(
 def _usable(
     stream: Stream, time: Float[np.ndarray, " N"], kind: str
 ) -> tuple[Float[np.ndarray, " M"], Stream]:
-    """Return the finite samples in strictly increasing time; their stamps mean nothing."""
+    """Return the finite samples in strictly increasing time, with dummy stamps."""
     finite = np.isfinite(stream.values).all(axis=1)
     cleaned = drop_disorder(time[finite], stream.values[finite], kind)
     stamps = np.zeros(len(cleaned.time), dtype=np.int64)
@@ -224,7 +224,7 @@ def _usable(
 
 
 def _in_force(time: Float[np.ndarray, " K"], start: float, stop: float) -> slice:
-    """Return the samples that are in force at some moment of a span."""
+    """Return the samples in force within a span."""
     first = int(np.searchsorted(time, start, side="right")) - 1
     return slice(max(first, 0), int(np.searchsorted(time, stop, side="right")))
 
@@ -235,14 +235,14 @@ def _period(time: Float[np.ndarray, " K"]) -> float:
 
 
 def _longest_pause(time: Float[np.ndarray, " N"]) -> float:
-    """Return the largest time between two poses that are connected [s]."""
+    """Return the longest gap between connected poses [s]."""
     return max(_LONGEST_PAUSE, GAP_PERIODS * _period(time))
 
 
 def _surroundings(
     points: Float[np.ndarray, "N 2"], radius: float, table: tuple[float, float]
 ) -> tuple[tuple[float, float] | None, tuple[float, float, float, float]]:
-    """Return the table, if the craft stays on it, and what to show of the plane."""
+    """Return the table, if the craft stays on it, and the visible area."""
     half = np.array(table) / 2
     if np.all(np.abs(points) + radius <= half + _BEYOND_RAILS):
         return table, (-half[0], half[0], -half[1], half[1])
@@ -257,17 +257,17 @@ def _surroundings(
 def frame_times(
     start: float, stop: float, speed: float, frames_per_second: float
 ) -> Float[np.ndarray, " F"]:
-    """Return the moments of the frames [s]."""
+    """Return the times of the frames [s]."""
     step = speed / frames_per_second
-    # A tiny allowance, so that rounding does not lose the last frame.
+    # The tolerance keeps the last frame despite rounding.
     return start + step * np.arange(int((stop - start) / step * (1 + 1e-9)) + 1)
 
 
 def frames_at(scene: FlightScene, time: Float[np.ndarray, " F"]) -> Frames:
-    """Compute where everything is at given moments [s]."""
+    """Return the state of a scene at given moments [s]."""
     pose, known = poses_at(scene.time, scene.pose, scene.pause, time)
     reference = _held(scene.reference_time, scene.reference, time, np.inf)
-    # In the turn that is nearest to the craft.
+    # Yaw of the set point in the turn nearest to the craft.
     reference[:, 2] = pose[:, 2] - wrapped(np, pose[:, 2] - reference[:, 2])
     command = _held(scene.command_time, scene.command, time, scene.command_pause)
     return Frames(time, pose, known, command, reference)
@@ -295,7 +295,7 @@ def _held(
     at: Float[np.ndarray, " F"],
     longest: float,
 ) -> Float[np.ndarray, "F k"]:
-    """Return the latest values at given moments; NaN before the first and long after one."""
+    """Return the latest values at given moments; NaN before the first and after `longest`."""
     held = np.full((len(at), values.shape[1]), np.nan)
     latest = np.searchsorted(times, at, side="right") - 1
     some = latest >= 0
@@ -305,7 +305,7 @@ def _held(
 
 
 def thinned(scene: FlightScene, rate: float = 120.0) -> FlightScene:
-    """Return a scene with no more poses than a screen can show."""
+    """Return a scene with its poses thinned to a frame rate of screens [1/s]."""
     every = max(1, int(1 / (rate * _period(scene.time)) * (1 + 1e-6)))
     jump = np.diff(scene.time) > scene.pause
     first = np.flatnonzero(np.concatenate([[True], jump]))
@@ -320,7 +320,7 @@ def trail(
     """Return the last `seconds` of the path: line segments [m] and their ages, 0 to 1 (oldest)."""
     since = until - seconds
     inside = (scene.time > since) & (scene.time < until)
-    # The trail begins and ends between poses.
+    # Both ends of the trail lie between poses.
     ends = np.array([max(since, scene.time[0]), min(until, scene.time[-1])])
     points = frames_at(scene, ends)
     time = np.concatenate([ends[:1], scene.time[inside], ends[1:]])
@@ -377,29 +377,29 @@ def heading_mark(vehicle: Vehicle) -> Float[np.ndarray, "3 2"]:
 
 
 def round_thrust(vehicle: Vehicle) -> float:
-    """Return a round thrust for the arrow of the legend [N]."""
+    """Return a round value of thrust for the legend [N]."""
     full = _largest_thrust(vehicle) / 2
     power = 10.0 ** np.floor(np.log10(full)) if full > 0 else 1.0
     return float(max(k * power for k in (1, 2, 5) if k == 1 or k * power <= full))
 
 
 def short_names(names: tuple[str, ...]) -> list[str]:
-    """Return names without the leading words that all share."""
+    """Strip the leading words that all names share."""
     words = [name.split("_") for name in names]
-    # The last word of a name is always its own.
+    # The last word of a name always stays.
     most = min(map(len, words)) - 1 if len(names) > 1 else 0
     alike = [len({word[k] for word in words}) == 1 for k in range(most)]
     cut = alike.index(False) if False in alike else most
     return [" ".join(word[cut:]) for word in words]
 
 
-#: Poses farther apart in time are not joined: the puck was in a goal [s].
+#: Longest gap between connected poses of puck or opponent; longer ones follow a goal [s].
 PAUSE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """Where something was, over time."""
+class DiscPath:
+    """Poses of a disc over time."""
 
     #: Strictly increasing [s].
     time: Float[np.ndarray, " N"]
@@ -409,23 +409,23 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class GameScene:
-    """A part of a game."""
+    """Puck, opponent and score within a span of a game."""
 
-    #: Sizes.
+    #: Sizes of table, puck and mallet.
     play: AirHockey
-    puck: Way
-    #: The disc on the other side, where it was recorded.
-    other: Way | None
-    #: Whether that is a craft, not a mallet.
+    puck: DiscPath
+    #: The opponent, if recorded.
+    other: DiscPath | None
+    #: Whether the opponent is a craft instead of a mallet.
     other_flies: bool
-    #: Sign of the x of the craft's half.
+    #: Sign of x in the craft's half.
     side: int
-    #: When the score changed [s], and goals of left and right from then on.
+    #: Times of goals [s], and the score of left and right from then on.
     score_time: Float[np.ndarray, " G"]
     score: Float[np.ndarray, "G 2"]
 
     def score_at(self, time: float) -> tuple[int, int] | None:
-        """Return the goals of left and right at a moment [s]; None where nobody counts."""
+        """Return the score of left and right at a moment [s]; None without a referee."""
         k = int(np.searchsorted(self.score_time, time, side="right")) - 1
         if k < 0:
             return (0, 0) if len(self.score_time) else None
@@ -440,12 +440,12 @@ def read_game(
     side: int,
     span: tuple[float, float],
 ) -> GameScene | None:
-    """Take from a recording what belongs to a game; None without a puck.
+    """Return puck, opponent and score of a recording; None without a puck.
 
-    `usable` gives times on the axis of the scene, and values, of what can be used of a stream.
+    `usable` returns times on the scene's axis and values of the valid samples of a stream.
     """
 
-    def way(name: str) -> Way | None:
+    def disc_path(name: str) -> DiscPath | None:
         if not len(recording.streams.get(name, ())):
             return None
         time, pose = usable(recording[name], name)
@@ -453,9 +453,9 @@ def read_game(
         if not inside.any():
             return None
         yaw = np.unwrap(pose[inside, 2])
-        return Way(time[inside], np.column_stack([pose[inside, :2], yaw]))
+        return DiscPath(time[inside], np.column_stack([pose[inside, :2], yaw]))
 
-    puck = way("puck")
+    puck = disc_path("puck")
     if puck is None:
         return None
     time, score = np.zeros(0), np.zeros((0, 2))
@@ -463,4 +463,4 @@ def read_game(
         time, events = usable(recording["game"], "game")
         score = events[:, :2]
     flies = "opponent_command" in recording.streams
-    return GameScene(play, puck, way("mallet"), flies, side, time, score)
+    return GameScene(play, puck, disc_path("mallet"), flies, side, time, score)

@@ -1,7 +1,7 @@
-"""What all figures share: colours with fixed meanings, sizes, legends, grids of panels.
+"""Shared style of figures: colours with fixed meanings, sizes, legends, grids of panels.
 
-Colours are those of Okabe and Ito, which people with any colour vision can tell apart. Figures are
-plain `matplotlib.figure.Figure` objects: no pyplot, no global state.
+The palette of Okabe and Ito suits all types of colour vision. Figures are plain
+`matplotlib.figure.Figure` objects: no pyplot, no global state.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from airpuck.craft.vehicle import Vehicle
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
 BLUE, ORANGE, GREEN, VERMILLION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 SKY, PURPLE = "#56b4e9", "#cc79a7"
-#: Colours that only animations need: the table, and what the craft was asked to do.
+#: Colours of animations: the table, and the set point.
 FLOOR, HOLES, GRID, RAIL = "#f4f7fa", "#cbd6e0", "#dfe6ed", "#a5b2bf"
 ASKED = "#a93f7c"
 
-#: Colours of a plan ahead by what holds it back, and the words for it.
+#: Colours and labels of a plan by the limit that binds.
 BOUND_COLORS: dict[Bound, str] = {"nothing": GREEN, "motor": ORANGE, "motion": VERMILLION}
 BOUND_WORDS: dict[Bound, str] = {
     "nothing": "plan: no limit",
@@ -41,13 +41,13 @@ BOUND_WORDS: dict[Bound, str] = {
     "motion": "plan: at a rail, disc, speed or spin",
 }
 
-#: One colour for each rung of the model ladder, in every figure.
+#: Colour of each rung of the model ladder.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
 _OTHER_RUNGS = (PURPLE, SKY, BLACK)
-#: One colour for each pair of propellers, or propeller without a partner, in every figure.
+#: Colours of pairs of propellers and of unpaired propellers.
 _PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, "#8c6d31", GREY, "#b3a700")
 
-#: What is drawn dashed stands for a reference.
+#: Dashes of reference lines.
 DASHED = (0, (4, 2))
 
 #: Name, unit in figures and factor from SI of each channel of a prediction error.
@@ -66,7 +66,7 @@ Arguments = ParamSpec("Arguments")
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Decorate a function that draws a figure, so that it draws in the house's style."""
+    """Decorate a function so that it draws in the style of the package."""
 
     @functools.wraps(draw)
     def in_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
@@ -77,7 +77,7 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that is drawn by Agg, whatever the machine has for a screen."""
+    """Return an empty figure with an Agg canvas, which needs no display."""
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.05))
     FigureCanvasAgg(figure)
     return figure
@@ -86,13 +86,13 @@ def new_figure(width: float, height: float) -> Figure:
 def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     """Draw a figure in a format: PNG for pages and screens, PDF and SVG for papers."""
     buffer = io.BytesIO()
-    # What would differ from one time to the next is left out.
+    # Without dates and versions, the same figure gives the same file.
     changing = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     metadata = changing[suffix]
-    with mpl.rc_context(_STYLE):  # ticks are made when they are first drawn
+    with mpl.rc_context(_STYLE):  # ticks are created on the first draw
         layout = figure.get_layout_engine()
         if layout is not None:
-            # Once for all formats: a layout costs as much as drawing.
+            # The layout costs as much as drawing, so it runs once for all formats.
             layout.execute(figure)
             figure.set_layout_engine(None)
         figure.savefig(buffer, format=suffix, dpi=RESOLUTION, metadata=metadata)
@@ -110,7 +110,7 @@ def rung_color(name: str) -> str:
 
 
 def model_colors(names: Iterable[str]) -> dict[str, str]:
-    """Return a colour for each name of a model in a figure; rungs have theirs."""
+    """Return a colour for each model of a figure; rungs keep theirs."""
     names = list(dict.fromkeys(names))
     taken = {RUNG_COLORS[name] for name in names if name in RUNG_COLORS}
     free = [color for color in (BLUE, VERMILLION, GREEN, *_PAIR_COLORS) if color not in taken]
@@ -119,7 +119,7 @@ def model_colors(names: Iterable[str]) -> dict[str, str]:
 
 
 def propeller_colors(vehicle: Vehicle) -> list[str]:
-    """Return one colour for each propeller; the two of a pair share theirs."""
+    """Return a colour for each propeller; the two of a pair share one."""
     colors = [""] * vehicle.n_propellers
     for number, group in enumerate(propeller_groups(vehicle)):
         for index in group:
@@ -128,7 +128,7 @@ def propeller_colors(vehicle: Vehicle) -> list[str]:
 
 
 def propeller_groups(vehicle: Vehicle) -> list[tuple[int, ...]]:
-    """Return the pairs, and every propeller without a partner as a group of its own."""
+    """Return the pairs, and each unpaired propeller as its own group."""
     groups: list[tuple[int, ...]] = [tuple(sorted(pair)) for pair in vehicle.pair_indices]
     paired = {index for pair in groups for index in pair}
     groups += [(index,) for index in range(vehicle.n_propellers) if index not in paired]
@@ -143,12 +143,12 @@ def closest_propellers(vehicle: Vehicle) -> float:
 
 
 def propeller_size(vehicle: Vehicle) -> float:
-    """Return the radius that propellers are drawn with: they must not overlap [m]."""
+    """Return a radius at which drawn propellers do not overlap [m]."""
     return min(0.16 * vehicle.radius_m, 0.42 * closest_propellers(vehicle))
 
 
 def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axes]:
-    """Add a grid of panels, row by row; places left over stay empty."""
+    """Add a grid of panels, row by row; spare places stay empty."""
     grid = figure.subplots(-(-count // columns), columns, squeeze=False, **sharing).ravel()
     for spare in grid[count:]:
         spare.set_visible(False)
@@ -175,7 +175,7 @@ def motor_panels(figure: Figure, motors: Sequence[str]) -> list[Axes]:
 
 
 def label_rows(axes: Axes, labels: Sequence[str]) -> Float[np.ndarray, " rows"]:
-    """Give each label a row, the first on top; return their heights."""
+    """Label rows from top to bottom; return their y coordinates."""
     rows = -np.arange(len(labels), dtype=float)
     axes.set_yticks(rows, labels)
     axes.tick_params(axis="y", length=0)
@@ -195,7 +195,7 @@ def draw_arrow(
 def note(
     axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any
 ) -> None:
-    """Write a text some points away from a place."""
+    """Write a text at an offset in points from a place."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", **look)
 
 
@@ -205,7 +205,7 @@ def draw_window_errors(
     size: Float[np.ndarray, " W"],
     marked: Bool[np.ndarray, " W"],
 ) -> None:
-    """Draw the size of each window's error at its time, marked ones in red."""
+    """Draw the error of each window over time, marked windows in red."""
     for chosen, color in ((~marked, BLUE), (marked, VERMILLION)):
         axes.vlines(time[chosen], 0, size[chosen], color=color, lw=0.9)
         axes.plot(time[chosen], size[chosen], ".", color=color, ms=3)
@@ -213,14 +213,14 @@ def draw_window_errors(
 
 
 def key(label: str, color: str = BLACK, **line: Any) -> Line2D:
-    """Make an entry of a legend."""
+    """Return a legend entry."""
     return Line2D([], [], color=color, label=label, **line)
 
 
 def top_legend(
     figure: Figure | SubFigure, handles: Sequence[Artist], columns: int | None = None
 ) -> None:
-    """Put one legend above all axes, where it hides nothing."""
+    """Put one legend above all axes."""
     figure.legend(
         handles=list(handles),
         loc="outside upper center",

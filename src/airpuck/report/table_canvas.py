@@ -16,7 +16,7 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.report import scene as moments
 from airpuck.report import style
 from airpuck.report.page import packaged_text, render
-from airpuck.report.scene import PAUSE, FlightScene, GameScene, PlannedPath, Way
+from airpuck.report.scene import PAUSE, DiscPath, FlightScene, GameScene, PlannedPath
 
 COLORS: dict[str, Any] = {
     "ink": style.BLACK,
@@ -35,7 +35,7 @@ COLORS: dict[str, Any] = {
 
 
 def craft_shape(vehicle: Vehicle) -> dict[str, Any]:
-    """Return the shape of the craft and of its arrows, as JSON values."""
+    """Return the shape of the craft and its arrows for the script."""
     return {
         "radius": vehicle.radius_m,
         "positions": vehicle.positions.tolist(),
@@ -56,7 +56,7 @@ def craft_shape(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def hockey_shape(play: AirHockey) -> dict[str, float]:
-    """Return the width of the goals and the radii of puck and mallet [m], as JSON values."""
+    """Return the width of the goals and the radii of puck and mallet [m] for the script."""
     table = play.table
     return {
         "goal": min(table.goal_width_m, table.width_m),
@@ -65,14 +65,14 @@ def hockey_shape(play: AirHockey) -> dict[str, float]:
     }
 
 
-#: What one step of a stored number is: finer than a screen can show [s, m, rad, –].
+#: Resolution of stored numbers, finer than a pixel [s, m, rad, –].
 _UNITS = {"time": 1e-4, "length": 1e-4, "angle": 1e-4, "command": 1e-3}
-#: Speeds to choose from.
+#: Playback speeds on offer.
 _PACES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 def write_animation_page(scene: FlightScene, path: Path, *, speed: float) -> None:
-    """Write an HTML page with the flight within it."""
+    """Write a self-contained HTML page."""
     import markupsafe
 
     x0, x1, y0, y1 = scene.view
@@ -95,14 +95,14 @@ def write_animation_page(scene: FlightScene, path: Path, *, speed: float) -> Non
         else {},
         states=style.POSE,
         table_canvas=markupsafe.Markup(packaged_text("table_canvas.js")),
-        # Within a script only "<" could end it; in a string of JSON this is the same letter.
+        # Only "<" could end the script element; the escape means the same in a JSON string.
         flight=markupsafe.Markup(flight.replace("<", "\\u003c")),
     )
     path.write_text(page, encoding="utf-8")
 
 
 def flight_data(scene: FlightScene) -> dict[str, Any]:
-    """Return what the page's script draws, as JSON values."""
+    """Return a flight as the page's script expects it."""
     shown = moments.thinned(scene)
     return {
         "start": round(scene.start, 6),
@@ -129,7 +129,7 @@ def flight_data(scene: FlightScene) -> dict[str, Any]:
 
 
 def _game(game: GameScene) -> dict[str, Any]:
-    """Return what is drawn of a game, as JSON values."""
+    """Return a game as the page's script expects it."""
     other = game.other
     return {
         "puck": _poses(*_sparse(game.puck)),
@@ -144,8 +144,8 @@ def _game(game: GameScene) -> dict[str, Any]:
     }
 
 
-def _sparse(way: Way) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 3"]]:
-    """Return every second pose; those beside a gap stay."""
+def _sparse(way: DiscPath) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 3"]]:
+    """Return every second pose, and all poses next to a gap."""
     gap = np.diff(way.time) > PAUSE
     kept = np.arange(len(way.time)) % 2 == 0
     kept |= np.append(gap, True) | np.insert(gap, 0, True)
@@ -153,7 +153,7 @@ def _sparse(way: Way) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 3"]
 
 
 def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dict[str, list[int]]:
-    """Return times and poses as differences."""
+    """Encode times and poses as differences."""
     return {
         "time": _changes(time, "time"),
         "x": _changes(pose[:, 0], "length"),
@@ -163,13 +163,13 @@ def _poses(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]) -> dic
 
 
 def _plan(plan: PlannedPath) -> dict[str, Any]:
-    """Return a plan's time, positions as differences, and colour."""
+    """Encode the time, positions and colour of a plan."""
     x, y = plan.points.T
     ways = {"x": _changes(x, "length"), "y": _changes(y, "length")}
     return {"time": round(plan.time, 4), **ways, "color": style.BOUND_COLORS[plan.bound]}
 
 
 def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:
-    """Return numbers as differences in whole units: short, and errors do not add up."""
+    """Encode numbers as differences of rounded multiples, so rounding errors do not add up."""
     whole = np.rint(values / _UNITS[unit]).astype(np.int64)
     return np.diff(whole, prepend=0).tolist()
