@@ -133,7 +133,7 @@ def test_what_is_written_reads_back(tmp_path):
 def test_a_file_of_somebody_else_is_refused(tmp_path, text):
     (tmp_path / "items").mkdir()
     (tmp_path / "items" / "key0.json").write_text(text)
-    with pytest.raises(InputError, match=r"key0\.json: is no result"):
+    with pytest.raises(InputError, match=r"key0\.json: is not a campaign result"):
         read_result(tmp_path, "key0")
 
 

@@ -99,7 +99,13 @@ class Presentation(Result):
         return html_table("; ".join(self.structure[:1]), ("", "value", "± error", "unit"), rows)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the figures for ``--json``.
+
+        Returns
+        -------
+        dict
+            ``model, structure, parameters, derived, notes, conditions``.
+        """
         return super().to_json() | {"conditions": dict(self.conditions)}
 
 
