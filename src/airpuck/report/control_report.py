@@ -253,9 +253,7 @@ def _distance(flight: Tracked) -> str:
 def _saturated(flight: Tracked) -> str:
     """Describe how often motors were at full command."""
     each, some = flight.saturated.mean(), flight.saturated.any(axis=1).mean()
-    return (
-        f"{100 * each:.1f} % of the commands (at least one motor: {100 * some:.0f} % of the time)"
-    )
+    return f"{100 * each:.1f} % of commands (at least one motor: {100 * some:.0f} % of the time)"
 
 
 def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
