@@ -5,7 +5,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoint
-from airpuck.hockey.contestant import contestant
+from airpuck.hockey.contestant import PLAYERS, contestant
 from airpuck.hockey.game import Game
 from airpuck.hockey.tactic import Intention
 
@@ -116,3 +116,10 @@ def test_a_tactic_of_ones_own_plays_on_either_side(tactics):
 def test_unknown_players_and_levels_are_named(name, words):
     with pytest.raises(InputError, match=words):
         contestant(name)
+
+
+@pytest.mark.parametrize("level", ["easy", "medium", "hard"])
+def test_every_player_has_the_three_levels(level):
+    found = {name: contestant(f"{name}:{level}") for name in PLAYERS}
+    assert {name for name, one in found.items() if one.player is not None} == {"airpuck"}
+    assert {name for name, one in found.items() if one.hand is not None} >= {"keeper", "striker"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.hand import HUMANS, Dexterity, GuidedHand, ScriptedHand
+from airpuck.hockey.hand import HUMANS, Dexterity, GuidedHand, Keeper, ScriptedHand, Striker
 from airpuck.physics.puck import PuckState
 from airpuck.twin.play import HandMallet, World
 
@@ -23,9 +23,17 @@ class Frames:
         self.due = math.inf
 
 
-def episode(skill: Dexterity, puck: PuckState, duration: float, start=(-0.85, 0.0), seed=0):
+def episode(
+    skill: Dexterity,
+    puck: PuckState,
+    duration: float,
+    start=(-0.85, 0.0),
+    seed=0,
+    hand=ScriptedHand,
+    opponent=(0.9, 0.0),
+):
     """Let one hand play a puck alone; return its ways and the world."""
-    world, hand = World(PLAY, puck), ScriptedHand(PLAY, skill, seed)
+    world, player = World(PLAY, puck), hand(PLAY, skill, seed)
     mallet = HandMallet(PLAY.mallet, PLAY.table, *start)
     world.bodies.append(mallet)
     assert world.puck is not None
@@ -34,7 +42,7 @@ def episode(skill: Dexterity, puck: PuckState, duration: float, start=(-0.85, 0.
     ways, rate = [], 0.01
     for k in range(round(duration / rate)):
         seen = None if world.puck.goal else world.puck.state
-        mallet.target = hand.target(k * rate, (mallet.x, mallet.y), seen, (0.9, 0.0))
+        mallet.target = player.target(k * rate, (mallet.x, mallet.y), seen, opponent)
         frames.due = (k + 1) * rate
         world.run((k + 1) * rate)
         ways.append((mallet.x, mallet.y, mallet.vx, mallet.vy))
@@ -173,3 +181,28 @@ def test_a_stroke_goes_through_the_puck_at_the_goal(y):
         towards = wanted(puck, tuple(own.tolist())) - own
         assert towards @ way > 0.05
         np.testing.assert_allclose(towards, (towards @ way) * way, atol=1e-6)
+
+
+@pytest.mark.parametrize("hand", [Keeper, Striker])
+def test_a_keeper_stands_in_its_goal_where_a_puck_will_pass(hand):
+    line, half = -PLAY.table.length_m / 2, PLAY.table.goal_width_m / 2
+    for y, vy in ((0.05, 0.0), (0.1, -0.3), (0.0, 0.2)):
+        keeper = hand(PLAY, EXACT)
+        for k in range(40):
+            puck = PuckState(0.6 - 3.0 * k / 100, y + vy * k / 100, 0.0, -3.0, vy)
+            x, wanted = keeper.target(k / 100, (line + 0.1, 0.0), puck, (0.9, 0.0))
+        assert line < x < line + 0.15
+        passes = y + vy * (0.6 - x) / 3.0
+        assert wanted == pytest.approx(np.clip(passes, -half, half), abs=0.03)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_striker_aims_at_the_open_corner_and_a_keeper_does_not_strike(side):
+    rests, opponent = PuckState(-0.5, 0.0), (0.9, 0.1 * side)
+    ends = [
+        episode(EXACT, rests, 3.0, (-0.9, 0.0), hand=hand, opponent=opponent)[1].puck
+        for hand in (Keeper, Striker)
+    ]
+    assert not ends[0].goal and ends[0].state.x == rests.x
+    assert ends[1].goal == 1
+    assert ends[1].state.y * side < 0

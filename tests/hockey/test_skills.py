@@ -89,3 +89,11 @@ def test_a_table_without_room_is_refused(table, names):
             MODEL, settings=SETTINGS.model_copy(update={"table": table}), episodes=1, names=names
         )
     assert error.value.field == "table"
+
+
+def test_skills_measure_a_tactic_of_the_users(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "class Fails:\n    def decide(self, view):\n        raise RuntimeError('mine')\n"
+    )
+    with pytest.raises(InputError, match=r"mine\.py:Fails.*RuntimeError: mine"):
+        skills(MODEL, episodes=1, names=("defend",), tactic=f"{tmp_path / 'mine.py'}:Fails")

@@ -20,6 +20,10 @@ from airpuck.live.settings import LiveSettings
 if TYPE_CHECKING:
     from airpuck.web.page import ArenaSettings
 
+_Tactic = Annotated[
+    str | None, Option("--tactic", metavar="FILE.py:NAME", help="The craft's tactic; yours.")
+]
+
 
 @app.command(rich_help_panel="Air hockey")
 def play(
@@ -35,6 +39,7 @@ def play(
     model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
     settings: options.TwinFile = None,
     seed: options.Seed = 0,
+    tactic: _Tactic = None,
     live: Annotated[
         bool, Option("--live", help="Play on a ROS 2 graph, with puck and mallet on the table.")
     ] = False,
@@ -50,7 +55,7 @@ def play(
             shown = {"port": port, "no_browser": no_browser}
             inputs.refuse_others(play, "--no-page", shown)
         page = None if no_page else ArenaSettings(port, graph.interface, not no_browser)
-        _play_live(model, settings, level, seed, on_topics(graph, mapping), page, json_file)
+        _play_live(model, settings, level, tactic, seed, on_topics(graph, mapping), page, json_file)
         return
     of_graph = {"--domain": graph.domain, "--mapping": mapping, "--no-page": no_page or None}
     for name, given in of_graph.items():
@@ -63,7 +68,9 @@ def play(
     craft, table = inputs.read_player(model, graph.quiet), inputs.read_twin(settings)
     low_latency()
     tell = say(graph.quiet)
-    figures = play_in_browser(craft, arena, level=level, settings=table, seed=seed, tell=tell)
+    figures = play_in_browser(
+        craft, arena, level=level, tactic=tactic, settings=table, seed=seed, tell=tell
+    )
     left, right = figures["score"]
     report(
         figures,
@@ -81,6 +88,7 @@ def _play_live(
     model: str,
     settings: Path | None,
     level: str,
+    tactic: str | None,
     seed: int,
     on_graph: LiveSettings,
     page: ArenaSettings | None,
@@ -89,6 +97,8 @@ def _play_live(
     """Fly the player behind the guard, on the left half of the table; perhaps with a page."""
     from airpuck.compute.process import low_latency
     from airpuck.craft.table import AirHockey
+    from airpuck.hockey.all_rounder import AllRounder
+    from airpuck.hockey.contestant import tactic_maker
     from airpuck.hockey.level import LEVELS
     from airpuck.hockey.player import Player
     from airpuck.live.fly import Spectator, fly_live
@@ -99,6 +109,7 @@ def _play_live(
 
     craft = inputs.read_player(model, on_graph.quiet)
     table = inputs.read_twin(settings) or AirHockey()
+    make = AllRounder if tactic is None else tactic_maker(tactic)
     low_latency()
     score = Score(table)
     spectators: list[Spectator] = [score]
@@ -112,7 +123,7 @@ def _play_live(
             spectators.append(LivePage(pages, score, level))
             invite(pages, page, say(on_graph.quiet))
         figures = fly_live(
-            lambda: Player(craft, table, level=LEVELS[level], seed=seed),
+            lambda: Player(craft, table, make(), level=LEVELS[level], seed=seed),
             craft.vehicle,
             half_of(table.table, craft.vehicle.radius_m, -1),
             on_graph,
@@ -135,6 +146,7 @@ def skills(
     model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
     settings: options.TwinFile = None,
     seed: options.Seed = 0,
+    tactic: _Tactic = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -154,6 +166,7 @@ def skills(
         episodes=episodes,
         seed=seed,
         names=(only,) if only else SKILLS,
+        tactic=tactic,
         progress=progress,
     )
     figures = {name: skill.to_json() for name, skill in found.items()}

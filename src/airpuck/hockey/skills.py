@@ -19,6 +19,7 @@ from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.flight.loop import control
 from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.attack import Shoot
+from airpuck.hockey.contestant import tactic_maker
 from airpuck.hockey.goalkeeper import Guard, Wait
 from airpuck.hockey.player import Player, pitch_of
 from airpuck.hockey.possession import Catch, Free
@@ -76,6 +77,7 @@ def skills(
     episodes: int = 100,
     seed: int = 0,
     names: tuple[SkillName, ...] = SKILLS,
+    tactic: str | None = None,
     progress: Callable[[SkillName, int, int], None] | None = None,
 ) -> Mapping[SkillName, Skill]:
     """Measure how well a craft defends, hits and prepares, on the twin.
@@ -92,6 +94,8 @@ def skills(
         Of everything random; episode k of two runs with one seed is the same.
     names : tuple of str, optional
         Which skills; by default all.
+    tactic : str, optional
+        The craft's tactic in all of them, FILE.py:NAME; by default the package's own strategies.
     progress : callable, optional
         Called with name, episodes done and successes after each episode.
 
@@ -103,10 +107,12 @@ def skills(
     Raises
     ------
     InputError
-        If the table has no room for the craft beside the puck, or for such starts.
+        If the table has no room for the craft beside the puck, or for such starts, or the tactic
+        cannot be made.
     """
+    make = None if tactic is None else tactic_maker(tactic)
     settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
-    table = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings))
+    table = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), make)
     reach, _ = settings.table.reach(table.pitch.craft_radius)
     if _beside_rail(table) <= 0 or -table.pitch.home[0] > reach:
         size = f"{settings.table.length_m:g} × {settings.table.width_m:g} m"
@@ -131,6 +137,8 @@ class Stage:
     settings: TwinSettings
     plant: Plant
     pitch: Pitch
+    #: Makes the user's tactic; None: the package's own strategies play.
+    tactic: Callable[[], Tactic] | None = None
 
     def twin(self, puck: PuckState, seed: int) -> Twin:
         """Return a twin with a craft at home and a puck."""
@@ -149,7 +157,8 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
     """Play one episode; return whether it succeeded, and whether it ended with a stopped puck."""
     rng = np.random.default_rng(seed)
     puck = _STARTS[name](stage, rng)
-    player = Player(stage.model, stage.settings, _TACTICS[name](), seed=int(rng.integers(2**31)))
+    tactic = (stage.tactic or _TACTICS[name])()
+    player = Player(stage.model, stage.settings, tactic, seed=int(rng.integers(2**31)))
     twin = stage.twin(puck, int(rng.integers(2**31)))
     assert twin.play is not None
     body = twin.play.puck

@@ -6,14 +6,15 @@ import contextlib
 import gc
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import prioritize
 from airpuck.control.reference import SetPoint
 from airpuck.flight.clock import Clock, Histogram, TokenBucket
-from airpuck.hockey.contestant import Contestant
+from airpuck.hockey.all_rounder import AllRounder
+from airpuck.hockey.contestant import Contestant, tactic_maker
 from airpuck.hockey.game import PERIOD, Game, GameEvent
 from airpuck.hockey.hand import GuidedHand
 from airpuck.hockey.level import LEVELS
@@ -47,6 +48,7 @@ def play_in_browser(
     arena: ArenaSettings | None = None,
     *,
     level: str = "medium",
+    tactic: str | None = None,
     settings: TwinSettings | None = None,
     seed: int = 0,
     tell: Any = print,
@@ -61,6 +63,8 @@ def play_in_browser(
         Where, and for how long.
     level : str, default "medium"
         How well the craft plays; the page can change it.
+    tactic : str, optional
+        The craft's tactic, FILE.py:NAME; by default the package's own.
     settings : TwinSettings, optional
         Table, puck, radio, noise; by default the packaged ones.
     seed : int, default 0
@@ -82,8 +86,9 @@ def play_in_browser(
         raise InputError(f"give {', '.join(LEVELS)}, not {level!r}", field="--level")
     arena = arena or ArenaSettings()
     settings = settings or default_twin_settings()
+    make = None if tactic is None else tactic_maker(tactic)
     with served(arena.host, arena.port, hello_of(model, settings)) as pages:
-        session = Session(pages, model, settings, level, seed)
+        session = Session(pages, model, settings, level, seed, make)
         invite(pages, arena, tell)
         return session.run(arena.duration)
 
@@ -100,8 +105,15 @@ class Session:
     """Games one after the other, in real time."""
 
     def __init__(
-        self, pages: Pages, model: Model, settings: TwinSettings, level: str, seed: int
+        self,
+        pages: Pages,
+        model: Model,
+        settings: TwinSettings,
+        level: str,
+        seed: int,
+        tactic: Callable[[], Tactic] | None = None,
     ) -> None:
+        self._make_tactic = tactic or AllRounder
         self._pages, self._model, self._settings = pages, model, settings
         self._level, self._seed, self._games = level, seed, 0
         self._seated = self._runs = False
@@ -196,7 +208,15 @@ class Session:
     def _make_player(self, model: Model, play: Any, side: int, seed: int, other: float) -> Player:
         """Make who steers the craft, and remember what it would play."""
         level = LEVELS[self._level]
-        self._player = Player(model, play, level=level, side=side, seed=seed, opponent_radius=other)
+        self._player = Player(
+            model,
+            play,
+            self._make_tactic(),
+            level=level,
+            side=side,
+            seed=seed,
+            opponent_radius=other,
+        )
         self._tactic: Tactic = self._player.tactic
         return self._player
 
