@@ -1,4 +1,4 @@
-"""Shooting: the contact that scores most probably, of all that the craft can be in time for."""
+"""Shooting: the reachable contact with the highest probability of scoring."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.hockey.tactic import Intention, Kind, View
 
-#: When a contact may be [s from now]; its directions [rad]; speeds of the craft [m/s].
+#: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
 _TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
 _NORMALS = np.linspace(-1.4, 1.4, 61)
 _SPEEDS = np.array([0.6, 1.3, 2.1])
-#: So many of the best are looked at closely, each in these directions, too [rad].
+#: Number of best candidates that are evaluated with all errors, and directions around each [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
-#: By which share a chance is worth less a second later.
+#: Discount rate of the probability of scoring with waiting time [1/s], chosen by matches.
 _PATIENCE = 0.12
-#: A better contact must be better by this than the one that is under way.
+#: Gain in probability for which the shot under way is replaced, chosen by matches.
 _BETTER = 0.08
-#: A search is made in every so many decisions; in the next one its best are looked at closely.
+#: Search every fourth decision; evaluate the best candidates in the next.
 _EVERY = 4
-#: Not asked for so long, it begins anew [s].
+#: After a longer break between calls, the shot under way is dropped [s].
 _INTERRUPTED = 0.05
 #: Nearer than this before a contact nothing is changed but its place [s].
 _COMMITTED = 0.15
-#: A contact is planned, and then kept, where the way to it needs at most such a share of the
-#: craft's acceleration.
+#: Largest share of the craft's acceleration that the path to a contact may need: when the contact
+#: is planned, and while it is kept. Chosen by matches.
 _EASY, _STRAINED = 0.9, 1.4
-#: The opponent waits so far before its goal line [m], and goes there when it has noticed that the
-#: puck is gone [s], so fast [m/s].
+#: Model of the opponent, guesses: distance of its home from its goal line [m], reaction time [s],
+#: and speed on its way home [m/s].
 _OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """A contact that is planned."""
+    """A planned contact with its probability of scoring."""
 
     meeting: Meeting
     chance: float
@@ -57,7 +57,7 @@ class _Shot:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Contacts that a search found: when [s], directions [rad], speeds [m/s]."""
+    """Contacts that a search found: times [s], directions [rad], speeds [m/s]."""
 
     time: Float[np.ndarray, " M"]
     normal: Float[np.ndarray, " M"]
@@ -89,14 +89,14 @@ class Shoot:
         self.clears = clears
         self.least, self.error, self.speeds = least, error or ArrivalError(), speeds
         self._plan: _Shot | None = None
-        #: The way to where a shot begins that is not possible from here.
+        #: The path to the start of a shot that is not possible from here.
         self._approach: Intention | None = None
         self._found: _Found | None = None
         self._age, self._asked = _EVERY, -math.inf
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return a shot, or the way to where one is possible; None: there is none."""
-        # What was planned before others had their turn is not in time any more.
+        # After a break, a planned contact is out of date.
         interrupted, self._asked = view.time > self._asked + _INTERRUPTED, view.time
         if interrupted:
             self._plan = self._approach = self._found = None
@@ -119,7 +119,7 @@ class Shoot:
         return self._intention(view, outlook, self._plan)
 
     def _is_due(self, view: View, plan: _Shot | None) -> bool:
-        """Return whether to look for another contact now."""
+        """Return whether a search for another contact is due."""
         committed = plan is not None and plan.meeting.time - view.time < _COMMITTED
         return self._age >= _EVERY and not committed
 
@@ -139,14 +139,14 @@ class Shoot:
         return self._plan if able and stays_inside(view, place, velocity) else None
 
     def _choose(self, view: View, outlook: Outlook, found: _Found) -> None:
-        """Take the best of the contacts that were found, if it is better than the plan."""
+        """Adopt the best contact found if it is better than the shot under way."""
         shot, approach = self._closely(view, outlook, found)
         if self._plan is None or (shot and shot.chance > self._plan.chance + _BETTER):
             self._plan = shot
         self._approach = approach if self._plan is None else None
 
     def _search(self, view: View, outlook: Outlook) -> _Found | None:
-        """Return the few contacts that seem best of all that the craft can be in time for."""
+        """Return the most promising contacts that the craft can reach in time."""
         pitch = view.pitch
         times = view.time + _TIMES
         pucks = outlook.at(times)
@@ -159,13 +159,13 @@ class Shoot:
         velocity = self.speeds[:, None] * unit(normal)
         place = pucks[:, None, None, :2] - pitch.contact_distance * unit(normal)
         fits = stays_inside(view, place, velocity)
-        # Of what the puck does not run away from.
+        # The craft must be faster than the puck along the normal.
         motion = np.broadcast_to(pucks[:, None, None, 3:], (*shape, 3))
         fits &= ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1) > 0.2
         when = np.broadcast_to(times[:, None, None], shape)
         able = np.nonzero(fits)
         able = _of(able, slack(view, when[able], place[able], velocity[able]) > 0)
-        # One that the least effort leads to is hit more precisely than one at full thrust.
+        # The craft arrives more precisely with thrust to spare.
         able = _of(able, effort(view, when[able], place[able], velocity[able]) < _EASY)
         if not len(able[0]):
             return None
@@ -188,7 +188,7 @@ class Shoot:
         normal: Float[np.ndarray, "K J L"],
         velocity: Float[np.ndarray, "K J L 2"],
     ) -> Float[np.ndarray, "K J L"]:
-        """Return rough chances: what scores, averaged over directions near by."""
+        """Return rough probabilities: whether shots score, averaged over nearby directions."""
         pitch, shape = view.pitch, normal.shape
         contacts = Contacts(
             np.broadcast_to(pucks[:, None, None, :2], (*shape, 2)),
@@ -223,7 +223,7 @@ class Shoot:
     def _closely(
         self, view: View, outlook: Outlook, found: _Found
     ) -> tuple[_Shot | None, Intention | None]:
-        """Try the contacts with all errors; return the best, or the way to where it begins."""
+        """Evaluate contacts with all errors; return the best, or the path to where it begins."""
         time = np.repeat(found.time, len(_ASIDE))
         speed = np.repeat(found.speed, len(_ASIDE))
         normal = (found.normal[:, None] + _ASIDE).ravel()
@@ -260,7 +260,7 @@ class Shoot:
         return None, self._way_to(view, outlook, blocked)
 
     def _way_to(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
-        """Go round the puck to where a run-up begins."""
+        """Return how to go round the puck to the start of the run-up."""
         meeting = shot.meeting
         behind, avoid = run_up(view, outlook, meeting)
         meet = (meeting.time, *outlook.at(meeting.time)[:2].tolist())
@@ -292,7 +292,7 @@ def after_contact(
 def _opponent(
     view: View, ahead: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 2"], float] | None:
-    """Return where the other's disc will be, on its way home, and its radius; None: unseen."""
+    """Return where the opponent will be on its way home, and its radius; None if unseen."""
     if view.opponent is None:
         return None
     here = view.opponent[:2]

@@ -26,7 +26,7 @@ PLAYERS = ("airpuck", *HANDS)
 
 @dataclass(frozen=True)
 class Contestant:
-    """Who plays: a craft with a player, or a hand with a mallet.
+    """A participant of a game: a craft with a player, or a hand with a mallet.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Contestant:
 
 
 def contestant(name: str) -> Contestant:
-    """Return who plays under a name.
+    """Return the contestant with a name.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class _UserTactic:
 
 
 def _what_is_wrong(intention: Intention, time: float) -> str:
-    """Say why something is no intention; an empty text where it is one."""
+    """Return the first problem of an intention, or an empty text."""
     if intention.kind not in get_args(Kind):
         return f"gave as kind something else than {', '.join(get_args(Kind))}"
     numbers = {

@@ -17,10 +17,10 @@ _SIGNS = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class Frame:
-    """Conversion between the world's frame and that of a side; the same in both directions.
+    """Conversion between the world's frame and a side's; the same in both directions.
 
-    The frame of the left side is the world's. That of the right side is rotated by π about the
-    centre of the table.
+    The left side uses the world's frame. The right side's frame is rotated by π about the centre
+    of the table.
     """
 
     #: Sign of the x of the side's half, -1 or 1.

@@ -32,11 +32,11 @@ from airpuck.twin.twin import Twin, check_seed
 PERIOD = 0.01
 #: Where discs stand at first, from their own line; where the puck is served, from the middle [m].
 _BEGIN, _SERVE = 0.25, 0.30
-#: It is served so far from the middle of the width at most [m].
+#: Largest distance of a served puck from the table's long axis [m].
 _ASIDE = 0.15
-#: A puck is followed for so long to find out whether it would have been a goal [s].
+#: Time for which a puck is predicted to find out whether it would have scored [s].
 _FOLLOWED = 3.0
-#: A craft that stays at a rail meets it anew after so long, or faster than this [s, m/s].
+#: Contacts of a craft with a rail are distinct if they are further apart [s] or faster [m/s].
 _AGAIN, _SLIDES = 0.1, 0.05
 #: Time between reports of progress [s].
 _TOLD = 1.0
@@ -72,7 +72,7 @@ class GameEvent(NamedTuple):
     #: When [s].
     time: float
     kind: EventKind
-    #: Whose: -1 is left; 0: nobody's.
+    #: Sign of the side: -1 left, 1 right, 0 neither.
     side: int
     #: Impulse or speed.
     value: float = 0.0
@@ -141,7 +141,7 @@ class Game:
     Parameters
     ----------
     left, right : Contestant
-        Who plays; see `contestant`.
+        The two sides; see `contestant`.
     settings : TwinSettings, optional
         Table, puck, radio, noise; by default the packaged ones.
     rules : Rules, optional
@@ -349,7 +349,7 @@ class Game:
         for time, met, impulse, before, disc in self._puck.touches:
             if disc is not None:
                 side, (last, anyway) = self.sides[disc].sign, self._touched
-                # A second touch of a side that stopped a shot is judged by itself.
+                # A later second touch of a side that stopped a shot counts as a touch of its own.
                 if last != side or (anyway and time > self._last_touch + _SAME):
                     self._touched = side, self._would_score(before, -side)
                 self._last_touch = time
@@ -370,7 +370,7 @@ class Game:
             side.beyond = beyond
 
     def _would_score(self, puck: PuckState, side: int) -> bool:
-        """Return whether a puck that nobody touches would be a goal for a side."""
+        """Return whether an untouched puck would be a goal for a side."""
         alone = PuckOnTable(self.settings, puck, logs=False)
         alone.run(_FOLLOWED)
         return alone.goal == -side

@@ -11,9 +11,9 @@ from airpuck.hockey.interception import Outlook, around, slack, standing
 from airpuck.hockey.possession import Catch
 from airpuck.hockey.tactic import Intention, View
 
-#: The yaw does not count in a block, velocities little.
+#: Precision of a block [m, m, rad, m/s, m/s, rad/s]: yaw is free, velocities are loose.
 _BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
-#: A puck that is no longer seen is waited for on its line, so long [s].
+#: Time for which the craft covers the last predicted line of an unseen puck [s].
 _BLIND = 1.0
 
 

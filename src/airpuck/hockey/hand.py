@@ -49,7 +49,7 @@ class Hand(Protocol):
         puck: PuckState | None,
         opponent: tuple[float, float],
     ) -> tuple[float, float]:
-        """Return where the mallet is wanted.
+        """Return the target of the mallet.
 
         Everything is in the hand's own frame: its goal is at negative x.
 
@@ -109,7 +109,7 @@ class GuidedHand:
     """A hand on the right that somebody else guides, at a page for example; a `Hand`."""
 
     def __init__(self) -> None:
-        #: Where the mallet is wanted, in the world's frame [m]; None: where it is.
+        #: Target of the mallet in the world's frame [m]; None keeps it where it is.
         self.wanted: tuple[float, float] | None = None
 
     def target(
@@ -119,7 +119,7 @@ class GuidedHand:
         puck: PuckState | None,
         opponent: tuple[float, float],
     ) -> tuple[float, float]:
-        """Return where the mallet is wanted; see `Hand.target`."""
+        """Return the target of the mallet; see `Hand.target`."""
         return own if self.wanted is None else Frame(1).point(*self.wanted)
 
 
@@ -167,7 +167,7 @@ class HumanHand(ABC):
         puck: PuckState | None,
         opponent: tuple[float, float],
     ) -> tuple[float, float]:
-        """Return where the mallet is wanted; see `Hand.target`."""
+        """Return the target of the mallet; see `Hand.target`."""
         self._seen.append((time, puck, opponent))
         while len(self._seen) > 1 and self._seen[1][0] <= time - self._dexterity.reaction_s:
             self._seen.popleft()

@@ -1,4 +1,4 @@
-"""Where and when the craft can meet the puck."""
+"""Where and when the craft can touch the puck."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from airpuck.hockey.prediction import predict_path
 from airpuck.hockey.shot import unit
 from airpuck.hockey.tactic import View
 
-#: How far the puck's path is looked at, and how finely [s].
+#: Horizon and step of the puck's predicted path [s].
 HORIZON, STEP = 2.0, 0.02
-#: What the predictive law takes longer than the shortest time: a share, and [s].
+#: Time that the predictive law needs: this factor times the shortest time, plus a constant [s].
 _SLOWER, _LATER = 1.1, 0.03
-#: A contact is aimed at a little deeper than the discs touch, so that it happens [m].
+#: The craft aims this far beyond the contact, so that the discs surely touch [m].
 _DEEPER = 0.006
-#: The yaw does not count in a contact.
+#: Precision of a contact [m, m, rad, m/s, m/s, rad/s]: yaw is free.
 _PRECISE = (0.0015, 0.0015, math.inf, 0.04, 0.04, math.inf)
-#: Shares of the way that are looked at for whether it leads through the puck.
+#: Fractions of the path at which clearance from the puck is checked.
 _SHARES = np.linspace(0.1, 0.9, 9)
-#: A recoil is seen, and propellers act on it, so much later [s].
+#: Delay until the craft reacts to a recoil [s].
 _NOTICED = 0.08
-#: Where a contact begins that is not possible from here: so far behind it [m].
+#: Distance from the start of the run-up to the contact [m].
 _RUN_UP = 0.1
-#: The puck is passed at least so far away [m].
+#: Clearance when passing the puck [m].
 _PASSING = 0.012
 
 
 class Outlook:
-    """Where the puck will be if nobody touches it; asked once a decision."""
+    """The predicted path of the untouched puck, computed once per decision."""
 
     def __init__(self, view: View) -> None:
         assert view.puck is not None
@@ -45,12 +45,12 @@ class Outlook:
         self.times = start + STEP * np.arange(count + 1)
         self.states = predict_path(view.pitch.play, view.puck, self.times)
         self.places, self.motions = self.states[:, :2], self.states[:, 3:]
-        #: Those of the motions without the spin's place between them: vx, vy, spin.
+        #: Speed now [m/s]; a row of the motions is vx, vy, spin.
         self.speed = float(np.hypot(*self.motions[0, :2]))
         self._searched = False
 
     def may_search(self) -> bool:
-        """Return whether to search now: one search a decision, so that none takes a period."""
+        """Take the only search of this decision; return whether it was left."""
         searched, self._searched = self._searched, True
         return not searched
 
@@ -87,7 +87,7 @@ def slack(
     """Return by how much the craft can be earlier at places, with velocities, than times [s].
 
     Seen from a frame that moves with the final velocity, it comes to rest there: the shortest time
-    to rest from the relative state is that of the rendezvous.
+    to rest from the relative state equals the shortest time to the rendezvous.
     """
     delay = view.pitch.delay
     left = np.maximum(np.asarray(time) - view.time - delay, 0.0)
@@ -106,7 +106,7 @@ def stays_inside(
 ) -> Any:
     """Return whether a craft with a velocity at a place got there, and can stop, on its half.
 
-    The recoil, what a contact changes of the velocity, goes on until it is noticed.
+    The recoil is the change of velocity by a contact; it persists until the craft reacts.
     """
     pitch = view.pitch
     start = place - _braking(view, velocity)
@@ -115,7 +115,7 @@ def stays_inside(
 
 
 def _braking(view: View, velocity: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-    """Return the way on which the craft stops."""
+    """Return the braking distance as a vector."""
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     return velocity * speed / (2 * view.pitch.acceleration)
 
@@ -193,7 +193,7 @@ def effort(
 
 
 def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPoint:
-    """Return the next place on a way to one that does not touch a puck that lies in between."""
+    """Return the next waypoint to a goal, round a puck that lies in between."""
     here, puck = view.craft[:2], outlook.places[0]
     radius = view.pitch.contact_distance + 0.03
     way = goal - here

@@ -1,4 +1,4 @@
-"""How well a player plays: what it holds back."""
+"""Levels of play: handicaps of thrust, reaction and aim."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A player: sees craft, puck and opponent, decides, and steers the craft."""
+"""A player: estimates craft, puck and opponent, decides, and steers the craft."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from airpuck.planning.minimal_time import MinimalTimes, minimal_times_of
 #: was moving; ``lost``: none for a while.
 Sight = Literal["seen", "hidden", "frozen", "lost"]
 
-#: A pose is predicted for so long; after that the puck counts as hidden, and then as lost [s].
+#: Age of the last pose from which on the puck counts as hidden, and as lost [s].
 _HIDDEN, _LOST = 0.15, 1.0
-#: The same pose this often in a row, of a puck that moved faster than this, is no measurement.
+#: A pose repeated this often, of a puck faster than this [m/s], is not a measurement.
 _FROZEN, _MOVING = 6, 0.1
-#: Farther beyond a rail than this, nothing is a puck [m].
+#: Poses further beyond a rail are not of the puck [m].
 _BEYOND = 0.1
-#: Where a disc is that is in nobody's way [m].
+#: A disc outside the table, which restricts nothing: x, y, radius [m].
 _NOWHERE = np.array([[50.0, 50.0, 0.1]])
-#: The craft keeps to its half by this beyond its radius [m].
+#: Clearance between the craft's edge and the centre line [m].
 _MARGIN = 0.01
-#: A way on which the craft's acceleration is measured [m].
+#: Distance over which the craft's mean acceleration is computed [m].
 _SHORT = 0.3
-#: Home lies so far before the line of the own goal [m].
+#: Clearance between the craft's edge at home and its goal line [m].
 _HOME = 0.10
 
 
@@ -69,7 +69,7 @@ class Player(Pilot):
     seed : int, default 0
         Of the noise of its shots.
     opponent_radius : float, optional
-        Radius of the other's disc [m]; by default that of the human's mallet.
+        Radius of the opponent's disc [m]; by default the radius of the human's mallet.
 
     Attributes
     ----------
@@ -138,9 +138,8 @@ class Player(Pilot):
         Parameters
         ----------
         measurement : Measurement
-            Those of the craft (see `TrackingController.measured`), and poses of the puck and of the
-            other side's disc, a hand's mallet or a craft: one that is not finite, or off the table,
-            is not used.
+            A measurement of the craft (see `TrackingController.measured`), or a pose of the puck or
+            of the opponent's disc. Poses that are not finite or off the table are ignored.
         """
         time, values = measurement.stamp, measurement.values
         if measurement.kind == "puck":
@@ -194,7 +193,7 @@ class Player(Pilot):
         return self.frame.points(drawn_path(self.play, belief))
 
     def _see(self, time: float) -> None:
-        """Take what is seen by now, in the own frame."""
+        """Update puck and opponent with the poses that are visible by now."""
         seen = time - self.level.reaction_s
         while self._puck_poses and self._puck_poses[0][0] <= seen:
             stamp, pose = self._puck_poses.popleft()
@@ -212,7 +211,7 @@ class Player(Pilot):
             self.sight = "hidden" if age <= _LOST else "lost"
 
     def _see_puck(self, stamp: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take a pose of the puck, unless it is nowhere near the table."""
+        """Update the puck with a pose, unless it is off the table."""
         table = self.play.table
         if (np.abs(pose[:2]) > np.array([table.length_m, table.width_m]) / 2 + _BEYOND).any():
             return
@@ -226,7 +225,7 @@ class Player(Pilot):
         self.filter.pose(stamp, pose)
 
     def _see_opponent(self, stamp: float, place: Float[np.ndarray, " 2"]) -> None:
-        """Take a place of the opponent, and a velocity, smoothed over a few frames."""
+        """Update the opponent's position, and its velocity, smoothed over a few frames."""
         velocity = np.zeros(2)
         if self._opponent is not None:
             last, state = self._opponent

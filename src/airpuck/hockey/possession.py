@@ -21,21 +21,21 @@ from airpuck.hockey.prediction import PuckBelief, predict_path
 from airpuck.hockey.shot import Contacts, struck, unit
 from airpuck.hockey.tactic import Intention, View
 
-#: Directions of a contact beside the one against the puck's motion [rad].
+#: Directions of a contact relative to the reversed motion of the puck [rad].
 _BESIDE = np.array([0.0, -0.25, 0.25, -0.55, 0.55])
-#: A puck leaves the craft this fast, so that it does not stay at it [m/s].
+#: Speed at which a caught puck leaves the craft, so that they separate [m/s].
 _LEAVES = 0.05
-#: Slower than this, a puck is under control; slower than that, it may be pushed [m/s].
+#: Speeds below which a puck is under control, and below which it may be pushed [m/s].
 _SLOW, _PUSHED = 0.06, 0.2
-#: A place as good as this is left as it is (`good_place`).
+#: A puck at a better place (`good_place`) is not moved.
 _GOOD = 0.25
-#: More room than this around a puck is no better [m].
+#: Room around a puck that makes a place fully good [m].
 _ENOUGH = 0.12
-#: A contact is kept while the way to it needs at most this share of the craft's acceleration.
+#: Largest share of the craft's acceleration that a kept catch may need; a catch may be imprecise.
 _STRAINED = 2.0
-#: How long a push is waited for, one after the other [s], and its directions [rad].
+#: Times until a push, tried in turn [s], and its directions [rad].
 _WAITS, _PUSHES = (0.5, 0.9, 1.3), np.arange(20) * (2 * math.pi / 20)
-#: A catch is looked for in every so many decisions.
+#: Search for a catch every second decision.
 _EVERY = 2
 #: A plan is kept so long before a contact, whatever else turns up [s].
 _COMMITTED = 0.15
@@ -49,7 +49,7 @@ class Catch:
     reserve : float, default 0
         By how much the craft must be able to be early [s].
     slowest : float, optional
-        A puck that is slower is left alone; by default one that nearly rests [m/s].
+        A slower puck is left alone; the default leaves pucks that nearly rest [m/s].
     """
 
     def __init__(self, reserve: float = 0.0, slowest: float = _SLOW) -> None:

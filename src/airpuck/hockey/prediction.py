@@ -26,7 +26,7 @@ _ASSUMED = {
 ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
 #: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.
 _BEYOND = 1e-8
-#: Times at which a path is drawn, besides those of its bounces [s].
+#: Times at which a path is drawn, in addition to its bounces [s].
 _DRAWN = np.arange(0.0, 1.2, 0.02)
 
 
@@ -112,7 +112,7 @@ def _changed(puck: Puck, name: str, change: float) -> Puck:
 def predict_puck(
     model: PuckModel | AirHockey, belief: PuckBelief, times: Sequence[float]
 ) -> PuckPrediction:
-    """Predict a puck that nobody hits.
+    """Predict an untouched puck.
 
     Mean and covariance go through the bounces by differences of one standard deviation to both
     sides (Nørgaard, Poulsen and Ravn, *Automatica* 36, 2000): along each axis of the belief, and in
@@ -148,7 +148,7 @@ def predict_puck(
 def predict_path(
     play: AirHockey, belief: PuckBelief, times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T 6"]:
-    """Return the mean of a puck that nobody hits, at rising times."""
+    """Return the mean state of an untouched puck at increasing times."""
     puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
     found, done = np.empty((len(times), 6)), 0
     while done < len(times):
@@ -164,7 +164,7 @@ def predict_path(
 
 
 def drawn_path(play: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
-    """Return the path of a puck that nobody hits over the next 1.2 s, cornered at the rails."""
+    """Return the path of an untouched puck over the next 1.2 s, with corners at the rails."""
     times = belief.time + _DRAWN
     puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
     bounces = []
@@ -209,7 +209,7 @@ class PuckCrossing:
 def predict_crossing(
     model: PuckModel | AirHockey, belief: PuckBelief, x: float, horizon: float = 2.0
 ) -> PuckCrossing | None:
-    """Predict when and where a puck that nobody hits will first cross a line across the table.
+    """Predict when and where an untouched puck will first cross a line across the table.
 
     Parameters
     ----------

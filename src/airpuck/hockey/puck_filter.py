@@ -28,9 +28,9 @@ from airpuck.physics.puck import PuckState, sigma_of, time_of, walls_of
 GATE = 35.0
 #: What is believed of velocity and spin after a hit [m/s, rad/s].
 _UNKNOWN = np.array([10.0, 10.0, 50.0])
-#: For so long the error of the drag acts the same way [s].
+#: Correlation time of the error of the drag [s].
 _DRAG_MEMORY = 0.1
-#: Without a measurement for so long, the filter begins anew [s].
+#: After a longer gap in the measurements the filter restarts [s].
 _LOST = 0.5
 #: Frames whose times differ by less are the same one [s].
 _SAME = 1e-6
@@ -72,7 +72,7 @@ class PuckFilter:
     belief : PuckBelief or None
         As of the last pose; None before the first.
     events : list of PuckEvent
-        What was noticed so far.
+        Events since the start.
     outliers : int
         Poses that were not used.
     """
@@ -94,7 +94,7 @@ class PuckFilter:
         Parameters
         ----------
         time : float
-            Its stamp [s]; one that is not after the last is left out.
+            Its stamp [s]; a pose that is not newer than the last is ignored.
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
@@ -117,7 +117,7 @@ class PuckFilter:
         self.belief = self._corrected(moved, pose)
 
     def predict(self, times: list[float]) -> PuckPrediction:
-        """Predict a puck that nobody hits; see `predict_puck`.
+        """Predict an untouched puck; see `predict_puck`.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class PuckFilter:
         return predict_puck(self.model, self.belief, times)
 
     def crossing(self, x: float, horizon: float = 2.0) -> PuckCrossing | None:
-        """Predict where a puck that nobody hits will cross a line; see `predict_crossing`.
+        """Predict where an untouched puck will cross a line; see `predict_crossing`.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class PuckFilter:
         return float(innovation @ np.linalg.solve(covariance, innovation))
 
     def _corrected(self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]) -> PuckBelief:
-        """Return the belief that has a pose."""
+        """Update the belief with a measured pose."""
         innovation, covariance = self._innovation(belief, pose)
         gain = np.linalg.solve(covariance, belief.covariance[:3]).T
         # Joseph's form stays positive definite after a hit, when variances differ by 1e10.

@@ -22,15 +22,15 @@ class Rules(Section):
     Attributes
     ----------
     goals : int
-        Who has so many first has won.
+        Goals needed to win.
     limit_s : float
-        A game lasts no longer; then who leads has won, and nobody with equal scores.
+        Time limit of a game; then the leader wins, and equal scores are a draw.
     foul_s : float
-        A puck that stays on one side for so long is the other's.
+        Time on one side after which the puck goes to the other side.
     stuck_s : float
-        One that rests at the centre line for so long is served anew.
+        Time at rest on the centre line after which the puck is served again.
     pause_s : float
-        From a goal to the next serve.
+        Time from a goal to the next serve.
     """
 
     goals: Annotated[int, pydantic.Field(ge=GOALS.low, le=GOALS.high)] = 7
@@ -45,7 +45,7 @@ class Ruling(NamedTuple):
 
     #: A goal, a foul, a puck that is stuck, a serve, the end.
     kind: Literal["goal", "foul", "stuck", "serve", "over"]
-    #: Who scored, committed the foul, serves or has won; 0: nobody.
+    #: Side that scored, committed the foul, serves or has won; 0 for neither.
     side: int
 
 
@@ -82,7 +82,7 @@ class Referee:
         self._stuck_since: float | None = None
 
     def judge(self, time: float, x: float, speed: float, goal: int) -> list[Ruling]:
-        """Say what follows from where the puck is.
+        """Apply the rules to the present state of the puck.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ from airpuck.physics.puck_on_table import PuckOnTable
 
 #: Poses in a row, each as the last ones foretold, before the puck's motion is believed.
 _SURE = 3
-#: A puck that was about to be in, and is not seen for so long, is in [s].
+#: A puck that was about to score and is unseen for longer has scored [s].
 _GONE = 0.2
 #: Nothing stops a puck that will be in so soon, or that rails and discs cannot meet any more [s].
 _AT_ONCE, _IN_THE_MOUTH = 0.02, 0.6
@@ -29,9 +29,9 @@ _MOUTH, _OFF = 1e-3, 0.02
 _SENT_BACK, _NEAR = 5.0, 0.05
 #: The same pose again of a puck that moved faster than this is no measurement [m/s].
 _MOVING = 0.1
-#: Without any pose for so long the cameras were blind [s].
+#: A longer gap without any pose means that the cameras were blind [s].
 _BLIND = 0.1
-#: A puck that is not seen for so long may have been carried anywhere [s].
+#: A puck that is unseen for longer may have been carried anywhere [s].
 _LOST = 1.0
 
 
@@ -53,7 +53,7 @@ class Scorekeeper:
     A goal is a puck that was about to be in, with nothing in between that could stop it, and is
     then not seen for 0.2 s by cameras that see other things, or is elsewhere sooner than a puck can
     get there: put back into play. Then nothing counts until it is seen in play. Poses that freeze,
-    jump, are not finite or off the table are none; cameras that see nothing say nothing.
+    jump, are not finite or off the table are ignored; blind cameras prove nothing.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Scorekeeper:
         belief = self._filter.belief
         if belief is None or belief is before:
             return
-        # A filter that begins anew knows nothing of the velocity.
+        # A restarted filter has no knowledge of the velocity.
         self._known = 1 if belief.covariance[3, 3] > 1.0 else self._known + 1
         x, y = belief.mean[:2].tolist()
         if self._known == 1:
@@ -143,7 +143,7 @@ class Scorekeeper:
         self._leaving = self._about_to_be_in()
 
     def judge(self) -> list[Ruling]:
-        """Say what has happened since the last call.
+        """Return the rulings since the last call.
 
         Returns
         -------
@@ -168,7 +168,7 @@ class Scorekeeper:
             if self._away:
                 self._resume(belief.time, 1 if x > 0 else -1)
             found = self._referee.judge(belief.time, x, speed, 0)
-        # Who has the puck serves.
+        # The side that has the puck serves.
         found = [ruling for ruling in found if ruling.kind != "serve"]
         self.calls.update(found)
         return found
@@ -216,7 +216,7 @@ class Scorekeeper:
         return _Leaving(alone.goal, belief.time, state.x, state.y, math.hypot(state.vx, state.vy))
 
     def _carried(self, leaving: _Leaving) -> bool:
-        """Return whether no puck gets from a goal to where it was seen next by itself."""
+        """Return whether the puck reappeared too far from the goal to have moved there unaided."""
         time, x, y = self._landed
         way = math.hypot(x - leaving.x, y - leaving.y)
         fastest = max(2 * leaving.speed, _SENT_BACK)

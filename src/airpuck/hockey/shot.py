@@ -19,14 +19,14 @@ from airpuck.hockey.prediction import PuckModel
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import Disc, strike
 
-#: Of rails, before the line of the goal.
+#: Largest number of banks of a shot.
 MOST_BOUNCES = 2
 #: How an opponent gets to where a straight way of the puck leads, once the puck is on it: it
 #: accelerates, then goes so fast [m/s², m/s]; how well that is known [m].
 _PUSH, _FASTEST, _REACH_ERROR = 15.0, 0.9, 0.1
-#: How often it reads a way right that has led over so many rails.
+#: Probability that the opponent reads a shot after 0, 1, 2 banks.
 _READS = (1.0, 1.0, 0.5)
-#: What contacts of the craft do that nobody identified: standard deviations.
+#: Standard deviations of restitution and grip of contacts with the craft, which are not identified.
 _RESTITUTION, _GRIP = 0.03, 0.1
 
 
@@ -103,7 +103,7 @@ def struck(
         pitch.craft_inertia,
     )
     nx, ny = np.cos(contacts.normal), np.sin(contacts.normal)
-    # One that moves away already does not bounce.
+    # A puck that already moves away does not bounce.
     closing = (vx - craft_x) * nx + (vy - craft_y) * ny < 0
     strike(body, craft, nx, ny, law, np)
     after = np.stack([body.vx, body.vy, body.spin], axis=-1)
@@ -184,7 +184,7 @@ def _passes(
     opponent: tuple[Float[np.ndarray, "*m 2"], float],
     radius: float,
 ) -> Float[np.ndarray, "*n"]:
-    """Return the probability that an opponent does not cover straight ways in time."""
+    """Return the probability that an opponent does not cover straight paths in time."""
     x, y, vx, vy = start
     place, size = opponent
     dx, dy = place[..., 0] - x, place[..., 1] - y
@@ -233,7 +233,7 @@ def chances(
     """Return the probability that contacts score, and the mean number of bounces.
 
     Each contact is tried with evenly spread errors of the puck's place and motion, of the craft's,
-    of the law of contact and of that of the rails.
+    of the law of contact and the law of the rails.
 
     Parameters
     ----------

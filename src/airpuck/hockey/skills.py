@@ -33,13 +33,13 @@ from airpuck.twin.twin import Twin
 
 #: Length and width of the Challenge's table, radii of its mallet and its puck [m].
 _LENGTH, _WIDTH = 1.948, 1.038
-#: An episode ends after so long [s].
+#: Time limit of an episode [s].
 _LONGEST = 10.0
 #: A puck slower than this is under control [m/s].
 _STOPPED = 0.1
-#: Farther in the other half than this, the craft does not touch a puck any more that goes on [m].
+#: A puck further in the other half that moves away is out of the craft's reach [m].
 _GONE = 0.05
-#: So many draws find a start, or there is none.
+#: Largest number of draws to find a start.
 _DRAWS = 2000
 
 SkillName = Literal["defend", "hit", "prepare"]
@@ -182,7 +182,7 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
 
 
 def _scores(play: AirHockey, body: PuckOnTable) -> bool:
-    """Return whether a puck that goes on alone is in the other's goal before it comes back."""
+    """Return whether the untouched puck scores before it comes back."""
     if body.goal:
         return body.goal > 0
     alone = PuckOnTable(play, body.state, logs=False)
@@ -272,7 +272,7 @@ _STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] =
     "hit": _hit,
     "prepare": _prepare,
 }
-#: To stop the puck is the task in two of them, so nobody shoots there.
+#: In two of the skills the task is to stop the puck, so their tactics do not shoot.
 _TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {
     "defend": lambda: AllRounder((Guard(), Catch(), Wait())),
     "hit": lambda: AllRounder((Shoot(least=0.05), Guard(), Catch(), Free(), Wait())),

@@ -1,4 +1,4 @@
-"""What a tactic sees, and what it wants: the interface between seeing and moving.
+"""Inputs and outputs of a tactic: the interface between estimation and control.
 
 A player thinks in its own frame: its goal is at x = -length / 2, its half is x < 0.
 """
@@ -113,7 +113,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Intention:
-    """What a tactic wants.
+    """The output of a tactic.
 
     Attributes
     ----------
@@ -157,6 +157,6 @@ class Tactic(Protocol):
         Returns
         -------
         Intention
-            What is wanted.
+            The intention.
         """
         ...
