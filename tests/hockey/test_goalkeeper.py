@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.control.reference import Rendezvous, SetPoint
 from airpuck.hockey.all_rounder import AllRounder
-from airpuck.hockey.goalkeeper import Blind, Guard, Wait, block
+from airpuck.hockey.goalkeeper import Blind, Defend, Wait, block
 from airpuck.hockey.interception import Outlook, slack
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
@@ -106,7 +106,7 @@ def test_a_shot_that_leaves_no_time_is_still_met_on_its_way():
     assert -PITCH.goal_line < intention.meet[1] < -0.3
 
 
-@pytest.mark.parametrize("strategy", [Guard, Wait, AllRounder])
+@pytest.mark.parametrize("strategy", [Defend, Wait, AllRounder])
 def test_a_mirrored_table_has_a_mirrored_keeper(strategy):
     for view in shots(12, seed=3):
         one, other = (
@@ -118,11 +118,11 @@ def test_a_mirrored_table_has_a_mirrored_keeper(strategy):
 
 def test_a_guard_slows_down_what_comes_slowly_and_blocks_what_comes_fast():
     slow = view_of((0.3, 0.05, 0, -1.0, 0.0, 0))
-    assert decided(Guard(), slow, 1).kind == "prepare"
+    assert decided(Defend(), slow, 1).kind == "prepare"
     fast = view_of((0.3, 0.05, 0, -5.0, 0.0, 0))
-    assert decided(Guard(), fast, 1).kind == "defend"
+    assert decided(Defend(), fast, 1).kind == "defend"
     # The more time it wants to have left, the sooner it only blocks.
-    kinds = [decided(Guard(reserve), slow, 1).kind for reserve in (0.05, 0.3, 3.0)]
+    kinds = [decided(Defend(reserve), slow, 1).kind for reserve in (0.05, 0.3, 3.0)]
     assert kinds == sorted(kinds, reverse=True)
     assert kinds[-1] == "defend"
 
@@ -191,7 +191,7 @@ def test_blind_it_keeps_within_its_goal_and_in_its_middle_if_nothing_comes():
 
 
 def test_a_shot_at_the_own_goal_is_met_and_others_are_not():
-    guard = Guard()
+    guard = Defend()
     shot = view_of((0.6, 0.1, 0, -3.0, -0.2, 0))
     intention = guard.propose(shot, Outlook(shot))
     assert intention.kind in ("defend", "prepare")

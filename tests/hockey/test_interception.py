@@ -8,10 +8,10 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.hockey.goalkeeper import Guard
+from airpuck.hockey.goalkeeper import Defend
 from airpuck.hockey.interception import (
-    Meeting,
     Outlook,
+    PlannedContact,
     around,
     effort,
     run_up,
@@ -70,7 +70,7 @@ def test_effort_from_rest_to_rest_by_hand():
 
 def test_a_contact_happens_at_its_time_with_its_normal():
     view = view_of((-0.4, 0.1, 0, 0.0, 0, 0))
-    meeting = Meeting(0.8, 0.3, 1.0)
+    meeting = PlannedContact(0.8, 0.3, 1.0)
     reference = meeting.reference(view, view.puck.mean)
     assert isinstance(reference, Rendezvous)
     # Back from the rendezvous by its velocity: the discs touch when planned.
@@ -100,7 +100,7 @@ def test_a_craft_that_is_thrown_back_has_room_for_it():
         assert stays_inside(view, place, np.zeros(2), recoil) == fits
     # A shot at the goal is met with room behind, on the way forwards.
     view = view_of((0.6, 0.0, 0.0, -5.0, 0.0, 0.0))
-    met = Guard().propose(view, Outlook(view)).reference
+    met = Defend().propose(view, Outlook(view)).reference
     assert isinstance(met, Rendezvous)
     assert met.state[0] >= PITCH.home[0] - 1e-9
 
@@ -119,7 +119,7 @@ def test_the_way_round_the_puck_does_not_touch_it():
         nearest = min(nearest, float(np.hypot(*(place - view.puck.mean[:2]))))
     assert nearest > PITCH.contact_distance
     np.testing.assert_allclose(place, goal, atol=0.02)
-    through = Meeting(0.8, 0.0, 0.5)
+    through = PlannedContact(0.8, 0.0, 0.5)
     assert not way_is_free(view, outlook, through)
 
 
@@ -162,7 +162,7 @@ def test_a_threat_is_when_the_puck_is_at_the_own_goal():
 def test_one_search_a_decision_and_a_velocity_that_is_known():
     view = view_of((0.3, 0, 0, -1.0, 0, 0))
     outlook = Outlook(view)
-    assert [outlook.may_search() for _ in range(3)] == [True, False, False]
+    assert [outlook.take_search() for _ in range(3)] == [True, False, False]
     for deviation, known in ((0.02, True), (0.04, False)):
         covariance = SEEN + np.diag([0, 0, 0, deviation, deviation, 0]) ** 2
         belief = replace(view.puck, covariance=covariance)
@@ -177,7 +177,7 @@ def test_a_way_is_free_where_a_craft_on_a_cubic_keeps_off_the_puck():
         view = view_of(puck, craft)
         if np.hypot(*(craft[:2] - puck[:2])) < PITCH.contact_distance + 0.02:
             continue
-        outlook, meeting = Outlook(view), Meeting(0.8, rng.uniform(-1.4, 1.4), 1.0)
+        outlook, meeting = Outlook(view), PlannedContact(0.8, rng.uniform(-1.4, 1.4), 1.0)
         at = outlook.at(0.8)
         place = at[:2] - PITCH.contact_distance * unit(meeting.normal)
         way = CubicHermiteSpline([0.0, 0.8], [craft[:2], place], [craft[3:5], unit(meeting.normal)])
@@ -212,7 +212,7 @@ def test_a_way_round_leads_to_the_nearer_side_and_straight_where_nothing_is_betw
 
 def test_a_run_up_begins_behind_the_contact():
     view = view_of((-0.4, 0.1, 0, 0, 0, 0), craft=(-0.8, 0.0, 0, 0, 0, 0))
-    place, avoid = run_up(view, Outlook(view), Meeting(1.0, 0.3, 1.0))
+    place, avoid = run_up(view, Outlook(view), PlannedContact(1.0, 0.3, 1.0))
     expected = np.array([-0.4, 0.1]) - (PITCH.contact_distance + 0.1) * unit(0.3)
     np.testing.assert_allclose([place.x, place.y], expected)
     np.testing.assert_allclose(avoid, (-0.4, 0.1, PITCH.contact_distance + 0.01))
@@ -221,7 +221,7 @@ def test_a_run_up_begins_behind_the_contact():
 def test_a_receding_contact_is_aimed_at_a_little_deeper_than_the_discs_touch():
     for puck, speed in (((0, 0, 0), 1.0), ((-1.0, 0.2, 0), -0.3), ((-0.5, 0, 0), 0.2)):
         view = view_of((-0.4, 0.1, 0, *puck))
-        meeting = Meeting(0.0, 0.3, speed)
+        meeting = PlannedContact(0.0, 0.3, speed)
         found = meeting.reference(view, view.puck.mean)
         later = found.time - meeting.time
         assert 0 < later <= 0.03

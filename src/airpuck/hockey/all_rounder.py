@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from airpuck.hockey.attack import Shoot
-from airpuck.hockey.goalkeeper import Blind, Guard, Wait
+from airpuck.hockey.goalkeeper import Blind, Defend, Wait
 from airpuck.hockey.interception import Outlook
 from airpuck.hockey.possession import Catch, Free
 from airpuck.hockey.tactic import Intention, View
@@ -31,14 +31,14 @@ class AllRounder:
     ----------
     strategies : sequence of Strategy, optional
         What it can do; of those that have something to propose, the first one does. By default
-        `Shoot`, `Guard`, `Catch`, `Free`, `Shoot` whatever the chance, `Wait`.
+        `Shoot`, `Defend`, `Catch`, `Free`, `Shoot` whatever the chance, `Wait`.
     """
 
     def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:
         clear = Shoot(least=0.0, clears=True)
         self.strategies = strategies or (
             Shoot(),
-            Guard(),
+            Defend(),
             Catch(slowest=_CAUGHT),
             Free(),
             clear,

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.hockey.interception import (
-    Meeting,
     Outlook,
+    PlannedContact,
     effort,
     run_up,
     slack,
@@ -49,7 +49,7 @@ _OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
 class _Shot:
     """A planned contact with its probability of scoring."""
 
-    meeting: Meeting
+    meeting: PlannedContact
     chance: float
     kind: Kind
     path: Float[np.ndarray, "N 2"]
@@ -107,10 +107,10 @@ class Shoot:
             return None
         self._plan = plan = self._still(view, outlook)
         self._age += 1
-        if self._found is not None and outlook.may_search():
+        if self._found is not None and outlook.take_search():
             self._choose(view, outlook, self._found)
             self._found = None
-        elif self._found is None and self._is_due(view, plan) and outlook.may_search():
+        elif self._found is None and self._is_due(view, plan) and outlook.take_search():
             self._age, self._found = 0, self._search(view, outlook)
             if self._found is None:
                 self._approach = None
@@ -247,7 +247,7 @@ class Shoot:
             # A later contact of lower value may have a higher chance.
             if chance[each] < self.least:
                 continue
-            meeting = Meeting(float(time[each]), float(normal[each]), float(speed[each]))
+            meeting = PlannedContact(float(time[each]), float(normal[each]), float(speed[each]))
             kind: Kind = "bank" if bounces[each] > 0.5 else "strike"
             kind = "clear" if self.clears else kind
             path = after_contact(view, meeting, pucks[each])
@@ -280,7 +280,7 @@ def _of(indices: tuple[np.ndarray, ...], which: Bool[np.ndarray, " N"]) -> tuple
 
 
 def after_contact(
-    view: View, meeting: Meeting, puck: Float[np.ndarray, " 6"]
+    view: View, meeting: PlannedContact, puck: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, "N 2"]:
     """Return where the puck goes after a contact."""
     contact = Contacts(puck[:2], puck[3:], meeting.normal, meeting.speed * unit(meeting.normal))

@@ -17,7 +17,7 @@ _BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
 _BLIND = 1.0
 
 
-class Guard:
+class Defend:
     """Stops a puck that is on its way into the own goal: slows it down, or stands in its way.
 
     Parameters

@@ -49,7 +49,7 @@ class Outlook:
         self.speed = float(np.hypot(*self.motions[0, :2]))
         self._searched = False
 
-    def may_search(self) -> bool:
+    def take_search(self) -> bool:
         """Take the only search of this decision; return whether it was left."""
         searched, self._searched = self._searched, True
         return not searched
@@ -121,7 +121,7 @@ def _braking(view: View, velocity: Float[np.ndarray, "*n 2"]) -> Float[np.ndarra
 
 
 @dataclass(frozen=True)
-class Meeting:
+class PlannedContact:
     """A contact that is planned: the craft's middle, the puck's, and how the craft moves then."""
 
     #: When [s].
@@ -148,7 +148,7 @@ class Meeting:
         return Rendezvous(self.time + later, state, precision=_PRECISE, then=after)
 
 
-def way_is_free(view: View, outlook: Outlook, meeting: Meeting) -> bool:
+def way_is_free(view: View, outlook: Outlook, meeting: PlannedContact) -> bool:
     """Return whether the craft gets to a contact without touching the puck before.
 
     The way is the one of least effort: a cubic in time.
@@ -213,7 +213,7 @@ def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPo
 
 
 def run_up(
-    view: View, outlook: Outlook, meeting: Meeting
+    view: View, outlook: Outlook, meeting: PlannedContact
 ) -> tuple[SetPoint, tuple[float, float, float]]:
     """Return the next place on the way to where a contact begins, and the puck's disc to avoid."""
     behind = meeting.place(view, outlook.at(meeting.time)) - _RUN_UP * unit(meeting.normal)

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.hockey.interception import (
-    Meeting,
     Outlook,
+    PlannedContact,
     effort,
     run_up,
     slack,
@@ -54,7 +54,7 @@ class Catch:
 
     def __init__(self, reserve: float = 0.0, slowest: float = _SLOW) -> None:
         self.reserve, self.slowest = reserve, slowest
-        self._meeting: Meeting | None = None
+        self._meeting: PlannedContact | None = None
         self._age = _EVERY
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
@@ -68,7 +68,7 @@ class Catch:
         meet = (meeting.time, *puck[:2].tolist())
         return Intention("prepare", meeting.reference(view, puck), meet)
 
-    def _still(self, view: View, outlook: Outlook) -> Meeting | None:
+    def _still(self, view: View, outlook: Outlook) -> PlannedContact | None:
         """Return the contact under way if it can still be kept, for the puck as it moves now."""
         if self._meeting is None or self._meeting.time < view.time - 0.03 or not outlook.known:
             return None
@@ -80,7 +80,9 @@ class Catch:
         turned = math.remainder(self._meeting.normal - normal, 2 * math.pi)
         if abs(turned) > 0.4:
             return None
-        kept = Meeting(self._meeting.time, self._meeting.normal, _receding(view, speed, turned))
+        kept = PlannedContact(
+            self._meeting.time, self._meeting.normal, _receding(view, speed, turned)
+        )
         if kept.time - view.time < _COMMITTED:
             return kept
         place = kept.place(view, puck)
@@ -88,11 +90,11 @@ class Catch:
         able = effort(view, kept.time, place, velocity) < _STRAINED
         return kept if able and view.pitch.inside(place) else None
 
-    def _search(self, view: View, outlook: Outlook) -> Meeting | None:
+    def _search(self, view: View, outlook: Outlook) -> PlannedContact | None:
         """Return the contact with the most time to spare, at a good place."""
         if not outlook.known or outlook.speed < self.slowest or self._age < _EVERY:
             return None
-        if not outlook.may_search():
+        if not outlook.take_search():
             return None
         self._age = 0
         motion = outlook.motions[4::3]
@@ -120,7 +122,7 @@ class Catch:
             k, j = divmod(index, len(_BESIDE))
             if not np.isfinite(value[k, j]):
                 return None
-            meeting = Meeting(float(times[k, j]), float(normal[k, j]), float(recede[k, j]))
+            meeting = PlannedContact(float(times[k, j]), float(normal[k, j]), float(recede[k, j]))
             if way_is_free(view, outlook, meeting):
                 return meeting
         return None
@@ -159,7 +161,7 @@ class Free:
 
     def __init__(self, speed: float = 0.3) -> None:
         self.speed = speed
-        self._meeting: Meeting | None = None
+        self._meeting: PlannedContact | None = None
         self._turn = -1
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
@@ -170,7 +172,7 @@ class Free:
             return None
         kept = self._meeting
         if kept is None or kept.time < view.time - 0.03:
-            kept = self._search(view, outlook) if outlook.may_search() else None
+            kept = self._search(view, outlook) if outlook.take_search() else None
         self._meeting = kept
         if kept is None:
             return None
@@ -182,7 +184,7 @@ class Free:
             return Intention("free", behind, meet, avoid=avoid)
         return Intention("free", kept.reference(view, puck), meet)
 
-    def _search(self, view: View, outlook: Outlook) -> Meeting | None:
+    def _search(self, view: View, outlook: Outlook) -> PlannedContact | None:
         """Return the push after which the puck is at the best place a second later."""
         self._turn = (self._turn + 1) % len(_WAITS)
         wait = _WAITS[self._turn]
@@ -205,5 +207,5 @@ class Free:
             places = good_place(view, end[:, :2])
             worth = float(places.max() + 0.3 * places.mean()) - 0.2 * wait
             if worth > best:
-                best, found = worth, Meeting(time, float(normals[j]), self.speed)
+                best, found = worth, PlannedContact(time, float(normals[j]), self.speed)
         return found

@@ -20,7 +20,7 @@ from airpuck.flight.loop import control
 from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.attack import Shoot
 from airpuck.hockey.contestant import tactic_maker
-from airpuck.hockey.goalkeeper import Guard, Wait
+from airpuck.hockey.goalkeeper import Defend, Wait
 from airpuck.hockey.player import Player, pitch_of
 from airpuck.hockey.possession import Catch, Free
 from airpuck.hockey.tactic import Pitch, Tactic
@@ -274,7 +274,7 @@ _STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] =
 }
 #: In two of the skills the task is to stop the puck, so their tactics do not shoot.
 _TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {
-    "defend": lambda: AllRounder((Guard(), Catch(), Wait())),
-    "hit": lambda: AllRounder((Shoot(least=0.05), Guard(), Catch(), Free(), Wait())),
-    "prepare": lambda: AllRounder((Guard(), Catch(), Free(), Wait())),
+    "defend": lambda: AllRounder((Defend(), Catch(), Wait())),
+    "hit": lambda: AllRounder((Shoot(least=0.05), Defend(), Catch(), Free(), Wait())),
+    "prepare": lambda: AllRounder((Defend(), Catch(), Free(), Wait())),
 }
