@@ -28,9 +28,9 @@ from airpuck.report.style import (
     PAGE_WIDTH,
     PURPLE,
     VERMILLION,
+    drawn,
     key,
     new_figure,
-    png,
     styled,
     top_legend,
 )
@@ -123,7 +123,7 @@ def main() -> None:
     }
     figure = likeness_figure({**real, "twin": clean, "twin with faults": faulty})
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "likeness.png").write_bytes(png(figure))
+    (options.out / "likeness.png").write_bytes(drawn(figure, "png"))
     print(options.out / "likeness.png")
 
 

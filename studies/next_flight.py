@@ -18,7 +18,8 @@ import numpy as np
 from airpuck.experiment_design.design import design
 from airpuck.experiment_design.trials import CheckedFlights, check_design
 from airpuck.model.model_file import published_model
-from airpuck.report.fit_figures import write_design_figure
+from airpuck.report.fit_figures import design_figure
+from airpuck.report.style import write_png
 
 
 def show_progress(done: int, total: int) -> None:
@@ -68,7 +69,7 @@ def main() -> None:
     report("usual", usual)
     report("proposal", proposal)
     if options.figure is not None:
-        write_design_figure(found, proposal, options.figure)
+        write_png(design_figure(found, proposal), options.figure)
 
 
 if __name__ == "__main__":

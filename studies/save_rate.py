@@ -28,7 +28,7 @@ from airpuck.hockey.skills import Stage
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import PuckState
 from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times
-from airpuck.report.style import new_figure, png, styled
+from airpuck.report.style import drawn, new_figure, styled
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 
@@ -119,7 +119,7 @@ def main() -> None:
         print(said, flush=True)
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / "save_rate.json").write_text(json.dumps(rows, indent=1) + "\n")
-    (options.output / "save_rate.png").write_bytes(png(figure_of(rows)))
+    (options.output / "save_rate.png").write_bytes(drawn(figure_of(rows), "png"))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from airpuck.report.prediction_figures import (
     path_figure,
     prediction_figure,
 )
-from airpuck.report.style import RESOLUTION, drawn, png, propeller_colors, propeller_groups
+from airpuck.report.style import RESOLUTION, drawn, propeller_colors, propeller_groups
 
 from ..apparatus.models import fit_of, model_of
 
@@ -66,7 +66,7 @@ def unlabelled(figure: Figure) -> list[str]:
 def test_figures_are_drawn_with_units_on_all_axes(study, judged, name):
     before = dict(mpl.rcParams)
     figure = FIGURES[name](study, judged)
-    picture = png(figure)
+    picture = drawn(figure, "png")
     assert dict(mpl.rcParams) == before
     width, height = Image.open(io.BytesIO(picture)).size
     assert 600 <= width <= 1200
@@ -79,7 +79,7 @@ def test_figures_are_drawn_with_units_on_all_axes(study, judged, name):
 
 def test_drawing_is_repeatable_and_needs_no_pyplot(study, judged):
     first, again = (FIGURES["thrust"](study, judged) for _ in range(2))
-    assert png(first) == png(again)
+    assert drawn(first, "png") == drawn(again, "png")
     assert drawn(first, "pdf") == drawn(again, "pdf")
     code = (
         "import sys, airpuck.report.reproduce, airpuck.report.fit_report, airpuck.report.craft; "
@@ -119,7 +119,7 @@ def test_any_number_of_propellers_can_be_drawn(n):
         craft_figure(vehicle),
         thrust_figure([model_of(vehicle, "M3")]),
     ):
-        assert len(png(figure)) > 1000
+        assert len(drawn(figure, "png")) > 1000
 
 
 def test_thrust_figure_shows_the_curve(study):

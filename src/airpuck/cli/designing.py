@@ -90,9 +90,10 @@ def design(
     if output is not None:
         found.proposal.plan.save(output)
     if figure is not None:
-        from airpuck.report.fit_figures import write_design_figure
+        from airpuck.report.fit_figures import design_figure
+        from airpuck.report.style import write_png
 
-        write_design_figure(found, checked, figure)
+        write_png(design_figure(found, checked), figure)
     tables = _candidate_table(found), error_table(found, checked)
     report(figures, json_file, *tables, *summary(found), output, figure)
 

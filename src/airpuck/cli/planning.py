@@ -107,9 +107,10 @@ def plan(
     if output is not None:
         found.save(output)
     if figure is not None:
-        from airpuck.report.plan_figures import write_plan_figure
+        from airpuck.report.plan_figures import plan_figure
+        from airpuck.report.style import write_png
 
-        write_plan_figure(found, figure, rails)
+        write_png(plan_figure(found, rails), figure)
     report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, figure)
 
 
@@ -169,9 +170,10 @@ def race(
             progress=progress,
         )
     if figure is not None:
-        from airpuck.report.plan_figures import write_race_figure
+        from airpuck.report.plan_figures import race_figure
+        from airpuck.report.style import write_png
 
-        write_race_figure(found, figure, settings.table)
+        write_png(race_figure(found, settings.table), figure)
     if animation is not None:
         airpuck.animate(found.recording, animation, vehicle=belief.vehicle)
     report(found.to_json(), json_file, _race_table(found), figure, animation)

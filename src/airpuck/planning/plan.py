@@ -14,6 +14,7 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.results import Result
 from airpuck.control.reference import Numbers, Target
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
@@ -36,7 +37,7 @@ _TOUCH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Result):
     """A time-optimal flight; a reference that a controller can track.
 
     Attributes
@@ -63,6 +64,8 @@ class Plan:
     keep_out : tuple of (x, y, radius)
         Discs that it does not touch [m].
     """
+
+    JSON = "time_s=duration lower_bound_s=lower_bound gap reserve starts spread"
 
     model: Model
     time: Float[np.ndarray, " nodes"]
@@ -183,23 +186,20 @@ class Plan:
         commands = self.commands[np.clip(last, 0, len(self.commands) - 1)]
         return np.where(flying, commands, self.model.vehicle.command_min)
 
+    @property
+    def gap(self) -> float | None:
+        """Relative distance of the lower bound from the duration; None without a bound."""
+        return None if self.lower_bound is None else 1 - self.lower_bound / self.duration
+
     def to_json(self) -> dict[str, Any]:
         """Return the figures for ``--json``.
 
         Returns
         -------
         dict
-            Duration, bound, and what the starts gave.
+            Duration, bound, and the result of each start.
         """
-        return {
-            "time_s": self.duration,
-            "lower_bound_s": self.lower_bound,
-            "gap": None if self.lower_bound is None else 1 - self.lower_bound / self.duration,
-            "converged": True,
-            "reserve": self.reserve,
-            "starts": [vars(start) for start in self.starts],
-            "spread": self.spread,
-        }
+        return super().to_json() | {"converged": True}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the plan as TOML; `read_plan` reads every number back bit-equal.

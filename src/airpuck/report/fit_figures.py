@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.gauge import largest_accelerations, physical_thrust
@@ -300,14 +298,6 @@ def packet_delay_figure(
         handles += right.plot(expected, at, color=style.VERMILLION, label=label)
     style.top_legend(figure, handles)
     return figure
-
-
-def write_design_figure(
-    found: Design, checked: CheckedFlights | None, path: str | os.PathLike[str]
-) -> None:
-    """Write `design_figure` as PNG."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(style.png(design_figure(found, checked)))
 
 
 @style.styled

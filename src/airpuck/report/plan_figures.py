@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +11,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
-from airpuck.boundary.outputs import replacing
 from airpuck.craft.table import Table
 from airpuck.physics.thrust import thrust
 from airpuck.planning.plan import Plan
@@ -22,12 +20,6 @@ from airpuck.twin.tracking_study import Tracked
 
 #: Number of craft drawn along the path.
 _SHOWN = 7
-
-
-def write_plan_figure(plan: Plan, path: str | os.PathLike[str], table: Table | None = None) -> None:
-    """Write `plan_figure` as PNG."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(style.png(plan_figure(plan, table)))
 
 
 @style.styled
@@ -94,12 +86,6 @@ def _draw_path(axes: Axes, plan: Plan, table: Table | None) -> None:
     known = plan.lower_bound
     bound = "no lower bound" if known is None else f"lower bound {known:.3f} s"
     axes.set_title(f"{plan.duration:.3f} s; {bound}", loc="left")
-
-
-def write_race_figure(race: Race, path: str | os.PathLike[str], table: Table) -> None:
-    """Write `race_figure` as PNG."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(style.png(race_figure(race, table)))
 
 
 @style.styled

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import itertools
+import os
 from collections.abc import Callable, Iterable, Sequence
 from importlib import resources
 from typing import Any, Literal, ParamSpec
@@ -23,6 +24,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
+from airpuck.boundary.outputs import replacing
 from airpuck.control.law import Bound
 from airpuck.craft.vehicle import Vehicle
 
@@ -99,9 +101,10 @@ def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     return buffer.getvalue()
 
 
-def png(figure: Figure) -> bytes:
-    """Draw a figure as a PNG."""
-    return drawn(figure, "png")
+def write_png(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as a PNG file."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(drawn(figure, "png"))
 
 
 def rung_color(name: str) -> str:
