@@ -27,9 +27,9 @@ _NORMALS = np.linspace(-1.4, 1.4, 61)
 _SPEEDS = np.array([0.6, 1.3, 2.1])
 #: Number of best candidates that are evaluated with all errors, and directions around each [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
-#: Discount rate of the probability of scoring with waiting time [1/s], chosen by matches.
+#: Discount rate of the probability of scoring with waiting time [1/s]; a guess.
 _PATIENCE = 0.12
-#: Gain in probability for which the shot under way is replaced, chosen by matches.
+#: Gain in probability for which the shot under way is replaced; a guess.
 _BETTER = 0.08
 #: Search every fourth decision; evaluate the best candidates in the next.
 _EVERY = 4
