@@ -25,7 +25,8 @@ from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.quantities import EFFECTS
 from airpuck.physics.effects import Effect, Layout
 from airpuck.planning.certificate import lower_bound, missing_at
-from airpuck.planning.request import Goal, Limits, Request
+from airpuck.planning.request import Goal, Request
+from airpuck.planning.settings import Limits
 from airpuck.planning.yaw_program import Weight
 
 #: Steps of the simulation [s].

@@ -16,8 +16,9 @@ import numpy as np
 
 import airpuck
 from airpuck.craft.table import Table
-from airpuck.planning.request import Limits, checked_request
+from airpuck.planning.request import checked_request
 from airpuck.planning.search import search
+from airpuck.planning.settings import Limits
 
 
 def pair(model, random, moving: bool, arriving: bool):

@@ -19,7 +19,8 @@ from fastest import pair
 import airpuck
 from airpuck.craft.table import Table
 from airpuck.planning import transcription
-from airpuck.planning.request import Limits, checked_request
+from airpuck.planning.request import checked_request
+from airpuck.planning.settings import Limits
 from airpuck.planning.starts import starts
 
 INTERVALS = 40

@@ -84,7 +84,8 @@ if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
     from airpuck.model.parameters import Parameters as Parameters
     from airpuck.model.rungs import named_rung as named_rung
     from airpuck.planning.plan import Plan as Plan, plan as plan, read_plan as read_plan
-    from airpuck.planning.request import Goal as Goal, Limits as Limits
+    from airpuck.planning.request import Goal as Goal
+    from airpuck.planning.settings import Limits as Limits
     from airpuck.physics.puck import PuckState as PuckState
     from airpuck.preprocessing.pipeline import (
         load_trajectory as load_trajectory,
@@ -161,7 +162,8 @@ _NAMES = {
     "model.parameters": "Parameters",
     "model.rungs": "named_rung",
     "planning.plan": "Plan plan read_plan",
-    "planning.request": "Goal Limits",
+    "planning.request": "Goal",
+    "planning.settings": "Limits",
     "physics.puck": "PuckState",
     "preprocessing.pipeline": "load_trajectory preprocess",
     "recording.bag_writer": "write_bag",

@@ -13,8 +13,9 @@ from airpuck.physics.effects import Effect
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import motor_range
 from airpuck.planning.certificate import lower_bound, lower_bound_through, missing_at
-from airpuck.planning.request import Goal, Limits, checked_request
+from airpuck.planning.request import Goal, checked_request
 from airpuck.planning.search import search
+from airpuck.planning.settings import Limits
 from airpuck.planning.yaw_program import Weight, frontier
 
 M3 = airpuck.read_model("paper:M3")

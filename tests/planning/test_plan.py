@@ -13,8 +13,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference
 from airpuck.craft.table import Table
 from airpuck.planning.plan import read_plan
-from airpuck.planning.request import Goal, Limits, checked_request
+from airpuck.planning.request import Goal, checked_request
 from airpuck.planning.search import search
+from airpuck.planning.settings import Limits
 
 from ..apparatus.one_axis_craft import ACCELERATION, at_rest, one_axis, ring
 

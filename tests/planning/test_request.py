@@ -6,7 +6,8 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.planning.request import Goal, Limits, checked_request
+from airpuck.planning.request import Goal, checked_request
+from airpuck.planning.settings import Limits
 
 M3 = airpuck.read_model("paper:M3")
 REST = (0.0, 0.0, 0.0)

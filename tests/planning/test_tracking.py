@@ -9,7 +9,7 @@ from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import Table
 from airpuck.flight.loop import fly
 from airpuck.flight.pilot import check_pilot
-from airpuck.planning.request import Limits
+from airpuck.planning.settings import Limits
 from airpuck.planning.tracking import Departing, least_correction, plan_tracker
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin

@@ -106,7 +106,7 @@ def read_belief(name: str) -> Model:
 
 def read_player(name: str, quiet: bool) -> Model:
     """Read a model for a player; plan its shortest times first, where they are not known."""
-    from airpuck.cli.output import show_time_left
+    from airpuck.cli.output import say, show_time_left
     from airpuck.planning.minimal_time import minimal_times_of
 
     model = read_belief(name)
@@ -114,9 +114,16 @@ def read_player(name: str, quiet: bool) -> Model:
 
         @cache
         def progress() -> Callable[[float, float], None]:  # shown only where there is any
-            return stack.enter_context(show_time_left("shortest times of this craft", quiet))
+            words = "planning this craft's shortest times, once"
+            return stack.enter_context(show_time_left(words, quiet))
 
-        minimal_times_of(model, lambda done, of: progress()(done, of))
+        with about(name):
+            times = minimal_times_of(model, lambda done, of: progress()(done, of))
+    if times.margin > 0:
+        say(quiet)(
+            f"{name}: this craft's shortest times are uncertain by {times.error['p95']:.2f} s; its "
+            f"player allows {times.margin:.2f} s more for each move and tries fewer shots"
+        )
     return model
 
 

@@ -14,6 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app, repeated
 from airpuck.cli.output import report, show_time_left, table
+from airpuck.planning.settings import Limits
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,6 +28,7 @@ _PANEL = "Control and flight"
 
 @app.command(rich_help_panel=_PANEL, cls=repeated(via=2, keep_out=3))
 def plan(
+    limits: Limits,
     start: Annotated[
         tuple[float, float, float],
         options.number("X Y YAW", "Where the craft is.", numbers.COORDINATE, "--from"),
@@ -63,22 +65,6 @@ def plan(
         tuple[float, float] | None,
         options.number("L W", "Length and width of the table.", numbers.TABLE_SIDE, "--table"),
     ] = None,
-    reserve: Annotated[
-        float, options.number("R", "Share of thrust kept for feedback.", numbers.RESERVE)
-    ] = 0.0,
-    spin: Annotated[
-        float, options.number("W", "Largest spin in rad/s.", numbers.SPIN_LIMIT)
-    ] = 15.0,
-    speed: Annotated[
-        float, options.number("V", "Largest speed along x and y in m/s.", numbers.SPEED_LIMIT)
-    ] = 3.0,
-    margin: Annotated[
-        float, options.number("M", "Distance to keep from the rails.", numbers.CLEARANCE)
-    ] = 0.0,
-    smoothing: Annotated[
-        float,
-        options.number("S", "Time that may be lost for gentler switches.", numbers.SMOOTHING),
-    ] = 0.0,
     intervals: Annotated[
         int, options.number("N", "Intervals of constant commands in a leg.", numbers.INTERVALS)
     ] = 40,
@@ -101,7 +87,7 @@ def plan(
             keep_out or [], 3, "--keep-out", "give three numbers: x [m], y [m], radius [m]"
         ),
         table=rails,
-        limits=airpuck.Limits(reserve, spin, speed, margin, smoothing),
+        limits=limits,
         intervals=intervals,
     )
     if output is not None:

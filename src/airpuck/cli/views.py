@@ -114,6 +114,8 @@ def option(setting: Setting, name: str, heading: str | None = None, default: Any
             setting.check(value, parameter.opts[0])
         return value
 
+    # Typer puts words in brackets: only for a default that is too long to show.
+    short = f"{default:.3g}" if isinstance(default, float) else ""
     words = setting.help
     if setting.within is not None:
         words = f"{words.removesuffix('.')} ({setting.within})."
@@ -123,7 +125,7 @@ def option(setting: Setting, name: str, heading: str | None = None, default: Any
         help=words,
         callback=check,
         rich_help_panel=setting.heading or heading,
-        show_default=f"{default:.3g}" if isinstance(default, float) else True,
+        show_default=short if short and float(short) != default else True,
     )
 
 

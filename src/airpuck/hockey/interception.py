@@ -95,7 +95,7 @@ def slack(
     away = place - velocity * left[..., None] - here
     relative = view.craft[3:5] - velocity
     needed = view.times(np.moveaxis(away, -1, 0), np.moveaxis(relative, -1, 0), "rest")
-    return left - _SLOWER * needed - _LATER
+    return left - _SLOWER * needed - _LATER - view.times.margin
 
 
 def stays_inside(

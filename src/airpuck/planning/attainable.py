@@ -17,7 +17,8 @@ from airpuck.physics.effects import Envelope
 from airpuck.physics.thrust import thrust
 
 if TYPE_CHECKING:
-    from airpuck.planning.request import Limits, Request
+    from airpuck.planning.request import Request
+    from airpuck.planning.settings import Limits
 
 #: Yaws at which `strongest_push` looks, one turn.
 _YAWS = 314

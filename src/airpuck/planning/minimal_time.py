@@ -18,12 +18,17 @@ from scipy.optimize import least_squares
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_packaged, read_toml, write_toml
 from airpuck.model.model_file import Model
-from airpuck.planning.request import Goal, Limits, checked_request
+from airpuck.planning.request import Goal, checked_request
 from airpuck.planning.search import TIDY, ranked, search
+from airpuck.planning.settings import Limits
 from airpuck.planning.transcription import program_for
 
-#: Plans that times of another craft are fitted to, and others that say how much they miss.
+#: Plans that times of another craft are fitted to, and others that measure the error.
 _FITTED, _CHECKED = 8, 6
+#: Fewest plans that suffice for the error, where others fail.
+_FEWEST_CHECKED = 3
+#: Error (p95) of the packaged table, which players' own reserves allow for [s].
+_USUAL_ERROR = 0.033
 #: Tables in use in this process, by craft.
 _KNOWN: dict[str, MinimalTimes] = {}
 _FORMAT = "airpuck minimal times 2"
@@ -34,6 +39,8 @@ _CORNERS = np.ogrid[:2, :2, :2]
 
 Arrival = Literal["rest", "any"]
 ARRIVALS: tuple[Arrival, ...] = ("rest", "any")
+#: Distance [m], velocity [m/s], yaw [rad], arrival.
+_State = tuple[float, tuple[float, float], float, Arrival]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +71,11 @@ class MinimalTimes:
     direction: Float[np.ndarray, " A"]
     time: Float[np.ndarray, "2 D V A"]
     error: Mapping[str, float]
+
+    @property
+    def margin(self) -> float:
+        """What players keep beyond their usual reserve: the error (p95) above the usual one [s]."""
+        return max(0.0, self.error.get("p95", 0.0) - _USUAL_ERROR)
 
     def __call__(self, away: Any, velocity: Any, arrival: Arrival = "rest") -> Any:
         """Look shortest times up, interpolated in √distance, speed and cosine of the direction.
@@ -237,11 +249,7 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
     those to turn, are c times as long, takes T(d, v) = c T₀(d / s c², v / s c): exactly. Of other
     craft s, c and a factor for each arrival are what fits best.
     """
-    states = _random_states(_FITTED + _CHECKED, times)
-    planned = []
-    for number, (distance, velocity, yaw, arrival) in enumerate(states):
-        planned.append(shortest_time(model, distance, velocity, yaw, arrival))
-        progress(number + 1, len(states))
+    states, planned = _planned(model, times, progress)
 
     def stretched(logs: Float[np.ndarray, " 4"]) -> MinimalTimes:
         s, c, *factors = np.exp(logs)
@@ -269,9 +277,33 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
     )
 
 
-def _random_states(
-    count: int, times: MinimalTimes
-) -> list[tuple[float, tuple[float, float], float, Arrival]]:
+def _planned(
+    model: Model, times: MinimalTimes, progress: Callable[[int, int], None]
+) -> tuple[list[_State], Float[np.ndarray, " K"]]:
+    """Plan from random states; return those that have a plan, and their times.
+
+    Raises
+    ------
+    InputError
+        If too few have.
+    """
+    drawn = _random_states(_FITTED + _CHECKED, times)
+    states, planned = [], []
+    for number, (distance, velocity, yaw, arrival) in enumerate(drawn):
+        try:
+            planned.append(shortest_time(model, distance, velocity, yaw, arrival))
+            states.append(drawn[number])
+        except InputError as error:
+            if len(drawn) - 1 - number + len(planned) < _FITTED + _FEWEST_CHECKED:
+                raise InputError(
+                    f"this craft's shortest times cannot be planned: {error.problem}",
+                    field="model",
+                ) from error
+        progress(number + 1, len(drawn))
+    return states, np.array(planned)
+
+
+def _random_states(count: int, times: MinimalTimes) -> list[_State]:
     """Draw distance, velocity, yaw and arrival, the same for every craft."""
     random, drawn = np.random.default_rng(1), []
     for k in range(count):
@@ -298,7 +330,7 @@ def shortest_time(
     )
     best = ranked(request)[0][0]
     program = program_for(model, _INTERVALS, 1, 0)
-    solved = program.solve(request, best.path.resampled(_INTERVALS), best.yaw, TIDY)
+    solved = program.solve(request, best.path.resampled(_INTERVALS, model), best.yaw, TIDY)
     return solved.time if solved.converged else search(request, 2 * _INTERVALS)[0].time
 
 

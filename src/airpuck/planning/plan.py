@@ -20,8 +20,9 @@ from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration
 from airpuck.planning.certificate import lower_bound, lower_bound_through
-from airpuck.planning.request import Goal, Limits, Request, checked_request
+from airpuck.planning.request import Goal, Request, checked_request
 from airpuck.planning.search import Start, further, search
+from airpuck.planning.settings import Limits
 from airpuck.planning.transcription import Path, Solved
 from airpuck.planning.yaw_program import Weight
 

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
@@ -19,6 +18,7 @@ from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.physics.thrust import thrust
 from airpuck.planning.attainable import has_bounds, strongest_push
+from airpuck.planning.settings import Limits
 
 #: A yaw beyond this is a mistake: the craft would have to turn for seconds [rad].
 _MOST_YAW = 50.0
@@ -27,9 +27,6 @@ _FARTHEST = 100.0
 _MOST_POINTS = 20
 #: Start and goal that are nearer than this are the same [m, m, rad, m/s, m/s, rad/s].
 _SAME = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
-#: Turns at which the search begins where the final yaw is free: all around, since some 3 to 5 of
-#: them lead to flights of their own [rad].
-_FREE_TURNS = (0.0, 0.9, -0.9, 1.8, -1.8, 2.7, -2.7)
 #: Step in which braking before a rail is looked at [s].
 _STEP = 1e-3
 
@@ -64,40 +61,6 @@ class Goal:
         return np.array([self.x, self.y, yaw, *velocity], dtype=float)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a plan may use.
-
-    Attributes
-    ----------
-    reserve : float, default 0
-        Share of every motor's thrust that is kept for feedback, below 1.
-    spin : float, default 15
-        Largest spin [rad/s].
-    speed : float, default 3
-        Largest velocity along x and along y [m/s].
-    margin : float, default 0
-        Distance that the craft keeps from the rails and from what it must not touch [m].
-    smoothing : float, default 0
-        Time that may be lost for each unit of ∫ |u'|² dt, the squared rates of the commands until
-        the motors idle: a gentle switch suffers less from a packet that comes late. For flights,
-        2e-4 [s²].
-    """
-
-    reserve: float = 0.0
-    spin: float = 15.0
-    speed: float = 3.0
-    margin: float = 0.0
-    smoothing: float = 0.0
-
-    def __post_init__(self) -> None:
-        numbers.RESERVE.check(self.reserve, "reserve")
-        numbers.SPIN_LIMIT.check(self.spin, "spin")
-        numbers.SPEED_LIMIT.check(self.speed, "speed")
-        numbers.CLEARANCE.check(self.margin, "margin")
-        numbers.SMOOTHING.check(self.smoothing, "smoothing")
-
-
 @dataclass(frozen=True, eq=False)
 class Request:
     """A checked request: whatever is in it can be asked of the solver."""
@@ -127,7 +90,7 @@ class Request:
         """Return the final yaws worth trying, as continuous angles; the nearest first."""
         begin, yaw = self.start[2], self.goal.yaw
         if yaw is None:
-            return tuple(float(begin + turn) for turn in _FREE_TURNS)
+            return (float(begin),)
         if self.goal.turn == "exact":
             return (float(yaw),)
         turn = float(wrapped(np, yaw - begin))

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.model.model_file import Model
 from airpuck.planning.certificate import unavoidable_rail
 from airpuck.planning.request import Request
 from airpuck.planning.starts import further_starts, starts
@@ -76,19 +77,25 @@ def search(
     else:
         yaw = min(request.goal_yaws(), key=lambda yaw: abs(yaw - near.states[-1, 2]))
         candidates, tried = [_Candidate(0.0, yaw, near)], []
-    statuses = [start.status for start in tried]
+    statuses, best = [start.status for start in tried], None
     for one in candidates[:_REFINED]:
-        solved, status = refined(request, one.path, one.yaw, intervals)
-        if solved is not None:
-            if near is not None:
-                tried = [Start("the neighbouring plan", solved.time, status)]
-            return solved, tuple(tried)
-        statuses.append(status)
-    for begun, solved in further(request, intervals) if near is None else ():
-        tried.append(begun)
-        if solved is not None:
-            return solved, tuple(tried)
-        statuses.append(begun.status)
+        # Times on the coarse grid are above those on the fine one, unless that led elsewhere.
+        if best is not None and one.time >= best.time:
+            break
+        solved, status = refined(request, one.path, one.yaw, intervals, guessed=one.time == np.inf)
+        if solved is None:
+            statuses.append(status)
+        elif best is None or solved.time < best.time:
+            best = solved
+    if best is not None:
+        near_start = Start("the neighbouring plan", best.time, best.status)
+        return best, tuple(tried if near is None else [near_start])
+    others = list(further(request, intervals)) if near is None else []
+    tried += [begun for begun, _ in others]
+    flights = [solved for _, solved in others if solved is not None]
+    if flights:
+        return min(flights, key=lambda one: one.time), tuple(tried)
+    statuses += [begun.status for begun, _ in others]
     axis = unavoidable_rail(request)
     if axis is not None:
         raise InputError(
@@ -125,18 +132,22 @@ def further(
         time, status = one.time if one.converged else None, one.status
         if not one.converged or one.time < _WORTH * best:
             path = one.path if one.converged else guess
-            solved, status = refined(request, path, yaw, intervals)
+            guessed = not one.converged
+            solved, status = refined(request, path, yaw, intervals, guessed=guessed)
             time = time if solved is None else solved.time
         yield Start(name, time, status), solved
 
 
-def refined(request: Request, path: Path, yaw: float, intervals: int) -> tuple[Solved | None, str]:
-    """Solve on a fine grid; return the solver's words, too.
+def refined(
+    request: Request, path: Path, yaw: float, intervals: int, *, guessed: bool = False
+) -> tuple[Solved | None, str]:
+    """Solve on a fine grid, from a flight or a guess; return the solver's words, too.
 
     Where that flies elsewhere, or spins too fast between nodes, on a finer grid and within a limit
     of spin that is lower by as much.
     """
-    path, status, tight = _on_grid(path, intervals, _LONGEST_FINE), "", request
+    flown = None if guessed else request.model
+    path, status, tight = _on_grid(path, intervals, _LONGEST_FINE, flown), "", request
     for _ in range(_FINER):
         program = _program(request, path)
         tidy = program.solve(tight, path, yaw, TIDY)
@@ -168,11 +179,11 @@ def _program(request: Request, path: Path) -> Transcription:
     return program_for(request.model, len(path.commands) // legs, legs, len(request.keep_out))
 
 
-def _on_grid(path: Path, intervals: int, longest: float) -> Path:
+def _on_grid(path: Path, intervals: int, longest: float, flown: Model | None = None) -> Path:
     """Resample a path: each leg with so many intervals, doubled while they are too long."""
     while path.durations.max() > longest * intervals and 2 * intervals <= _MOST_INTERVALS:
         intervals *= 2
-    return path.resampled(intervals)
+    return path.resampled(intervals, flown)
 
 
 def _simulated(request: Request, path: Path) -> Float[np.ndarray, "M s"]:

@@ -13,11 +13,28 @@ from airpuck.planning.transcription import Path
 
 #: Turned aside half way, by the names of starts [rad].
 _ASIDE = {"straight": 0.0, "turned left": 0.5, "turned right": -0.5}
+#: The last two are for craft that push one way only: they turn round to brake, and back again.
 _FURTHER = {
     "straight, with time to turn round": 0.0,
     "turned far left": 1.2,
     "turned far right": -1.2,
+    "turned round to the left": 4.5,
+    "turned round to the right": -4.5,
 }
+#: Starts where the yaw is free: the final turn, and how far the craft turns aside half way [rad].
+#: The first seven go all around. In the last two the craft first turns the other way; they lead to
+#: flights that beat those of the others by up to 1.3 % (`studies/plan_search.py free-yaw`).
+_FREE = (
+    (0.0, 0.0),
+    (0.9, 0.0),
+    (-0.9, 0.0),
+    (1.8, 0.0),
+    (-1.8, 0.0),
+    (2.7, 0.0),
+    (-2.7, 0.0),
+    (1.6, -1.3),
+    (-1.6, 1.3),
+)
 #: Further from a disc than this share of its radius a way round it leads.
 _ROUND = 1.3
 #: Peak of the guess's speed over its mean, 1.5, and room to correct it.
@@ -26,30 +43,38 @@ _STEEPEST = 1.6
 
 def starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
     """Yield what each start is called, its path and its final yaw."""
-    nearest, *others = request.goal_yaws()
-    for name, aside in _ASIDE.items():
-        # A free yaw has final yaws to begin with in place of turns on the way.
-        if aside == 0 or request.goal.yaw is not None:
-            yield name, _path(request, intervals, nearest, aside, ways=request.via), nearest
-    for yaw in others:
-        label = f"turned by {yaw - request.start[2]:+.1f} rad"
-        yield label, _path(request, intervals, yaw, 0.0, ways=request.via), yaw
+    for name, yaw, aside in _turns(request):
+        yield name, guess(request, intervals, yaw, aside, ways=request.via), yaw
     for name, side in (("round on the left", 1.0), ("round on the right", -1.0)):
         detours = _detours(request, side)
         if detours is not None:
             yaw = request.goal_yaws()[0]
-            yield name, _path(request, intervals, yaw, 0.0, ways=detours), yaw
+            yield name, guess(request, intervals, yaw, 0.0, ways=detours), yaw
+
+
+def _turns(request: Request) -> Iterator[tuple[str, float, float]]:
+    """Yield names, final yaws, and how far the craft turns aside half way."""
+    if request.goal.yaw is None:
+        for turn, aside in _FREE:
+            late = ", the other way first" if aside else ""
+            yield f"turned by {turn:+.1f} rad{late}", float(request.start[2] + turn), aside
+        return
+    nearest, *others = request.goal_yaws()
+    for name, aside in _ASIDE.items():
+        yield name, nearest, aside
+    for yaw in others:
+        yield f"turned by {yaw - request.start[2]:+.1f} rad", yaw, 0.0
 
 
 def further_starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
     """Yield other starts, for plans that may not be the best."""
     yaw = request.goal_yaws()[0]
     for name, aside in _FURTHER.items():
-        path = _path(request, intervals, yaw, aside, ways=request.via, turning=not aside)
+        path = guess(request, intervals, yaw, aside, ways=request.via, turning=not aside)
         yield name, path, yaw
 
 
-def _path(
+def guess(
     request: Request,
     intervals: int,
     yaw: float,
@@ -68,7 +93,9 @@ def _path(
     lengths = np.maximum(np.diff(ends), 0.05)
     turn = abs(yaw - request.start[2])
     durations = np.maximum(2.2 * np.sqrt(lengths / push), 0.1)
-    durations = np.maximum(durations, _STEEPEST * turn / request.limits.spin / legs)
+    # The spin of a turn aside by a sine peaks at π times its mean.
+    turn = max(_STEEPEST * turn, np.pi * abs(aside))
+    durations = np.maximum(durations, turn / request.limits.spin / legs)
     durations = np.maximum(durations, _STEEPEST * lengths / request.limits.speed)
     if turning:  # velocities at the ends have to be turned round first
         durations[0] += 2 * np.hypot(*request.start[3:5]) / push

@@ -25,6 +25,8 @@ _LONGEST, _LONGER = 6.0, 1.0
 #: Shortest duration of a leg [s].
 _SHORTEST = 1e-3
 _MOST_ITERATIONS = 120
+#: Simulated states in each interval from which a path is resampled.
+_BETWEEN = 8
 #: Runge-Kutta steps between two nodes: then a plan of a second ends within a millimetre.
 _SUBSTEPS = 2
 
@@ -69,8 +71,12 @@ class Path:
         flown = model.simulate(self.states[0], np.repeat(self.commands, parts, axis=0), periods)
         return np.concatenate([[0.0], np.cumsum(periods)]), np.vstack([self.states[:1], flown])
 
-    def resampled(self, intervals: int) -> Path:
-        """Return the path with another number of intervals in each leg."""
+    def resampled(self, intervals: int, model: Model | None = None) -> Path:
+        """Return the path with another number of intervals in each leg.
+
+        Where a model is given, states between the nodes are simulated: from linear ones the solver
+        may leave for another, slower flight. A guess cannot be simulated.
+        """
         legs = len(self.durations)
         if intervals * legs == len(self.commands):
             return self
@@ -80,7 +86,10 @@ class Path:
             [np.linspace(ends[i], ends[i + 1], intervals + 1)[:-1] for i in range(legs)]
             + [ends[-1:]]
         )
-        states = np.array([np.interp(times, before, column) for column in self.states.T]).T
+        known = (before, self.states)
+        if model is not None:
+            known = self.simulated(model, before, _BETWEEN)
+        states = np.array([np.interp(times, known[0], column) for column in known[1].T]).T
         middle = (times[1:] + times[:-1]) / 2
         held = np.clip(np.searchsorted(before, middle) - 1, 0, len(self.commands) - 1)
         return Path(self.durations, states, self.commands[held])

@@ -18,7 +18,7 @@ from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.planning.plan import Plan, plan
-from airpuck.planning.request import Limits
+from airpuck.planning.settings import Limits
 from airpuck.planning.tracking import plan_tracker
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant, build_plant
