@@ -46,6 +46,13 @@ def test_slack_is_what_the_shortest_times_leave():
     assert moving[0] > time - PITCH.delay - 1.3 * needed
 
 
+def test_slack_is_less_where_the_shortest_times_are_uncertain():
+    view = view_of((-0.3, 0, 0, 0, 0, 0), craft=(-0.8, 0, 0, 0, 0, 0))
+    unsure = replace(view, times=replace(TIMES, error={"p95": 0.133}))
+    there = np.array([1.0]), np.array([[-0.5, 0.0]]), np.zeros((1, 2))
+    assert slack(view, *there) - slack(unsure, *there) == pytest.approx(0.1, abs=1e-3)
+
+
 def test_effort_is_the_greatest_acceleration_of_a_cubic():
     rng = np.random.default_rng(0)
     for _ in range(20):

@@ -1,5 +1,6 @@
 """Shortest times looked up are those of plans."""
 
+import sys
 import time
 from dataclasses import replace
 
@@ -85,6 +86,35 @@ def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
     play = AirHockey()
     usual, weaker = Player(model, play), Player(other, play)
     assert weaker.pitch.acceleration == pytest.approx(usual.pitch.acceleration / 4, rel=1e-3)
+    # A shot that comes at 2.5 m/s: who has the time strikes it back, who has not blocks it.
+    assert "strike" in decisions(usual)
+    assert decisions(weaker) == {"defend"}
+
+
+def decisions(player):
+    """What a player at home decides about a shot that comes straight at 2.5 m/s."""
+    kinds = []
+    for k in range(20):
+        time = 0.01 * k
+        player.pose(time, np.array([-0.9, 0.15, 0.0]))
+        player.puck(time, np.array([0.8 - 2.5 * time, 0.0, 0.0]))
+        player.step(time)
+        kinds.append(player.intention.kind)
+    return set(kinds[8:])  # some frames show the velocity
+
+
+def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    assert minimal_times_of(airpuck.read_model("paper:M3")).margin == 0
+    with pytest.raises(InputError, match=r"cannot be planned: .*pip install casadi"):
+        minimal_times_of(weak(0.43))
+
+
+def test_an_error_above_the_usual_one_is_kept_in_reserve():
+    packaged = read_minimal_times()
+    assert replace(packaged, error={"p95": 0.1}).margin == pytest.approx(0.067)
+    assert replace(packaged, error={"p95": 0.02}).margin == 0
 
 
 @pytest.mark.slow

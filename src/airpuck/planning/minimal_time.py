@@ -29,6 +29,8 @@ _FITTED, _CHECKED = 8, 6
 _FEWEST_CHECKED = 3
 #: Error (p95) of the packaged table, which players' own reserves allow for [s].
 _USUAL_ERROR = 0.033
+#: Weight of the factor's logarithm beside relative errors of times.
+_NEAR_ONE = 0.1
 #: Tables in use in this process, by craft.
 _KNOWN: dict[str, MinimalTimes] = {}
 _FORMAT = "airpuck minimal times 2"
@@ -39,8 +41,8 @@ _CORNERS = np.ogrid[:2, :2, :2]
 
 Arrival = Literal["rest", "any"]
 ARRIVALS: tuple[Arrival, ...] = ("rest", "any")
-#: Distance [m], velocity [m/s], yaw [rad], arrival.
-_State = tuple[float, tuple[float, float], float, Arrival]
+#: Distance [m], velocity [m/s], yaw [rad].
+_State = tuple[float, tuple[float, float], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,26 +249,29 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
 
     A craft whose accelerations are s times as large, and all of whose times, the motors' lag and
     those to turn, are c times as long, takes T(d, v) = c T₀(d / s c², v / s c): exactly. Of other
-    craft s, c and a factor for each arrival are what fits best.
+    craft s, c and a factor are what fits best. Plans, and so the error, are to rest, as players
+    ask for; times to pass are scaled alike.
     """
     states, planned = _planned(model, times, progress)
 
-    def stretched(logs: Float[np.ndarray, " 4"]) -> MinimalTimes:
-        s, c, *factors = np.exp(logs)
-        time = times.time * c * np.reshape(factors, (2, 1, 1, 1))
+    def stretched(logs: Float[np.ndarray, " 3"]) -> MinimalTimes:
+        s, c, factor = np.exp(logs)
         return replace(
-            times, distance=times.distance * s * c**2, speed=times.speed * s * c, time=time
+            times,
+            distance=times.distance * s * c**2,
+            speed=times.speed * s * c,
+            time=times.time * c * factor,
         )
 
     def looked_up(table: MinimalTimes) -> Float[np.ndarray, " K"]:
-        return np.array([float(table((d, 0.0), v, arrival)) for d, v, _, arrival in states])
+        return np.array([float(table((d, 0.0), v)) for d, v, _ in states])
 
-    def missed(logs: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " K"]:
+    def missed(logs: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " K"]:
         shares = np.log(looked_up(stretched(logs)) / planned)[:_FITTED]
-        # All four at once are not told apart by few plans: factors are to be near 1.
-        return np.append(shares, 0.1 * logs[2:])
+        # Few plans do not tell c and the factor apart: the factor is to be near 1.
+        return np.append(shares, _NEAR_ONE * logs[2])
 
-    found = stretched(least_squares(missed, np.zeros(4)).x)
+    found = stretched(least_squares(missed, np.zeros(3)).x)
     away = np.abs(looked_up(found) - planned)[_FITTED:]
     error = dict(zip(("median", "p95", "worst"), np.quantile(away, (0.5, 0.95, 1.0)), strict=True))
     return replace(
@@ -289,9 +294,9 @@ def _planned(
     """
     drawn = _random_states(_FITTED + _CHECKED, times)
     states, planned = [], []
-    for number, (distance, velocity, yaw, arrival) in enumerate(drawn):
+    for number, (distance, velocity, yaw) in enumerate(drawn):
         try:
-            planned.append(shortest_time(model, distance, velocity, yaw, arrival))
+            planned.append(shortest_time(model, distance, velocity, yaw, "rest"))
             states.append(drawn[number])
         except InputError as error:
             if len(drawn) - 1 - number + len(planned) < _FITTED + _FEWEST_CHECKED:
@@ -304,13 +309,13 @@ def _planned(
 
 
 def _random_states(count: int, times: MinimalTimes) -> list[_State]:
-    """Draw distance, velocity, yaw and arrival, the same for every craft."""
+    """Draw states, the same for every craft."""
     random, drawn = np.random.default_rng(1), []
-    for k in range(count):
+    for _ in range(count):
         distance, speed = random.uniform(0.02, times.distance[-1] / 2), random.uniform(0, 2)
         angle, yaw = random.uniform(0, np.pi), random.uniform(-np.pi, np.pi)
         velocity = float(speed * np.cos(angle)), float(speed * np.sin(angle))
-        drawn.append((float(distance), velocity, float(yaw), ARRIVALS[k % 2]))
+        drawn.append((float(distance), velocity, float(yaw)))
     return drawn
 
 
