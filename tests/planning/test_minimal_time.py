@@ -10,6 +10,7 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
+from airpuck.data.measurement import Measurement
 from airpuck.hockey.player import Player
 from airpuck.planning.minimal_time import (
     MinimalTimes,
@@ -96,8 +97,8 @@ def decisions(player):
     kinds = []
     for k in range(20):
         time = 0.01 * k
-        player.pose(time, np.array([-0.9, 0.15, 0.0]))
-        player.puck(time, np.array([0.8 - 2.5 * time, 0.0, 0.0]))
+        player.measured(Measurement("pose", time, np.array([-0.9, 0.15, 0.0])))
+        player.measured(Measurement("puck", time, np.array([0.8 - 2.5 * time, 0.0, 0.0])))
         player.step(time)
         kinds.append(player.intention.kind)
     return set(kinds[8:])  # some frames show the velocity
