@@ -257,7 +257,7 @@ def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
 def test_the_paper_s_encoder_may_not_judge_causally(flight):
     with pytest.raises(InputError, match="looks ahead"):
         evaluate(MODEL, flight, protocol=PROTOCOLS["causal"])
-    with pytest.raises(InputError, match="none of paper, actuation"):
+    with pytest.raises(InputError, match="must be 'paper' or 'actuation'"):
         evaluate(MODEL, flight, encoder="kalman")
 
 

@@ -110,5 +110,6 @@ def test_a_simulation_of_the_truth_stays_near_it(flight):
 def test_too_few_poses_are_refused(flight):
     with pytest.raises(InputError, match="one-step"):
         innovations(TRUTH, flight.slice(0, 0.02))
+    other = replace(flight, propellers=("a",), command=flight.command[:, :1])
     with pytest.raises(InputError, match="motors"):
-        innovations(published_model("M3"), replace(flight, propellers=("a",)))
+        innovations(published_model("M3"), other)
