@@ -38,7 +38,7 @@ class Server:
     """Runs commands in processes, and disturbs them."""
 
     def __init__(self) -> None:
-        command = [sys.executable, "-m", "tests.disturbed"]
+        command = [sys.executable, "-m", "tests.apparatus.disturbed_commands"]
         # A shell that starts the tests in the background has its children ignore Ctrl-C.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.designing import error_table, summary
@@ -264,7 +265,7 @@ def shows_every_quantity(real: Design, checked):
 
 @pytest.mark.slow
 def test_the_command_writes_a_plan_that_excite_takes(found, tmp_path, monkeypatch):
-    monkeypatch.setattr("airpuck.experiment_design.design.design", lambda *_, **__: found)
+    monkeypatch.setattr(airpuck, "design", lambda *_, **__: found)
     plan, figures = tmp_path / "plan.toml", tmp_path / "design.json"
     drawn = tmp_path / "design.png"
     arguments = ["-o", str(plan), "--json", str(figures), "--figure", str(drawn)]

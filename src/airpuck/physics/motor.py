@@ -11,6 +11,8 @@ from jaxtyping import Float
 IDLE = 0.1
 #: Passes after which speeds of idling motors no longer change, and by how much they still may.
 _MOST_PASSES, _SETTLED = 50, 1e-9
+#: Motors with a shorter lag follow at once: the quotient of a period by it overflows [s].
+_NO_LAG = 1e-12
 
 
 def motor_step(
@@ -49,7 +51,7 @@ def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
         return xp.exp(-duration / time_constant)
     # No division by zero even in the branch that is not taken: where() hides the value of a NaN,
     # but not its derivative.
-    lagging = time_constant > 0
+    lagging = time_constant > _NO_LAG
     divisor = xp.where(lagging, time_constant, 1.0)
     return xp.where(lagging, xp.exp(-duration / divisor), 0.0)
 

@@ -37,8 +37,8 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
     coefficient there, mean over x, y and yaw.
     """
     time = trajectory.time
-    lag = dynamics.motor_time_constant, dynamics.idle_lag
-    speed = motor_speeds(time, trajectory.input, *lag)
+    lag, idle = float(dynamics.motor_time_constant), dynamics.idle_lag
+    speed = motor_speeds(time, trajectory.input, lag, None if idle is None else float(idle))
     limit = round(LONGEST_S / trajectory.sample_period)
     shift, correlation = 0, 0.0
     visited: set[int] = set()
