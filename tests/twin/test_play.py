@@ -246,5 +246,5 @@ def test_each_craft_sees_the_other_as_mallet(plant):
 
 def test_a_world_has_its_own_puck(plant):
     world, _ = two_crafts(plant, [(-0.5, 0.0, 0.0)])
-    with pytest.raises(InputError, match="those of the world"):
+    with pytest.raises(InputError, match="come with the world"):
         Twin(MODEL, plant=plant, puck=PuckState(0, 0), world=world)

@@ -42,13 +42,15 @@ def test_courses_are_on_the_table():
 
 
 def test_points_and_discs_are_no_task_for_a_set_point_and_motion_no_start(planned):
-    past = replace(planned, via=((0.0, 0.0),), keep_out=((0.0, 0.0, 0.05),))
+    states = planned.samples[1]
+    x, y = states[len(states) // 2, :2].tolist()  # the plan passes there
+    past = replace(planned, via=((x, y),), keep_out=((x, y, 0.05),))
     found = race(past, M3)
     assert found.set_point is None
     assert found.to_json()["set_point_s"] is None
     assert found.flown[0] == pytest.approx(planned.duration, rel=0.1)
     assert found.touches == 1
-    missed = race(replace(planned, via=((0.0, 0.3),)), M3)
+    missed = race(replace(planned, via=((x, y + 0.3),)), M3)
     assert missed.flown == (None,)
     states = planned.states.copy()
     states[0, 3] = 0.5

@@ -85,7 +85,12 @@ def excite(
         If a number is out of range.
     """
     each = tuple(amplitude) if isinstance(amplitude, Sequence) else amplitude
-    plan = ExcitationPlan(each, hold, duration, margin)
+    try:
+        plan = ExcitationPlan(each, hold, duration, margin)
+    except InputError as error:
+        # The fields of a plan end with their units; the arguments here do not.
+        field = (error.field or "").removesuffix("_s").removesuffix("_m")
+        raise InputError(error.problem, field=field) from error
     flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning, plant=plant)
     return flown.recording
 
