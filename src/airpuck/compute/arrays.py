@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from threading import Lock
 from typing import Any
 
@@ -82,7 +82,7 @@ def register_pytree(kind: Any, static: str = "") -> None:
         if kind in _registered:
             return
         _registered.add(kind)
-        if not is_dataclass(kind):
+        if not hasattr(kind, "__dataclass_fields__"):
             register_static(kind)
             return
         names, fixed = [entry.name for entry in fields(kind)], [static] if static else []
