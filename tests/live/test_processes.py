@@ -218,8 +218,7 @@ def test_a_second_controller_refuses_and_says_whose_the_first_is(table):
     assert status == 2
     assert len(err.strip().splitlines()) == 1
     assert f"another controller already: airpuck fly (process {first.pid} on" in err
-    table.watch.run(0.1)
-    assert table.flies()
+    table.watch.until(table.flies, 10.0)
 
 
 def test_poses_that_stop_idle_the_motors_until_they_are_back(table):

@@ -64,12 +64,13 @@ def test_the_craft_plays_who_sits_at_the_page(domain):
             watch.forget()
             # Both move, and the craft stays on its half; its edge may be a little over the line.
             for k in range(150):
-                page.send(struct.pack("<Iff", k, *((0.3, 0.3) if k % 20 < 10 else (0.8, -0.3))))
+                place = (0.3, 0.3, 0.0) if k % 20 < 10 else (0.8, -0.3, 0.0)
+                page.send(struct.pack("<Ifff", k, *place))
                 watch.run(0.1)
                 if len(watch.heard[MALLET]) > 800:
                     break
             state = hear(page, lambda one: isinstance(one, bytes))
-            assert np.isfinite(struct.unpack("<dIB3x16f", state)).all()
+            assert np.isfinite(np.frombuffer(state, "<f4", offset=16)).all()  # after the header
         player.signal(signal.SIGINT)
         code, out, _ = player.end()
     finally:
