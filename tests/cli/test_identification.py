@@ -11,7 +11,7 @@ from rich.console import Console
 # The words of a ladder, without the fits of a minute that the command makes first.
 from airpuck.cli.identification import _ladder_summary
 from airpuck.identification.fit_result import Fit
-from airpuck.identification.selection import Candidate, Selection
+from airpuck.identification.selection import CandidateModel, Selection
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
 from airpuck.report.fit_report import selection_section
@@ -82,7 +82,7 @@ def test_the_ladder_is_shown_with_what_each_rung_buys():
         interval = np.stack([ratio - 0.02, ratio + 0.02])
         model = replace(MODEL, name=name)
         excess = 2 * np.log(millimetres / 4.0)
-        return Candidate(model, errors, ratio, interval, float(excess), 0.03)
+        return CandidateModel(model, errors, ratio, interval, float(excess), 0.03)
 
     candidates = (tried("M2", 8.0, np.nan), tried("M3", 4.04, 0.505), tried("M5", 4.0, 0.99))
     candidates += (tried("M5+drag", 4.0, 0.9998),)

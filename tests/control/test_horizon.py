@@ -13,7 +13,7 @@ from airpuck.control.authority import control_authority
 
 # What the horizon takes a craft's brake to be is in the stages, but mixed with other numbers.
 from airpuck.control.horizon import Blocks, _brake, linearised, stages
-from airpuck.control.tuning import Limits, default_tuning
+from airpuck.control.tuning import SoftLimits, default_tuning
 from airpuck.model.model_file import published_model
 from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration
@@ -86,7 +86,7 @@ def posed(
     plan, wanted, *, state=STATE, model=MODEL, blocks=None, way=0.0, shares=(1,) * 6, **limits
 ):
     """Pose a problem with equal weights, and a fence of ± 1 m and ± 0.4 m."""
-    regulator = default_tuning().regulator.model_copy(update={"limits": Limits(**limits)})
+    regulator = default_tuning().regulator.model_copy(update={"limits": SoftLimits(**limits)})
     blocks = blocks or Blocks(0.02, (2, 2, 2))
     count = len(blocks.times)
     ask = np.tile(wanted, (count, 1)), np.zeros((count, 3)), np.ones((count, 6)), np.eye(6)
@@ -141,7 +141,7 @@ def test_a_motor_that_is_nearly_dead_does_not_brake(motor):
     ways = np.linspace(0, 2 * np.pi, 500)[:, None]
     weakest = (np.cos(ways) * x + np.sin(ways) * y).max(axis=1).min()
     s = posed(PLAN, np.zeros(6), shares=shares)
-    headway = Limits().headway_s + np.abs(s.states[:, 3:5]) / weakest
+    headway = SoftLimits().headway_s + np.abs(s.states[:, 3:5]) / weakest
     rows = s.limited[:, [0, 1], [3, 4]]
     np.testing.assert_allclose(rows, headway, rtol=0.03)  # to a moment of the offset mass
     assert weakest < 0.6 * 2 * BRAKE
@@ -157,7 +157,7 @@ def test_limits_are_met_by_changes_that_reach_them():
     reached = s.states[:, :6] + change
     moved = np.einsum("kci,ki->kc", s.limited, change)
     # It can still brake with half of what its propellers give that way: at v, over v²/2a.
-    headway = Limits().headway_s + np.abs(s.states[:, 3:5]) / (2 * BRAKE)
+    headway = SoftLimits().headway_s + np.abs(s.states[:, 3:5]) / (2 * BRAKE)
     room = np.minimum(8e-4 * np.abs(s.states[:, 5]), 0.015)  # 0.8 mm for each rad/s
     assert room.max() > 1e-3
     for i in (0, 1):

@@ -8,7 +8,7 @@ from airpuck.control.horizon import Blocks, Stages
 
 # The same problem is written down by hand, with the same damping.
 from airpuck.control.horizon_solvers import _DAMPING, Condensed, Multistage
-from airpuck.control.tuning import Limits, default_tuning
+from airpuck.control.tuning import SoftLimits, default_tuning
 from airpuck.craft.vehicle import Vehicle
 
 N_MOTORS, SIZE = 4, 10
@@ -16,7 +16,7 @@ N_MOTORS, SIZE = 4, 10
 
 def regulator(**limits):
     weights = default_tuning().regulator.weights.model_copy(update={"command": 0.1})
-    given = {"weights": weights, "limits": Limits(**limits), "iterations": 2000}
+    given = {"weights": weights, "limits": SoftLimits(**limits), "iterations": 2000}
     return default_tuning().regulator.model_copy(update=given)
 
 

@@ -19,7 +19,7 @@ from airpuck.control.law import FLYING, Step
 from airpuck.control.mpc import MPC, _way_left
 from airpuck.control.reference import Reference, Rendezvous, SetPoint, TimedPath
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Limits, Tuning, default_tuning
+from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import published_model
@@ -36,7 +36,7 @@ H = 0.01
 
 def tuned(**limits) -> Tuning:
     base = default_tuning()
-    found = base.regulator.model_copy(update={"kind": "mpc", "limits": Limits(**limits)})
+    found = base.regulator.model_copy(update={"kind": "mpc", "limits": SoftLimits(**limits)})
     return base.model_copy(update={"regulator": found})
 
 

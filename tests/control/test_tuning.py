@@ -17,8 +17,8 @@ from airpuck.control.lqr import regulator
 from airpuck.control.tuning import (
     Allocation,
     Estimation,
-    Limits,
     Regulator,
+    SoftLimits,
     Tuning,
     Weights,
     default_tuning,
@@ -68,7 +68,7 @@ angular_disturbance_density = 0.4
             kind=st.sampled_from(["lqr", "mpc"]),
             weights=st.just(default_tuning().regulator.weights),
             limits=st.builds(
-                Limits,
+                SoftLimits,
                 fence_m=st.none() | st.tuples(*[st.floats(-9, -1)] * 2, *[st.floats(0, 9)] * 2),
                 speed_m_s=st.none() | size,
                 spin_rad_s=st.none() | size,

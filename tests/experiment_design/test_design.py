@@ -13,7 +13,7 @@ from airpuck.cli.app import app
 from airpuck.cli.designing import error_table, summary
 from airpuck.cli.output import console
 from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
-from airpuck.experiment_design.design import Candidate, Design, design
+from airpuck.experiment_design.design import CandidateFlight, Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
 from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial
 from airpuck.model.model_file import published_model
@@ -243,7 +243,7 @@ def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     np.testing.assert_array_equal(again.information.hessian, both[0].hessian)
     expected = Forecast(MODEL, both).of(joined(both), 8.0, alone=True)
     alone = ComparedQuantities(MODEL).relative_errors(expected)
-    candidate = Candidate(plan, again.clearance, alone, alone, float(alone.max()), "")
+    candidate = CandidateFlight(plan, again.clearance, alone, alone, float(alone.max()), "")
     real = replace(found, usual=candidate, proposal=candidate)
     one, other = check_design(real, 1, processes=1)
     np.testing.assert_array_equal(one.errors, other.errors)

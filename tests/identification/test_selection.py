@@ -10,7 +10,7 @@ from airpuck.data.windows import make_windows
 from airpuck.identification.objective import PredictionLoss
 
 # Which windows are held out is seen in no result, and must be known to see that none is learned.
-from airpuck.identification.selection import Candidate, _HeldOut, select_model
+from airpuck.identification.selection import CandidateModel, _HeldOut, select_model
 from airpuck.identification.settings import Loss
 from airpuck.model.model_file import published_model, read_model
 from airpuck.model.rungs import named_rung
@@ -105,9 +105,9 @@ def test_no_sample_is_both_learned_from_and_predicted(plain, monkeypatch):
     assert len(windows) > 0.9 * len(make_windows(plain, 40, 48, 4))
 
 
-def candidate(excess: float, standard_error: float) -> Candidate:
+def candidate(excess: float, standard_error: float) -> CandidateModel:
     empty = np.zeros((4, 1))
-    return Candidate(TRUTH, empty, empty[:, 0], np.zeros((2, 4)), excess, standard_error)
+    return CandidateModel(TRUTH, empty, empty[:, 0], np.zeros((2, 4)), excess, standard_error)
 
 
 def test_one_standard_error_or_half_a_percent_is_as_good_as_the_best():

@@ -10,7 +10,7 @@ from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
-from airpuck.live.safety import Limits
+from airpuck.live.safety import SafetyLimits
 from airpuck.live.settings import LiveSettings
 
 from ..apparatus.processes import CODECS, COMMANDS, POSES
@@ -52,7 +52,7 @@ def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):
         fly.fly_live(
             lambda: pilot,
             VEHICLE,
-            Limits(geofence=(1.0, 1.0)),
+            SafetyLimits(geofence=(1.0, 1.0)),
             LiveSettings(domain=domain, duration=10.0, quiet=True),
             over=over,
             warm_up=False,

@@ -13,10 +13,10 @@ from airpuck.control.law import Step
 from airpuck.control.pilot import Pilot
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
-from airpuck.live.safety import Guard, GuardedPilot, Limits, half_of
+from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits, half_of
 
 FRAME = 1 / 240
-LIMITS = Limits(geofence=(1.0, 0.5))
+LIMITS = SafetyLimits(geofence=(1.0, 0.5))
 RNG = np.random.default_rng(0)
 
 

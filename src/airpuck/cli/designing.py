@@ -19,7 +19,7 @@ from airpuck.cli.output import report, show_time_left, table, warn
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.experiment_design.design import Candidate, Design
+    from airpuck.experiment_design.design import CandidateFlight, Design
     from airpuck.experiment_design.trials import CheckedFlights
     from airpuck.model.model_file import Model
 
@@ -157,7 +157,7 @@ def _candidate_table(found: Design) -> Table:
     )
 
 
-def _row(one: Candidate) -> tuple[str, ...]:
+def _row(one: CandidateFlight) -> tuple[str, ...]:
     """Return the cells of a candidate."""
     plan = one.plan
     amplitudes = plan.amplitude if isinstance(plan.amplitude, tuple) else (plan.amplitude,)

@@ -234,10 +234,10 @@ def _flown(
     """Fly a pilot on the graph, and report."""
     from airpuck.compute.process import low_latency
     from airpuck.live.fly import fly_live
-    from airpuck.live.safety import Limits
+    from airpuck.live.safety import SafetyLimits
 
     low_latency()
-    limits = Limits(geofence=_fence(geofence, craft))
+    limits = SafetyLimits(geofence=_fence(geofence, craft))
     figures = fly_live(make, craft.vehicle, limits, live, period=controls.period_s)
     report_flight(figures, json_file, live.quiet)
 

@@ -12,7 +12,7 @@ from airpuck.compute.compiled import program
 from airpuck.control.allocation import ThrustAllocator, all_finite
 from airpuck.control.discretization import point_mass
 from airpuck.control.law import Law, LawOptions, Moment, Step
-from airpuck.control.stages import Plan, command_stage, plan_stage
+from airpuck.control.stages import AllocationProblem, command_stage, plan_stage
 from airpuck.control.tuning import Tuning, Weights
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import InverseThrust
@@ -119,7 +119,7 @@ class LQR(Law):
         # The target is that of one period after the command begins to act.
         target = moment.reference.at(moment.now, moment.delay + self._period)
         estimate, results = moment.foresee(target.state, target.acceleration, self.gain)
-        plan = Plan(*results)
+        plan = AllocationProblem(*results)
         solution, outcome = self._allocator.solve(plan.a, plan.lower, plan.upper, plan.finite)
         if solution is not None:
             (command,) = self._command(solution, plan.lower, plan.upper, plan.coasting)

@@ -22,8 +22,8 @@ from airpuck.physics.thrust import inverse_thrust, thrust
 _EFFECTIVENESS = (0.1, 1.5)
 
 
-class Plan(NamedTuple):
-    """What a step asks for, before the quadratic program is solved."""
+class AllocationProblem(NamedTuple):
+    """Inputs of the thrust allocation of one control step."""
 
     #: Acceleration wanted [m/s², m/s², rad/s²].
     request: Num[Any, " 3"]
@@ -38,7 +38,7 @@ class Plan(NamedTuple):
 
 def plan_stage(
     model: Model, period: float, slack_weight: float, reject_disturbance: bool
-) -> Callable[..., Plan]:
+) -> Callable[..., AllocationProblem]:
     """Return look-ahead, law and the program of the allocation as one function.
 
     (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration, gain)
@@ -57,7 +57,7 @@ def plan_stage(
         target: Num[Any, " 6"],
         feedforward: Num[Any, " 3"],
         gain: Num[Any, "3 6"],
-    ) -> Plan:
+    ) -> AllocationProblem:
         # A motor that is believed weak counts for less; nothing is divided by its effectiveness.
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
         believed = state, speed, disturbance, effectiveness
@@ -68,7 +68,7 @@ def plan_stage(
         low = thrust(dynamics.thrust, coasting + drive * least)
         high = thrust(dynamics.thrust, coasting + drive * most)
         posed = problem(xp, arm, slack_weight, request, matrix, offset, low, high)
-        return Plan(request, coasting, *posed)
+        return AllocationProblem(request, coasting, *posed)
 
     return plan
 
@@ -97,7 +97,7 @@ def look_ahead(
 def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
     """Return the inverse of thrust curves and motor lag, u = B⁻¹ (F⁻¹(F) - A φ) (seq:control).
 
-    (xp, solution, lower, upper, coasting), as in `Plan` → commands.
+    (xp, solution, lower, upper, coasting), as in `AllocationProblem` → commands.
     """
     dynamics, vehicle, n = model.dynamics, model.vehicle, model.vehicle.n_propellers
     least, most = vehicle.command_min, vehicle.command_max

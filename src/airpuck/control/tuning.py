@@ -74,7 +74,7 @@ class PredictiveWeights(Weights):
     command: PositiveWeight = 0.05
 
 
-class Limits(Section):
+class SoftLimits(Section):
     """What the predictive law keeps to beside the motors' limits; exceeded rather than given up."""
 
     #: Where the middle of the craft may be: lowest x and y, highest x and y. By default the table
@@ -124,7 +124,7 @@ class Regulator(Section):
     #: Of the solver, at most.
     iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 400
     weights: PredictiveWeights
-    limits: Limits = Limits()
+    limits: SoftLimits = SoftLimits()
 
     @pydantic.model_validator(mode="after")
     def _in_time(self) -> Regulator:

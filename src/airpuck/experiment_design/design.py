@@ -44,7 +44,7 @@ _FINALISTS, _FLIGHTS = 3, 3
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CandidateFlight:
     """An excitation, and what it is expected to give."""
 
     #: What to fly.
@@ -73,11 +73,11 @@ class Design:
     #: Relative standard errors before the flight; infinite where nothing is known.
     relative_before: Float[np.ndarray, " K"]
     #: The excitation of the paper, of the same length.
-    usual: Candidate
+    usual: CandidateFlight
     #: The best that keeps away from the rails.
-    proposal: Candidate
+    proposal: CandidateFlight
     #: All that were flown, the best first.
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[CandidateFlight, ...]
     #: How errors of several quantities make one score.
     criterion: Criterion
     #: Variance of the residuals of the model's fit, relative to the twin's.
@@ -93,7 +93,7 @@ class Design:
         def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:
             return dict(zip(q.labels, map(_finite, errors.tolist()), strict=True))
 
-        def figures(candidate: Candidate) -> dict[str, Any]:
+        def figures(candidate: CandidateFlight) -> dict[str, Any]:
             return {
                 **asdict(candidate.plan),
                 "clearance_m": candidate.clearance,
@@ -277,7 +277,7 @@ class _Search:
             return 1.0
         return float(self.model.fit["loss"]) / joined(flights).loss
 
-    def ranked(self) -> list[Candidate]:
+    def ranked(self) -> list[CandidateFlight]:
         """Rate all plans that were flown, the best first."""
         flights = [one for trials in self._trials.values() for one in _informations(trials)]
         if not flights:
@@ -289,7 +289,7 @@ class _Search:
         candidates = [self._rated(plan, forecast) for plan in self._trials]
         return sorted(candidates, key=lambda one: (one.score, -one.clearance))
 
-    def finals(self, duration: float) -> Candidate:
+    def finals(self, duration: float) -> CandidateFlight:
         """Fly the best at full length, and return the best of those that keep the margin."""
         final = [self.usual]
         while True:
@@ -306,7 +306,7 @@ class _Search:
             self.fly(waiting, duration, _FLIGHTS)
             final += waiting
 
-    def _rated(self, plan: ExcitationPlan, forecast: Forecast) -> Candidate:
+    def _rated(self, plan: ExcitationPlan, forecast: Forecast) -> CandidateFlight:
         """Rate a plan by all its flights."""
         clearance = min(trial.clearance for trial in self._trials[plan])
         refused = ""
@@ -319,7 +319,7 @@ class _Search:
             relative = errors.relative_errors(after())
             alone = errors.relative_errors(after(alone=True))
         score = math.inf if refused else self._score(relative)
-        return Candidate(plan, clearance, relative, alone, score, refused)
+        return CandidateFlight(plan, clearance, relative, alone, score, refused)
 
     def _score(self, relative: Float[np.ndarray, " K"]) -> float:
         """Compute the criterion from what has a scale and no constraint holds."""

@@ -247,7 +247,7 @@ def _pseudo_inverse(matrix: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "R R"
     return (vector / value @ vector.T) * np.outer(scale, scale)
 
 
-class Quantity(NamedTuple):
+class ComparedQuantity(NamedTuple):
     """A quantity computed from a model."""
 
     label: str
@@ -297,7 +297,7 @@ class ComparedQuantities:
         return np.where(np.isfinite(self.scales), shares, np.nan)
 
 
-def _of_propellers(model: Model) -> Iterator[Quantity]:
+def _of_propellers(model: Model) -> Iterator[ComparedQuantity]:
     """List the quantities of each propeller."""
     learned = model.free[model.parameters.mask(frozenset({"thrust", "configuration_matrix"}))]
     if not learned.any():
@@ -305,14 +305,16 @@ def _of_propellers(model: Model) -> Iterator[Quantity]:
     for motor, name in enumerate(model.vehicle.propeller_names):
         full = abs(_force(motor, 1.0, model)) or np.inf
         for speed in _SPEEDS:
-            yield Quantity(f"F({speed:g}) {name}", "N", full, partial(_force, motor, speed))
+            yield ComparedQuantity(f"F({speed:g}) {name}", "N", full, partial(_force, motor, speed))
     if model.parameters.configuration_matrix is None:
         return
     for motor, name in enumerate(model.vehicle.propeller_names):
         ahead = np.asarray(model.dynamics.configuration)[:2, motor]
-        yield Quantity(f"direction {name}", "rad", 1.0, partial(_direction, motor, ahead))
+        yield ComparedQuantity(f"direction {name}", "rad", 1.0, partial(_direction, motor, ahead))
         arm = 1 / model.radius_of_gyration
-        yield Quantity(f"turn per push {name}", "rad/m", arm, partial(_turn_per_push, motor))
+        yield ComparedQuantity(
+            f"turn per push {name}", "rad/m", arm, partial(_turn_per_push, motor)
+        )
 
 
 def _force(motor: int, speed: float, model: Model) -> float:
@@ -334,7 +336,7 @@ def _turn_per_push(motor: int, model: Model) -> float:
     return float(turn / np.hypot(x, y))
 
 
-def _scalars(model: Model) -> Iterator[Quantity]:
+def _scalars(model: Model) -> Iterator[ComparedQuantity]:
     """List everything learned that belongs to no propeller."""
     scales = {"angle_offset": 1.0, "center_of_mass": model.radius_of_gyration}
     names, degree = model.vehicle.propeller_names, np.shape(model.parameters.thrust)[1]
@@ -349,7 +351,7 @@ def _scalars(model: Model) -> Iterator[Quantity]:
             label, unit = f"{quantity.symbol} {entries[k]}".rstrip(), quantity.unit
             if ", " in quantity.symbol:
                 label, unit = quantity.of_entry(int(k))
-            yield Quantity(label, unit, scale, value)
+            yield ComparedQuantity(label, unit, scale, value)
 
 
 def _entry(name: str, number: int, model: Model) -> float:

@@ -19,7 +19,6 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.uncertainty import Identifiability
 from airpuck.model.model_file import Model
-from airpuck.model.tables import model_html
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import lowest_slope
 
@@ -86,7 +85,7 @@ class Fit(Result):
         return f"Fit({outcome_words(self)[0]})"
 
     def _repr_html_(self) -> str:
-        return model_html(self.model, outcome_words(self)[0])
+        return self.model.html(outcome_words(self)[0])
 
     def table(self) -> Any:
         """Return the parameters with their errors; see `Model.table`.

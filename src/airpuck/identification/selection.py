@@ -52,7 +52,7 @@ _FOLD_FIT = LevenbergMarquardt(max_iterations=15, tolerance=1e-4)
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate(Result):
+class CandidateModel(Result):
     """A rung that was tried.
 
     Attributes
@@ -118,7 +118,7 @@ class Selection(Result):
 
     Attributes
     ----------
-    candidates : tuple of Candidate
+    candidates : tuple of CandidateModel
         All rungs, the simplest first.
     fit : Fit
         Fit of the chosen rung to all data; its model file lists the other candidates.
@@ -130,13 +130,13 @@ class Selection(Result):
 
     JSON = "chosen=fit.model.name best=best.name folds predictions=start.size rungs=candidates"
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[CandidateModel, ...]
     fit: Fit
     folds: int
     start: Float[np.ndarray, " W"]
 
     @property
-    def best(self) -> Candidate:
+    def best(self) -> CandidateModel:
         """The rung with the least held-out error."""
         return min(self.candidates, key=lambda candidate: candidate.excess)
 
@@ -302,7 +302,7 @@ class _HeldOut:
     def errors_of(
         self, model: Model, objective: PredictionLoss, loss: Loss
     ) -> Float[np.ndarray, "4 W"]:
-        """Learn without each block, and predict it; see `Candidate.errors`."""
+        """Learn without each block, and predict it; see `CandidateModel.errors`."""
         errors = np.empty((4, len(self.windows)))
         for number in range(len(self.edges) - 1):
             members = self.block == number
@@ -332,7 +332,7 @@ def _length(windows: Windows) -> int:
 
 def _compared(
     models: Sequence[Model], errors: Sequence[Float[np.ndarray, "4 W"]], held_out: _HeldOut
-) -> tuple[Candidate, ...]:
+) -> tuple[CandidateModel, ...]:
     """Compare every rung with the next simpler one and with the best."""
     start = held_out.start
     squares = np.array([of_rung[3] ** 2 for of_rung in errors])
@@ -353,11 +353,11 @@ def _compared(
             change, interval, _ = rmse_ratio(errors[k - 1], errors[k], start)
         spread = float(np.sqrt(max(variance[k], 0.0)))
         excess = float(logs[k] - logs[best])
-        found.append(Candidate(model, errors[k], change, interval, excess, spread))
+        found.append(CandidateModel(model, errors[k], change, interval, excess, spread))
     return tuple(found)
 
 
-def _recorded(fit: Fit, exclusion: Exclusion | None, candidates: Sequence[Candidate]) -> Fit:
+def _recorded(fit: Fit, exclusion: Exclusion | None, candidates: Sequence[CandidateModel]) -> Fit:
     """Write into a fit what it was chosen from, and what was left out for it."""
     record = {
         "rule": "simplest within one standard error, or half a percent, of the best",

@@ -27,7 +27,7 @@ from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.plan import PlanOutbox
 from airpuck.live.process import Inbox, Outbox, Process
-from airpuck.live.safety import Guard, GuardedPilot, Limits
+from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits
 from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
@@ -42,7 +42,7 @@ _EARLY = 0.002
 _GO, _QUIT = "g", "q"
 #: In the preflight check the frame may be wrong, and the units: what ends the test near a rail is
 #: the pilot, and where the poses jump its pulses remain what they are.
-ANYWHERE = Limits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
+ANYWHERE = SafetyLimits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
 #: For the check to find the graph, and for the guard to believe the poses [s].
 _PATIENCE = 3.0
 
@@ -50,7 +50,7 @@ _PATIENCE = 3.0
 def fly_live(
     make_pilot: Callable[[], Pilot],
     vehicle: Vehicle,
-    limits: Limits,
+    limits: SafetyLimits,
     settings: LiveSettings | None = None,
     *,
     period: float = 0.01,
@@ -67,7 +67,7 @@ def fly_live(
         Makes what computes the commands; called once no other controller is on the graph.
     vehicle : Vehicle
         The craft.
-    limits : Limits
+    limits : SafetyLimits
         What the guard lets through.
     settings : LiveSettings, optional
         How to join the graph, and for how long.
@@ -216,7 +216,7 @@ class _Flight:
         process: Process,
         pilot: Pilot,
         vehicle: Vehicle,
-        limits: Limits,
+        limits: SafetyLimits,
         period: float,
         spectators: Sequence[Spectator] = (),
     ) -> None:

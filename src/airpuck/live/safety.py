@@ -21,7 +21,7 @@ _Log = Callable[[Literal["info", "error"], str], object]
 
 
 @dataclass(frozen=True)
-class Limits:
+class SafetyLimits:
     """What a flight must keep to."""
 
     #: Greatest distance of the craft's centre from the middle of the table along x and y [m].
@@ -46,17 +46,17 @@ class Limits:
 _OVER_RAIL, _OVER_LINE = 0.01, 0.02
 
 
-def half_of(table: Table, radius: float, side: int) -> Limits:
+def half_of(table: Table, radius: float, side: int) -> SafetyLimits:
     """Return the limits of a craft that plays on one half of a table, by the sign of its x."""
     x, y = table.reach(radius)
     fence = x + _OVER_RAIL, y + _OVER_RAIL
-    return Limits(geofence=fence, half=side, line=radius - _OVER_LINE)
+    return SafetyLimits(geofence=fence, half=side, line=radius - _OVER_LINE)
 
 
 class Guard:
     """Watches the poses and decides whether the motors may run."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: SafetyLimits) -> None:
         self.limits = limits
         self._heard = -math.inf
         self._last: tuple[float, Float[np.ndarray, " 3"]] | None = None

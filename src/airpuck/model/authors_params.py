@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pydantic
@@ -10,9 +11,9 @@ import pydantic
 from airpuck.boundary.files import Positive, checked
 from airpuck.boundary.parsing import load_json
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.model.model_file import Model, with_nominal_delay
 from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS
+from airpuck.model.sections import with_nominal_delay
 
 
 class _AuthorsValues(pydantic.BaseModel):
@@ -45,8 +46,8 @@ class _AuthorsModel(pydantic.BaseModel):
     model_params: _AuthorsValues
 
 
-def read_params_json(path: Path) -> Model:
-    """Read the authors' params.json; the geometry is the default vehicle's, with their mass."""
+def read_params_json(path: Path) -> dict[str, Any]:
+    """Return the fields of the `Model` in a params.json: the default vehicle, with their mass."""
     content = checked(load_json(path), _AuthorsModel, file=path)
     section, switches = content.model_params.model_dump(), content.model
     vehicle = default_vehicle().model_copy(update={"mass_kg": section.pop("mass_kg")})
@@ -56,12 +57,12 @@ def read_params_json(path: Path) -> Model:
     parameters = with_nominal_delay(section, vehicle, file=path)
     mask = parameters.mask(frozenset(name for name, learned in switches if learned))
     rung = (n for n, p in RUNGS.items() if np.array_equal(p.mask(parameters), mask))
-    return Model(
-        name=next(rung, path.parent.name),
-        vehicle=vehicle,
-        parameters=parameters,
-        free=mask,
-        frame="world",
-        indexing="end",
-        source=str(path),
-    )
+    return {
+        "name": next(rung, path.parent.name),
+        "vehicle": vehicle,
+        "parameters": parameters,
+        "free": mask,
+        "frame": "world",
+        "indexing": "end",
+        "source": str(path),
+    }

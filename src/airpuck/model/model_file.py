@@ -19,19 +19,23 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked, write_toml
 from airpuck.boundary.notebook import frame
 from airpuck.boundary.parsing import load_toml
-from airpuck.compute.arrays import namespace
+from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.model.authors_params import read_params_json
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
     ParametersSection,
     UncertaintySection,
     parameters_content,
+    read_free,
     read_parameters,
     read_uncertainty,
     uncertainty_content,
+    with_nominal_delay,
 )
-from airpuck.model.tables import covariance_frame, model_html, parameter_rows
+from airpuck.model.simulation import derivative, draw, simulate
+from airpuck.model.tables import covariance_rows, parameter_rows, parameters_html
 from airpuck.model.uncertainty import DelayJitter, Uncertainty
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 
@@ -90,7 +94,15 @@ class Model:
         )
 
     def _repr_html_(self) -> str:
-        return model_html(self, repr(self))
+        return self.html(repr(self))
+
+    def html(self, title: str) -> str:
+        """Show the parameters in a notebook, under a title."""
+        return parameters_html(title, self._rows())
+
+    def _rows(self) -> dict[str, dict[str, Any]]:
+        """Return a row for each parameter, by its label."""
+        return parameter_rows(self.parameters, self.free, self.known, self.vehicle.propeller_names)
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -161,9 +173,7 @@ class Model:
         InputError
             If an array has another length.
         """
-        from airpuck.model.simulation import derivative
-
-        return derivative(self, state, command)
+        return derivative(self.dynamics, state, command)
 
     def simulate(self, state: Any, commands: Any, period: Any = 0.01) -> Any:
         """Simulate held commands: the craft by Runge-Kutta, motors of a constant lag exactly.
@@ -191,9 +201,7 @@ class Model:
         InputError
             If an array has another length, or a period is not above 0.
         """
-        from airpuck.model.simulation import simulate
-
-        return simulate(self, state, commands, period)
+        return simulate(self.dynamics, self.vehicle, state, commands, period)
 
     def sample(self, count: int, key: Any = 0) -> list[Model]:
         """Draw models from the normal distribution that the uncertainty describes.
@@ -217,9 +225,11 @@ class Model:
         InputError
             If the model has no uncertainty, or too few draws are a possible craft.
         """
-        from airpuck.model.simulation import sample
-
-        return sample(self, count, key)
+        field = f"model {self.name}"
+        if self.known is None:
+            raise InputError("has no uncertainty to draw from; identify it", field=field)
+        drawn = draw(self.parameters, self.known.covariance, count, generator(key), field)
+        return [replace(self, parameters=parameters, uncertainty=None) for parameters in drawn]
 
     @property
     def known(self) -> Uncertainty | None:
@@ -261,7 +271,7 @@ class Model:
             A row for each parameter, by its label: ``value, unit, standard_error, lower_95,
             upper_95, learned``. A dictionary of such rows where pandas is not installed.
         """
-        return frame(parameter_rows(self))
+        return frame(self._rows())
 
     def covariance(self) -> Any:
         """Return the covariance of the learned parameters with their labels.
@@ -272,7 +282,11 @@ class Model:
             A row and a column for each learned parameter; nan where the model has no uncertainty. A
             dictionary of rows where pandas is not installed.
         """
-        return covariance_frame(self)
+        covariance = np.full((len(self.free),) * 2, np.nan)
+        if self.known is not None:
+            covariance = self.known.covariance
+        labels = self.parameters.labels(self.vehicle.propeller_names)
+        return frame(covariance_rows(covariance, labels, self.free))
 
     def to_statespace(
         self,
@@ -308,7 +322,8 @@ class Model:
         """
         from airpuck.model.statespace import statespace
 
-        return statespace(self, yaw, command, period)
+        names = self.vehicle.propeller_names
+        return statespace(self.dynamics, self.name, names, yaw, command, period)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as TOML; `read_model` reads every number back bit-equal.
@@ -379,9 +394,7 @@ def read_model(name: str | os.PathLike[str]) -> Model:
         return published_model(name.removeprefix("paper:"))
     try:
         if Path(name).suffix == ".json":
-            from airpuck.model.authors_params import read_params_json
-
-            return read_params_json(Path(name))
+            return Model(**read_params_json(Path(name)))
         content = load_toml(name)
         # Older files have the transport delay beside the parameters.
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
@@ -404,7 +417,7 @@ def _from_file(content: _ModelFile) -> Model:
         name=content.name,
         vehicle=content.vehicle,
         parameters=parameters,
-        free=_free(content.free, parameters),
+        free=read_free(content.free, parameters),
         frame=content.center_of_mass_frame,
         indexing=content.encoder_indexing,
         fit=content.fit,
@@ -414,22 +427,6 @@ def _from_file(content: _ModelFile) -> Model:
         and read_uncertainty(content.uncertainty, parameters, content.vehicle),
         delay_jitter=content.delay_jitter,
     )
-
-
-def _free(
-    free: Mapping[str, bool | tuple[bool, ...]], parameters: Parameters
-) -> Bool[np.ndarray, " P"]:
-    """Return which entries a file marks as learned."""
-    sizes = {q.name: np.size(getattr(parameters, q.name)) for q in parameters.quantities}
-    for name, entries in free.items():
-        if name not in sizes:
-            raise InputError(
-                f"is not a known key; it must be one of {', '.join(sorted(sizes))}",
-                field=f"free.{name}",
-            )
-        if not isinstance(entries, bool) and len(entries) != sizes[name]:
-            raise InputError(f"must be one truth value or {sizes[name]}", field=f"free.{name}")
-    return parameters.laid_out(free, False)
 
 
 def _published() -> dict[str, Any]:
@@ -477,14 +474,6 @@ def published_model(name: str) -> Model:
         indexing="end",
         source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
     )
-
-
-def with_nominal_delay(
-    section: Mapping[str, Any], vehicle: Vehicle, file: Path | None = None
-) -> Parameters:
-    """Read published parameters, which know no transport delay."""
-    content = {**section, "transport_delay_s": vehicle.nominal.transport_delay_s}
-    return read_parameters(checked(content, ParametersSection, file=file), vehicle)
 
 
 def nominal_model(vehicle: Vehicle) -> Model:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal, get_origin
 
 import numpy as np
 import pydantic
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section
+from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters
 from airpuck.model.quantities import QUANTITIES, Rows
@@ -69,6 +71,30 @@ def read_parameters(section: Any, vehicle: Vehicle) -> Parameters:
             field="parameters.configuration_matrix_SI",
         )
     return Parameters(**values)
+
+
+def read_free(
+    free: Mapping[str, bool | tuple[bool, ...]], parameters: Parameters
+) -> Bool[np.ndarray, " P"]:
+    """Return which entries a file marks as learned."""
+    sizes = {q.name: np.size(getattr(parameters, q.name)) for q in parameters.quantities}
+    for name, entries in free.items():
+        if name not in sizes:
+            raise InputError(
+                f"is not a known key; it must be one of {', '.join(sorted(sizes))}",
+                field=f"free.{name}",
+            )
+        if not isinstance(entries, bool) and len(entries) != sizes[name]:
+            raise InputError(f"must be one truth value or {sizes[name]}", field=f"free.{name}")
+    return parameters.laid_out(free, False)
+
+
+def with_nominal_delay(
+    section: Mapping[str, Any], vehicle: Vehicle, file: Path | None = None
+) -> Parameters:
+    """Read published parameters, which know no transport delay."""
+    content = {**section, "transport_delay_s": vehicle.nominal.transport_delay_s}
+    return read_parameters(checked(content, ParametersSection, file=file), vehicle)
 
 
 def _array(rows: tuple[Any, ...]) -> np.ndarray | None:

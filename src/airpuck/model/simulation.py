@@ -1,21 +1,20 @@
-"""What a model does under given commands, for NumPy, JAX and CasADi; and models drawn from one."""
+"""Motion under given commands, for NumPy, JAX and CasADi; and parameters drawn at random."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.compute.arrays import generator, namespace, with_symbols
+from airpuck.compute.arrays import namespace, with_symbols
+from airpuck.craft.vehicle import Vehicle
+from airpuck.model.parameters import Parameters
 from airpuck.physics import rigid_body
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import is_monotone
-
-if TYPE_CHECKING:
-    from airpuck.model.model_file import Model
 
 #: x, y, γ and their rates.
 _POSE_AND_RATES = 6
@@ -25,9 +24,9 @@ _ROUNDING = 1e-6
 _LEAST_SHARE = 0.01
 
 
-def derivative(model: Model, state: Any, command: Any) -> Any:
+def derivative(dynamics: Dynamics, state: Any, command: Any) -> Any:
     """Evaluate the equations of motion; see `Model.derivative`."""
-    n, dynamics = model.vehicle.n_propellers, model.dynamics
+    n = len(dynamics.thrust)
     lags = namespace(dynamics.thrust) is not np or dynamics.motor_time_constant > 0
 
     def rates(state: Any, command: Any) -> Any:
@@ -42,9 +41,9 @@ def derivative(model: Model, state: Any, command: Any) -> Any:
     return with_symbols(rates, state, command)
 
 
-def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
+def simulate(dynamics: Dynamics, vehicle: Vehicle, state: Any, commands: Any, period: Any) -> Any:
     """Simulate held commands; see `Model.simulate`."""
-    n, dynamics = model.vehicle.n_propellers, model.dynamics
+    n = vehicle.n_propellers
     if isinstance(period, float | int | np.ndarray) and not np.all(np.asarray(period) > 0):
         raise InputError("must be above 0 s", field="period")
 
@@ -53,7 +52,7 @@ def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
         if commands.ndim < 2 or commands.shape[1] != n:
             raise InputError(f"must have {n} columns, one for each motor", field="commands")
         if isinstance(commands, np.ndarray) and commands.dtype != object:
-            _check_commands(model, commands)
+            _check_commands(vehicle, commands)
         if state.shape[0] == _POSE_AND_RATES:
             state = xp.concatenate([state, commands[0]])
         _check(state, _POSE_AND_RATES + n, "state")
@@ -63,9 +62,9 @@ def simulate(model: Model, state: Any, commands: Any, period: Any) -> Any:
     return with_symbols(states, state, commands)
 
 
-def _check_commands(model: Model, commands: Float[np.ndarray, "T n *batch"]) -> None:
+def _check_commands(vehicle: Vehicle, commands: Float[np.ndarray, "T n *batch"]) -> None:
     """Refuse commands that no motor takes, such as widths of pulses."""
-    low, high = min(0.0, model.vehicle.command_min), max(1.0, model.vehicle.command_max)
+    low, high = min(0.0, vehicle.command_min), max(1.0, vehicle.command_max)
     if not ((commands >= low - _ROUNDING) & (commands <= high + _ROUNDING)).all():
         raise InputError(
             f"go from {commands.min():g} to {commands.max():g}, and motors take {low:g} to "
@@ -74,30 +73,32 @@ def _check_commands(model: Model, commands: Float[np.ndarray, "T n *batch"]) -> 
         )
 
 
-def sample(model: Model, count: int, key: Any) -> list[Model]:
-    """Draw models from the distribution of the parameters; see `Model.sample`."""
-    if model.known is None:
-        raise InputError(
-            "has no uncertainty to draw from; identify it", field=f"model {model.name}"
-        )
+def draw(
+    parameters: Parameters,
+    covariance: Float[np.ndarray, "P P"],
+    count: int,
+    random: np.random.Generator,
+    field: str,
+) -> list[Parameters]:
+    """Draw parameters from a normal distribution; `field` names the model in errors."""
     if not 0 <= count <= 1_000_000:
         raise InputError("must be between 0 and 1000000", field="count")
-    random, center = generator(key), model.parameters.to_vector()
-    factor, (lower, upper) = _factor(model.known.covariance), model.parameters.bounds()
-    found: list[Model] = []
+    center, (lower, upper) = parameters.to_vector(), parameters.bounds()
+    factor = _factor(covariance)
+    found: list[Parameters] = []
     drawn = 0
     while len(found) < count:
         drawn += 1
         vector = center + factor @ random.standard_normal(factor.shape[1])
-        parameters = model.parameters.with_vector(vector)
         possible = ((vector >= lower) & (vector <= upper)) | (vector == center)
-        if possible.all() and is_monotone(parameters.thrust).all():
-            found.append(replace(model, parameters=parameters, uncertainty=None))
+        candidate = parameters.with_vector(vector)
+        if possible.all() and is_monotone(candidate.thrust).all():
+            found.append(candidate)
         elif drawn * _LEAST_SHARE > len(found) + 1:
             raise InputError(
                 "too few draws keep to the bounds with rising thrust curves: the parameters are "
                 "too uncertain",
-                field=f"model {model.name}",
+                field=field,
             )
     return found
 

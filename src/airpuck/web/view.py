@@ -77,7 +77,7 @@ def view_live(
         Process(NAME, settings or LiveSettings()) as process,
     ):
         os.nice(_NICE)
-        view = _View(pages, process, model, table.reach(model.vehicle.radius_m))
+        view = _GraphView(pages, process, model, table.reach(model.vehicle.radius_m))
         process.start(f", at {pages.url}")
         return view.run()
 
@@ -89,7 +89,7 @@ def view_hello(model: Model, table: Table) -> dict[str, Any]:
     return hello | {"reach": table.reach(model.vehicle.radius_m)}
 
 
-class _View:
+class _GraphView:
     """What the pages show, and where they want the craft."""
 
     def __init__(
