@@ -56,7 +56,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--model", default="paper:M4")
-    parser.add_argument("--solver", default="daqp", choices=("daqp", "piqp"), help="of the law")
+    parser.add_argument(
+        "--solver", default="daqp", choices=("daqp", "piqp"), help="of the allocation"
+    )
     parser.add_argument("--regulator", default="lqr", choices=LAWS)
     parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
     parser.add_argument("--processor", action="store_true", help="measure processor time")
@@ -65,10 +67,8 @@ def main() -> None:
 
     low_latency()
     tuning = default_tuning().with_estimator(options.estimator).with_regulator(options.regulator)
-    solver = {"solver": options.solver}
-    allocation = tuning.allocation.model_copy(update=solver)
-    regulator = tuning.regulator.model_copy(update=solver)
-    tuning = tuning.model_copy(update={"allocation": allocation, "regulator": regulator})
+    allocation = tuning.allocation.model_copy(update={"solver": options.solver})
+    tuning = tuning.model_copy(update={"allocation": allocation})
     model = read_model(options.model)
     poses = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.5), (-0.2, -0.3, -1.0)]
     times = np.arange(0, options.steps / 100 + 2, 2.0)

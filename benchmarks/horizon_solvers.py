@@ -20,13 +20,14 @@ import numpy as np
 
 from airpuck.compute.process import low_latency
 from airpuck.control.horizon import Blocks, stages
-from airpuck.control.horizon_solvers import Condensed, Multistage
+from airpuck.control.horizon_solvers import Condensed
 from airpuck.control.mpc import MPC
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import read_model
 from benchmarks.control_step import FRAME, PERIOD, Craft
+from benchmarks.multistage import Multistage
 
 #: Rails.
 LIMITED = 2

@@ -1,4 +1,4 @@
-"""Solvers of the predicted problem: against Riccati's recursion, each other and HiGHS."""
+"""The solver of the predicted problem: against Riccati's recursion and HiGHS."""
 
 import casadi
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 from airpuck.control.horizon import Blocks, Stages
 
 # The same problem is written down by hand, with the same damping.
-from airpuck.control.horizon_solvers import _DAMPING, Condensed, Multistage
+from airpuck.control.horizon_solvers import _DAMPING, Condensed
 from airpuck.control.tuning import SoftLimits, default_tuning
 from airpuck.craft.vehicle import Vehicle
 
@@ -50,10 +50,8 @@ def craft(least: float, most: float) -> Vehicle:
     return Vehicle.model_construct(propellers=propellers, command_min=least, command_max=most)
 
 
-def solvers(blocks: Blocks, bounds: tuple[float, float], **limits):
-    vehicle = craft(*bounds)
-    given = vehicle, blocks, regulator(**limits), 2
-    return Condensed(*given), Multistage(*given)
+def solver_of(blocks: Blocks, bounds: tuple[float, float], **limits) -> Condensed:
+    return Condensed(craft(*bounds), blocks, regulator(**limits), 2)
 
 
 def riccati(s: Stages, effort: np.ndarray, used: np.ndarray, least: float) -> np.ndarray:
@@ -88,7 +86,7 @@ def riccati(s: Stages, effort: np.ndarray, used: np.ndarray, least: float) -> np
 @pytest.mark.parametrize("seed", range(5))
 def test_without_limits_it_is_the_riccati_solution(seed):
     blocks = Blocks(0.02, (1,) * 12)
-    s, (condensed, _) = problem(seed, blocks), solvers(blocks, (-1e6, 1e6))
+    s, condensed = problem(seed, blocks), solver_of(blocks, (-1e6, 1e6))
     found = condensed.solve(condensed.form(np, s))
     expected = riccati(s, condensed.effort, condensed.used[:N_MOTORS], -1e6)
     assert not found.binding.any()
@@ -107,21 +105,18 @@ def penalised(solver: Condensed, formed, change: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("seed", "tight"), [(1, 9.0), (2, 3.0), (3, 1.0), (4, 0.1), (5, 0.02)])
-def test_daqp_piqp_and_highs_agree(seed, tight):
+def test_it_agrees_with_highs(seed, tight):
     blocks = Blocks(0.02, (2, 3, 3))
-    s, (condensed, stagewise) = problem(seed, blocks, tight=tight), solvers(blocks, (0.0, 1.0))
+    s, condensed = problem(seed, blocks, tight=tight), solver_of(blocks, (0.0, 1.0))
     formed = condensed.form(np, s)
-    one, other = condensed.solve(formed), stagewise.solve(stagewise.form(np, s))
-    np.testing.assert_allclose(one.change, other.change, atol=3e-5)
-    assert one.exceeded == other.exceeded
-    # Both say where it leads: step after step by the slopes.
+    answer = condensed.solve(formed)
+    # It says where the change leads: step after step by the slopes.
     moved = np.zeros((len(blocks.owner) + 1, SIZE))
     for k, block in enumerate(blocks.owner):
-        given = np.concatenate([moved[k, 2:], one.change[block]])
+        given = np.concatenate([moved[k, 2:], answer.change[block]])
         moved[k + 1] = np.eye(SIZE, 2) @ moved[k, :2] + s.onward[k] @ given
-    for answer in (one, other):
-        np.testing.assert_allclose(answer.moved, moved[1:, :6], atol=3e-4)
-    assert one.binding.any()
+    np.testing.assert_allclose(answer.moved, moved[1:, :6], atol=3e-4)
+    assert answer.binding.any()
     # HiGHS, with a slack for every limit.
     hessian, gradient, rows, lower, upper, _ = formed
     m, slacks = len(gradient), len(rows)
@@ -145,15 +140,14 @@ def test_daqp_piqp_and_highs_agree(seed, tight):
         ubx=np.concatenate([upper[:m], big]),
     )
     best = float(found["cost"])
-    for answer in (one, other):
-        cost = penalised(condensed, formed, answer.change)
-        assert cost == pytest.approx(best, rel=1e-5, abs=1e-5)
+    cost = penalised(condensed, formed, answer.change)
+    assert cost == pytest.approx(best, rel=1e-5, abs=1e-5)
 
 
 def test_a_limit_that_can_be_kept_is_kept_to_the_last_digit():
     blocks = Blocks(0.02, (2, 3, 3))
     for seed in range(6):
-        s, (condensed, _) = problem(seed, blocks, tight=4.0), solvers(blocks, (0.0, 1.0))
+        s, condensed = problem(seed, blocks, tight=4.0), solver_of(blocks, (0.0, 1.0))
         formed = condensed.form(np, s)
         found = condensed.solve(formed)
         if found.exceeded:
@@ -167,14 +161,12 @@ def test_a_limit_that_can_be_kept_is_kept_to_the_last_digit():
 def test_numbers_that_are_not_finite_have_no_answer():
     blocks = Blocks(0.02, (2, 2))
     s = problem(0, blocks)._replace(error=np.full((4, 6), np.nan))
-    for solver in solvers(blocks, (0.0, 1.0)):
-        assert solver.solve(solver.form(np, s)) is None
+    solver = solver_of(blocks, (0.0, 1.0))
+    assert solver.solve(solver.form(np, s)) is None
 
 
 def test_an_answer_that_takes_too_long_is_none():
     blocks = Blocks(0.02, (1,) * 8)
     s, short = problem(4, blocks, tight=0.02), regulator().model_copy(update={"iterations": 1})
-    vehicle = craft(0.0, 1.0)
-    for kind in (Condensed, Multistage):
-        solver = kind(vehicle, blocks, short, 2)
-        assert solver.solve(solver.form(np, s)) is None
+    solver = Condensed(craft(0.0, 1.0), blocks, short, 2)
+    assert solver.solve(solver.form(np, s)) is None

@@ -20,7 +20,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.allocation import all_finite
 from airpuck.control.discretization import point_mass
 from airpuck.control.horizon import Ahead, Blocks, Stages, stages
-from airpuck.control.horizon_solvers import SOLVERS
+from airpuck.control.horizon_solvers import Condensed
 from airpuck.control.law import Law, LawOptions, Moment, Prediction, Status, Step, staged
 from airpuck.control.lqr import LQR, cost_to_go
 from airpuck.control.reference import Arrival, Reference, SetPoint, course
@@ -94,7 +94,7 @@ class MPC(Law):
         self._kinds += ["speed"] * (limits.speed_m_s is not None)
         self._kinds += ["spin"] * (limits.spin_rad_s is not None)
         self._kinds += ["disc"] * len(self._keep_out)
-        self._solver = SOLVERS[regulator.solver](vehicle, blocks, regulator, len(self._kinds))
+        self._solver = Condensed(vehicle, blocks, regulator, len(self._kinds))
         posed = stages(model, blocks, regulator, options.reject_disturbance)
         self.stage = _stage(posed, self._solver.form)
         errors, self._efforts = regulator.weights.errors * blocks.step, regulator.weights.efforts

@@ -120,7 +120,6 @@ class Regulator(Section):
         pydantic.Field(min_length=1, max_length=80),
         pydantic.BeforeValidator(_listed),
     ] = (1, 1, 2, 2, 3)
-    solver: Literal["daqp", "piqp"] = "daqp"
     #: Of the solver, at most.
     iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 400
     weights: PredictiveWeights

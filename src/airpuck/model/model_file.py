@@ -97,7 +97,18 @@ class Model:
         return self.html(repr(self))
 
     def html(self, title: str) -> str:
-        """Show the parameters in a notebook, under a title."""
+        """Return the parameters as a table for a notebook.
+
+        Parameters
+        ----------
+        title : str
+            Stands above the table.
+
+        Returns
+        -------
+        str
+            HTML.
+        """
         return parameters_html(title, self._rows())
 
     def _rows(self) -> dict[str, dict[str, Any]]:
