@@ -15,7 +15,7 @@ from airpuck.model.model_file import published_model
 from airpuck.physics.effects import GRAVITY
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import step
-from airpuck.twin.plant import LONGEST_STEP, Disc, Plant, advance, build_plant
+from airpuck.twin.plant import LONGEST_STEP, CraftBody, Plant, advance, build_plant
 from airpuck.twin.settings import Effects, default_twin_settings
 
 from ..apparatus.examples import examples
@@ -40,7 +40,7 @@ EFFECTS = Effects(
 )
 ALL_EFFECTS = default_twin_settings().model_copy(update={"effects": EFFECTS})
 #: A disc whose inertia is not that of a homogeneous one.
-DISC = Disc(mass=0.14, inertia=0.26e-3, radius=0.07)
+DISC = CraftBody(mass=0.14, inertia=0.26e-3, radius=0.07)
 IDLE = np.zeros(6)
 TILTED = default_twin_settings().model_copy(
     update={"effects": Effects(tilt_rad=(0.04, -0.06)), "table": Table(restitution=0.2)}

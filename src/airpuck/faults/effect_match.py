@@ -19,7 +19,7 @@ _OPPOSITE = 0.5
 
 
 @dataclass(frozen=True)
-class Match:
+class EffectMatch:
     """Whose effect a propeller has."""
 
     #: The propeller of the model whose effect it has; None: there is none.
@@ -55,7 +55,7 @@ def match_effects(
     measured: Float[np.ndarray, "3 m"],
     expected: Float[np.ndarray, "3 n"],
     motors: Int[np.ndarray, " m"],
-) -> dict[int, Match]:
+) -> dict[int, EffectMatch]:
     """Find whose effect each measured propeller has.
 
     A propeller that agrees with its expected effect keeps it. The others are assigned to the
@@ -67,7 +67,7 @@ def match_effects(
     itself = table[np.arange(len(motors)), motors]
     agrees = itself >= AGREES
     found = {
-        motor: Match(motor if stays else None, 1, float(cosine))
+        motor: EffectMatch(motor if stays else None, 1, float(cosine))
         for motor, stays, cosine in zip(motors.tolist(), agrees, itself, strict=True)
     }
     worth = np.where(table >= AGREES, table, 0.0)
@@ -78,7 +78,7 @@ def match_effects(
         row, column = rows[i], columns[j]
         if worth[row, column] > 0:
             sign = 1 if table[row, column] > 0 else -1
-            found[int(motors[row])] = Match(int(column), sign, float(itself[row]))
+            found[int(motors[row])] = EffectMatch(int(column), sign, float(itself[row]))
     return found
 
 

@@ -13,7 +13,7 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.data.zero_order_hold import hold
 from airpuck.faults.axis_signs import AXES, AxisSigns, body_acceleration, find_axis_signs
-from airpuck.faults.effect_match import Match, cosines, match_effects, rotation, turned
+from airpuck.faults.effect_match import EffectMatch, cosines, match_effects, rotation, turned
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
@@ -223,7 +223,7 @@ def _propeller_checks(
     )
 
 
-def _worth(matches: dict[int, Match], likeness: Float[np.ndarray, "n n"]) -> float:
+def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) -> float:
     """Return the mean cosine of what was matched; what was not counts as 0."""
     found = [
         match.sign * likeness[k, match.acts_as]
@@ -252,7 +252,7 @@ def _regress(
     return effect, float(np.mean(shares))
 
 
-def _verdict(match: Match, k: int, names: tuple[str, ...], agrees: str) -> str:
+def _verdict(match: EffectMatch, k: int, names: tuple[str, ...], agrees: str) -> str:
     """Describe how a propeller's measured effect compares."""
     if match.acts_as is None:
         return "has no such effect: check its position, direction and wiring"

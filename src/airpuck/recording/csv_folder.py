@@ -17,7 +17,7 @@ from jaxtyping import Int64, Shaped
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.csv_table import Table, plain_table, read_rows
+from airpuck.recording.csv_table import CsvTable, plain_table, read_rows
 from airpuck.recording.files import listing, new_folder, sha256
 from airpuck.recording.mapping import (
     CommandMapping,
@@ -189,13 +189,13 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     return Stream(stamp, received, values, COLUMNS[stream]), table.warnings
 
 
-def _usual_position(table: Table) -> tuple[str, ...]:
+def _usual_position(table: CsvTable) -> tuple[str, ...]:
     """Return the columns of the position, the height among them where every row has one."""
     heights = table.columns.get(_HEIGHT, ())
     return (*_POSITION, _HEIGHT) if heights and all(map(str.strip, heights)) else _POSITION
 
 
-def _poses(table: Table, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]:
+def _poses(table: CsvTable, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]:
     """Pick the columns of poses: those that the mapping names, or the authors'."""
     # The authors' conversion added the yaw; a plain one leaves the quaternion alone.
     plain = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
@@ -218,7 +218,7 @@ def _poses(table: Table, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]
     return made, table.warnings + left_out("poses", blank)
 
 
-def _commands(table: Table, mapping: CommandMapping) -> tuple[Stream, tuple[str, ...]]:
+def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[str, ...]]:
     """Pick the columns of commands: as the mapping says, or the authors' motors."""
     names = mapping.values
     if not names and set(mapping.propellers).issubset(table.columns):
@@ -243,7 +243,7 @@ def _commands(table: Table, mapping: CommandMapping) -> tuple[Stream, tuple[str,
 
 
 def _require(
-    stream: str, table: Table, names: Sequence[str], mapping: PoseMapping | CommandMapping
+    stream: str, table: CsvTable, names: Sequence[str], mapping: PoseMapping | CommandMapping
 ) -> None:
     """Raise InputError if columns are missing: name all of them, and the mapping to write."""
     times = (mapping.time,) if mapping.time else ()
@@ -263,7 +263,7 @@ def _require(
 
 
 def _own_times(
-    table: Table, mapping: PoseMapping | CommandMapping
+    table: CsvTable, mapping: PoseMapping | CommandMapping
 ) -> tuple[Shaped[np.ndarray, " N"], Int64[np.ndarray, " N"] | None]:
     """Return the stamps that the mapping names, and the authors' arrival times if there are any."""
     if mapping.time:
@@ -273,7 +273,7 @@ def _own_times(
     return stamp.astype("datetime64[ns]"), received
 
 
-def _times(table: Table) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
+def _times(table: CsvTable) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
     """Return header stamps and recorder times; either stands in where the other is missing."""
     if _RECEIVED in table.columns and _SECONDS not in table.columns:
         received = table.numbers(_RECEIVED, int)

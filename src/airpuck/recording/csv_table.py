@@ -35,7 +35,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Columns of a CSV file as text."""
 
     path: Path
@@ -66,7 +66,7 @@ class Table:
             problem = "holds a number beyond 64 bits; times are in nanoseconds"
         raise InputError(problem, file=self.path, field=shortened(name))
 
-    def without_blank(self, names: Sequence[str]) -> tuple[Table, int]:
+    def without_blank(self, names: Sequence[str]) -> tuple[CsvTable, int]:
         """Leave out rows in which all these columns are blank; return how many, too."""
         cells = zip(*(self.columns[name] for name in names), strict=True)
         kept = [any(text.strip().lower() not in _BLANK for text in row) for row in cells]
@@ -98,7 +98,7 @@ def _separator(path: Path) -> str:
     return max(_SEPARATORS, key=first.count)
 
 
-def plain_table(rows: Rows) -> Table:
+def plain_table(rows: Rows) -> CsvTable:
     """Return the columns of a file that has their names in its first row."""
     header = [name.strip() for name in rows.cells[0]]
     if all(map(_is_number, header)):
@@ -120,7 +120,9 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def table_below(rows: Rows, header: int, places: dict[str, int], *, exact: bool = False) -> Table:
+def table_below(
+    rows: Rows, header: int, places: dict[str, int], *, exact: bool = False
+) -> CsvTable:
     """Return some columns, by name, of the rows below the header; `exact`: of its length."""
     whole = len(rows.cells[header])
     width = whole if exact else max(places.values()) + 1
@@ -137,4 +139,4 @@ def table_below(rows: Rows, header: int, places: dict[str, int], *, exact: bool 
                 f"line {line} has {len(row)} fields, the header has {width}", file=rows.path
             )
     found = {name: [row[index] for row in cells] for name, index in places.items()}
-    return Table(rows.path, found, lines, warnings)
+    return CsvTable(rows.path, found, lines, warnings)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.csv_table import Rows, Table, table_below
+from airpuck.recording.csv_table import CsvTable, Rows, table_below
 from airpuck.recording.files import listing
 from airpuck.recording.mapping import Orientation
 
@@ -31,7 +31,7 @@ def is_export(path: Path) -> bool:
     return start.startswith((_MOTIVE, *_QUALISYS))
 
 
-def read_export(rows: Rows, body: str) -> tuple[Table, dict[str, Any]] | None:
+def read_export(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]] | None:
     """Return a rigid body's columns and what the mapping is by default; None for other files."""
     first = rows.cells[0][0].strip()
     if first == _MOTIVE:
@@ -39,7 +39,7 @@ def read_export(rows: Rows, body: str) -> tuple[Table, dict[str, Any]] | None:
     return _qualisys(rows, body) if first in _QUALISYS else None
 
 
-def _motive(rows: Rows, body: str) -> tuple[Table, dict[str, Any]]:
+def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     """Read a Motive export: rows of types, names, kinds (Rotation, Position) and axes."""
     cells = rows.cells
     about = dict(zip(cells[0][::2], cells[0][1::2], strict=False))
@@ -81,7 +81,7 @@ def _motive(rows: Rows, body: str) -> tuple[Table, dict[str, Any]]:
     }
 
 
-def _qualisys(rows: Rows, body: str) -> tuple[Table, dict[str, Any]]:
+def _qualisys(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     """Read a 6D export of QTM: sixteen columns for each body, in mm and degrees."""
     header = _header(rows)
     named = [name.strip() for name in rows.cells[header]]

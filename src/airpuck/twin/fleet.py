@@ -25,7 +25,7 @@ from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics, register_pytrees
 from airpuck.recording.stream import Recording
-from airpuck.twin.plant import LONGEST_STEP, Disc, Plant, advance, build_plant, scaled
+from airpuck.twin.plant import LONGEST_STEP, CraftBody, Plant, advance, build_plant, scaled
 from airpuck.twin.radio import heard_commands
 from airpuck.twin.sensors import command_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -310,7 +310,7 @@ def _program(table: Table, mass: float, radius: float, sag: float) -> Any:
 
     def segment(fleet: _Fleet, frames: Any, carry: Any) -> Any:
         radio, craft = jnp.arange(fleet.times.shape[-1]), jnp.arange(fleet.commands.shape[-1])
-        disc, dtype = Disc(mass, fleet.inertia, radius), fleet.state.dtype
+        disc, dtype = CraftBody(mass, fleet.inertia, radius), fleet.state.dtype
 
         def one(carry: Any, _: Any) -> Any:
             state, now, frame, change, following = carry

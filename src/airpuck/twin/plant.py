@@ -43,11 +43,11 @@ def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
     switched_on = make_effects(settings.effects.coefficients(), layout)
     dynamics = replace(model.dynamics, effects=model.dynamics.effects + switched_on)
     vehicle, inertia = model.vehicle, float(model.parameters.inertia)
-    return Plant(dynamics, Disc(vehicle.mass_kg, inertia, vehicle.radius_m), settings.table)
+    return Plant(dynamics, CraftBody(vehicle.mass_kg, inertia, vehicle.radius_m), settings.table)
 
 
 @dataclass(frozen=True)
-class Disc:
+class CraftBody:
     """The craft as a rail meets it."""
 
     #: [kg].
@@ -63,7 +63,7 @@ class Plant:
     """A craft on a table: coefficients with all effects, disc and rails."""
 
     dynamics: Dynamics
-    disc: Disc
+    disc: CraftBody
     table: Table
 
     @cached_property

@@ -114,7 +114,7 @@ class HandMallet:
         self.x, self.y = way.x, way.y
 
 
-class Observer(Protocol):
+class WorldObserver(Protocol):
     """Measures at times of its own."""
 
     @property
@@ -145,7 +145,7 @@ class World:
         The puck.
     bodies : list of Craft or HandMallet
         The discs.
-    observers : list of Observer
+    observers : list of WorldObserver
         Sensors; each is called at the times that it requests.
     time : float
         Time of the last event [s].
@@ -158,7 +158,7 @@ class World:
         self._rail = Contact(restitution=rail.restitution, grip=1.0, friction=rail.friction)
         self.puck = None if puck is None else PuckOnTable(play, puck, logs=logs)
         self.bodies: list[Craft | HandMallet] = []
-        self.observers: list[Observer] = []
+        self.observers: list[WorldObserver] = []
         self.time = 0.0
 
     def other(self, body: Craft | HandMallet) -> Craft | HandMallet:

@@ -137,11 +137,11 @@ class Twin:
 
     @property
     def due(self) -> float:
-        """When a sensor next measures; see `airpuck.twin.play.Observer` [s]."""
+        """When a sensor next measures; see `airpuck.twin.play.WorldObserver` [s]."""
         return self._sensors.due
 
     def observe(self, time: float) -> None:
-        """Take the samples that are due; see `airpuck.twin.play.Observer`."""
+        """Take the samples that are due; see `airpuck.twin.play.WorldObserver`."""
         if self._logs and self._sensors.sensors[0].due <= time:
             self._log_truth(time)
         self._sensors.observe(time)
