@@ -82,6 +82,8 @@ class Situation:
     kind: Literal["excitation", "hover"] = "excitation"
     amplitude: float = 0.7
     duration: float = RECORDED
+    #: A metre in the recording, which no recording can tell and all accelerations are stated in.
+    metre: float = 1.0
 
     def truth(self) -> Model:
         """Return the true craft."""
@@ -111,17 +113,6 @@ def clock(offset: float, recorder: bool = False) -> Callable[[Recording], Record
         received = pose.received_ns if recorder else pose.received_ns + by
         moved = replace(pose, stamp_ns=pose.stamp_ns + by, received_ns=received)
         return replace(recording, streams={**recording.streams, "pose": moved})
-
-    return edit
-
-
-def poses_times(*factors: float) -> Callable[[Recording], Recording]:
-    """Multiply x, y and yaw: an unnoticed unit."""
-
-    def edit(recording: Recording) -> Recording:
-        pose = recording["pose"]
-        scaled = replace(pose, values=pose.values * factors)
-        return replace(recording, streams={**recording.streams, "pose": scaled})
 
     return edit
 
@@ -209,8 +200,8 @@ SITUATIONS = (
         "dropped frames",
         twin={"motion_capture": {"dropped": 0.3, "gaps_s": [(5, 5.4), (12, 12.3), (13, 13.6)]}},
     ),
-    Situation("poses in feet", edit=poses_times(1 / FOOT_M, 1 / FOOT_M, 1.0)),
-    Situation("positions 1.5 times too large", edit=poses_times(1.5, 1.5, 1.0)),
+    Situation("poses in feet", metre=1 / FOOT_M),
+    Situation("positions 1.5 times too large", metre=1.5),
     Situation("commands logged by half", edit=commands_times(0.5)),
     Situation("poses at 60 Hz", twin={"motion_capture": {"rate_hz": 60.0}}),
     Situation("poses at 30 Hz", twin={"motion_capture": {"rate_hz": 30.0}}),
@@ -261,7 +252,10 @@ def recorded(situation: Situation, seed: int, folder: Path) -> Recording:
 def prepared(situation: Situation, seed: int, folder: Path) -> tuple[Trajectory, Trajectory]:
     """Preprocess a recording as its user would; return what to learn from, and what to judge on."""
     vehicle = situation.believed(craft(situation.propellers).vehicle)
-    whole = preprocess(situation.edit(recorded(situation, seed, folder)), vehicle)
+    edited = situation.edit(recorded(situation, seed, folder))
+    pose = edited["pose"]
+    pose = replace(pose, values=pose.values * (situation.metre, situation.metre, 1.0))
+    whole = preprocess(replace(edited, streams={**edited.streams, "pose": pose}), vehicle)
     return whole.slice(0.0, LEARNED), whole.slice(LEARNED, 1.0)
 
 
@@ -373,7 +367,8 @@ def judged(situation: Situation, seed: int, folder: Path) -> Case:
         scaled = np.asarray(truth.parameters.thrust) * share[:, None]
         weaker = replace(truth, parameters=replace(truth.parameters, thrust=scaled))
         pushes = largest_acceleration(model)
-        off = 1 - largest_acceleration(weaker) / pushes
+        unit = np.repeat([situation.metre, 1.0], [4, 2])
+        off = 1 - unit * largest_acceleration(weaker) / pushes
         errors = tuple((off / found.acceleration_errors).tolist())
     return Case(situation.name, seed, found.outcome, settled, found.sentences, errors)
 

@@ -142,8 +142,11 @@ def test_columns_without_names_are_in_the_order_of_the_vehicle():
 
 def test_copies_have_the_positions_of_their_own_propellers():
     vehicle = default_vehicle()
+    positions, directions = vehicle.positions, vehicle.directions
     turned = vehicle.model_copy(update={"propellers": vehicle.propellers[::-1]})
-    np.testing.assert_array_equal(turned.positions, default_vehicle().positions[::-1])
+    np.testing.assert_array_equal(turned.positions, positions[::-1])
+    np.testing.assert_array_equal(turned.directions, directions[::-1])
+    assert vehicle.positions is positions
 
 
 def test_a_craft_drawn_in_millimetres_is_told_so(quad):

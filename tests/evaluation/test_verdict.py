@@ -115,6 +115,34 @@ def test_positions_in_feet_give_an_inertia_that_no_craft_has(flight):
     assert "unit of the positions" in found.sentences[1]
 
 
+def test_curves_of_a_wrong_shape_are_told_at_low_speed(flight):
+    speed = np.linspace(0, 1, 101)[:, None]
+    powers = speed ** np.arange(1, 4)
+    true = powers @ np.asarray(MODEL.parameters.thrust).T
+    # κ φ², nearest to each true curve.
+    curves = np.zeros((6, 3))
+    curves[:, 1] = (speed**2 * true).sum(axis=0) / (speed**4).sum()
+    found = judged(replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves)), flight)
+    assert found.outcome == "not_trusted"
+    assert "wrong shape" in " ".join(found.sentences)
+
+
+def test_commands_that_reach_half_of_their_range_leave_the_rest_to_guess():
+    def linear(thrust: float) -> Model:
+        curves = np.tile([thrust, 0.0, 0.0], (6, 1))
+        return replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves))
+
+    flight = fly(linear(0.6), 8.0, seed=3)
+    halved, model = replace(flight, command=flight.command / 2), linear(1.2)
+    found = judged(model, halved)
+    assert found.outcome == "not_enough_excitation"
+    assert "reach only 45 % of the range" in found.sentences[1]
+    assert "unit" in found.sentences[1]
+    # The same craft, if its motors go no further.
+    vehicle = model.vehicle.model_copy(update={"command_max": 0.5})
+    assert judged(replace(model, vehicle=vehicle), halved).trusted
+
+
 def test_a_flight_without_switches_excites_too_little(flight):
     still = replace(flight, command=np.full_like(flight.command, 0.03))
     rng = np.random.default_rng(0)

@@ -61,6 +61,13 @@ class Section(pydantic.BaseModel):
             check_size(name, value)
         return self
 
+    def model_copy(self, **how: Any) -> Any:
+        """Copy as pydantic does, without what cached properties hold of the original."""
+        copied = super().model_copy(**how)
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            object.__delattr__(copied, name)
+        return copied
+
 
 def read_toml(
     path: str | os.PathLike[str], schema: type[Schema], *, base: Schema | None = None

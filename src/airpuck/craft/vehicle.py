@@ -99,9 +99,7 @@ class Vehicle(Section):
             raise ValueError("command_min must be below command_max")
         nominal = self.nominal
         full = float(_nominal_thrust(nominal.thrust_N, len(names)).sum(axis=1).max())
-        # Not the property, which keeps its array: copies with other propellers would have it, too.
-        positions = np.array([propeller.position_m for propeller in self.propellers])
-        check_sizes(self.mass_kg, self.radius_m, positions, nominal.inertia_kg_m2)
+        check_sizes(self.mass_kg, self.radius_m, self.positions, nominal.inertia_kg_m2)
         lag, delay = nominal.motor_time_constant_s, nominal.transport_delay_s
         check_nominal(self.mass_kg, full, lag, delay)
         return self

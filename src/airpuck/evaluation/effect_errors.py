@@ -3,8 +3,8 @@
 Standard errors of a fit say how much chance moves it. They say nothing of what the model cannot
 describe: an inertia that it does not learn, a lag that it lacks, motors in another order. So what
 its accelerations, integrated along the measured motion, leave of the poses is regressed on what
-each motor would do in any direction, on later commands and on slower motors. The result is the
-systematic error of the model (docs/method.md).
+each motor would do in any direction, on the bend of its thrust curve, on later commands and on
+slower motors. The result is the systematic error of the model (docs/method.md).
 """
 
 from __future__ import annotations
@@ -28,16 +28,19 @@ from airpuck.physics.thrust import thrust
 _PAST_S, _AHEAD_S = 40 / 240, 0.4
 #: Step of the finite differences in transport delay and lag [s].
 _STEP_S = 1e-3
-#: Units of the regression, which has a weak prior: share of a motor's effect [1], timing [s], other
-#: accelerations [m/s², rad/s²] and those per speed [1/s].
-_EFFECT_UNIT, _TIME_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.1
+#: Units of the regression, which has a weak prior: share of a motor's effect [1], timing [s], share
+#: of full thrust by which a curve bends [1], other accelerations [m/s², rad/s²] and those per speed
+#: [1/s].
+_EFFECT_UNIT, _TIME_UNIT, _BEND_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.2, 0.1
 #: Length of the blocks of time behind the standard errors [s], and the fewest blocks.
 _BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
 #: A motor whose modelled full thrust is below this share of the median gets the median curve: what
 #: the model takes for dead may run.
 _WEAK = 0.3
-#: Columns per motor: forward, left, yaw.
+#: Columns per motor: forward, left, yaw; and the bend of its curve.
 _PER_MOTOR = 3
+#: Speed at which a model's low thrusts are judged: craft that keep a place need no more [1].
+LOW_SPEED = 0.2
 #: What a channel of one window tells beyond its first pose and velocity: two numbers, about.
 _TOLD = 2
 #: Ways to accelerate: row of Π, sign.
@@ -57,6 +60,9 @@ class EffectErrors:
     #: model's; and the standard errors of that, relative to the larger of the two.
     push: Float[np.ndarray, " 6"]
     push_error: Float[np.ndarray, " 6"]
+    #: The same at `LOW_SPEED`.
+    low: Float[np.ndarray, " 6"]
+    low_error: Float[np.ndarray, " 6"]
     #: How much later than modelled commands take effect, lag and delay together [s].
     later: float
     later_error: float
@@ -86,7 +92,8 @@ def _estimated(model: Model, windows: Windows, moved: float) -> EffectErrors:
         [
             _EFFECT_UNIT * np.tile([force, force, moment], n),
             np.full(2, _TIME_UNIT),
-            np.full(columns.shape[2] - _PER_MOTOR * n - 2, _OTHER_UNIT),
+            np.full(n, _BEND_UNIT),
+            np.full(columns.shape[2] - (_PER_MOTOR + 1) * n - 2, _OTHER_UNIT),
         ]
     )
     spread = np.maximum(np.sqrt(np.mean(values**2, axis=0)), 1e-12)
@@ -109,38 +116,57 @@ def _in_words_of_control(
     """Turn coefficients of the regression into accelerations and times."""
     n, vehicle = len(curves), model.vehicle
     matrix = np.asarray(model.dynamics.configuration)
-    both = np.asarray(model.parameters.thrust), curves
-    least, most = (
-        np.array([thrust(curve, np.full(n, command)) for curve in both])
-        for command in (vehicle.command_min, vehicle.command_max)
-    )
-    effects = slice(0, _PER_MOTOR * n)
-    change = estimate[effects].reshape(n, _PER_MOTOR).T
-    error = np.sqrt(np.diag(covariance)[effects]).reshape(n, _PER_MOTOR).T
-    modelled = matrix * most[0]
-    found = modelled + change * most[1]
-    push, push_error = np.zeros(len(WAYS)), np.zeros(len(WAYS))
-    for k, (row, sign) in enumerate(WAYS):
-        now = sign * np.array([matrix[row] * least[0], modelled[row]])
-        then = sign * np.array([matrix[row] * least[0] + change[row] * least[1], found[row]])
-        before, after = now.max(axis=0).sum(), then.max(axis=0).sum()
-        weight = np.zeros(len(estimate))
-        weight[row : _PER_MOTOR * n : _PER_MOTOR] = np.where(then[1] > then[0], most[1], least[1])
-        push[k] = 1 - after / max(before, 1e-12)
-        push_error[k] = np.sqrt(weight @ covariance @ weight) / max(before, after, 1e-12)
+    full = _thrusts(curves, 1.0)
     late = np.zeros(len(estimate))
     late[_PER_MOTOR * n : _PER_MOTOR * n + 2] = 1.0
-    deviation = float(np.sqrt(late @ covariance @ late))
-    errors = error * most[1]
+
+    def accelerations(speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return those of each motor: as modelled, added, and added per coefficient."""
+        per = np.zeros((3, n, len(estimate)))
+        for k in range(n):
+            per[range(3), k, range(_PER_MOTOR * k, _PER_MOTOR * (k + 1))] = _thrusts(curves, speed)[
+                k
+            ]
+            per[:, k, _PER_MOTOR * n + 2 + k] = speed * (1 - speed) * full[k] * matrix[:, k]
+        return matrix * _thrusts(np.asarray(model.parameters.thrust), speed), per @ estimate, per
+
+    idle = accelerations(vehicle.command_min)
+
+    def pushes(speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the relative errors of the largest accelerations with motors up to a speed."""
+        ends = idle, accelerations(speed)
+        off, error = np.zeros(len(WAYS)), np.zeros(len(WAYS))
+        for way, (row, sign) in enumerate(WAYS):
+            now = sign * np.array([modelled[row] for modelled, _, _ in ends])
+            then = now + sign * np.array([added[row] for _, added, _ in ends])
+            before, after = now.max(axis=0).sum(), then.max(axis=0).sum()
+            weight = np.where(then[1] > then[0], ends[1][2][row].T, ends[0][2][row].T).sum(axis=1)
+            off[way] = 1 - after / max(before, 1e-12)
+            error[way] = np.sqrt(weight @ covariance @ weight) / max(before, after, 1e-12)
+        return off, error
+
+    modelled, added, per = accelerations(vehicle.command_max)
+    errors = np.sqrt(np.einsum("rnm,mk,rnk->rn", per, covariance, per))
     return EffectErrors(
-        modelled, found, errors, push, push_error, float(late @ estimate), deviation
+        modelled,
+        modelled + added,
+        errors,
+        *pushes(vehicle.command_max),
+        *pushes(LOW_SPEED * vehicle.command_max),
+        float(late @ estimate),
+        float(np.sqrt(late @ covariance @ late)),
     )
+
+
+def _thrusts(curves: Float[np.ndarray, "n degree"], speed: float) -> Float[np.ndarray, " n"]:
+    """Return the thrust of each motor at one speed."""
+    return thrust(curves, np.full(len(curves), speed))
 
 
 def _curves(model: Model) -> Float[np.ndarray, "n degree"]:
     """Return the thrust curves whose scale is estimated: the model's, where it has some thrust."""
     curves = np.array(model.parameters.thrust, dtype=float)
-    full = thrust(curves, np.ones(len(curves)))
+    full = _thrusts(curves, 1.0)
     weak = full < _WEAK * np.median(full)
     curves[weak] = np.median(curves, axis=0)
     return curves
@@ -174,7 +200,8 @@ def _regression(
         )
     )
     timing = np.stack([later - driven, slower - driven], axis=-1) / _STEP_S
-    added = _twice_integrated(_accelerations(curves, speed, measured), durations)
+    matrix = np.asarray(model.dynamics.configuration)
+    added = _twice_integrated(_accelerations(curves, matrix, speed, measured), durations)
     n = _PER_MOTOR * len(curves)
     columns = np.concatenate([added[..., :n], timing, added[..., n:]], axis=3)
     time = np.concatenate([np.zeros((1, len(held))), np.cumsum(durations, axis=0)])
@@ -204,13 +231,15 @@ def _driven(
 
 def _accelerations(
     curves: Float[np.ndarray, "n degree"],
+    matrix: Float[np.ndarray, "3 n"],
     speed: Float[np.ndarray, "n T W"],
     measured: Float[np.ndarray, "T W 6"],
 ) -> Float[np.ndarray, "T W 3 m"]:
     """Return the accelerations that each error would add, per unit, in the world.
 
-    For each motor its thrust forward, left and turning; then constant accelerations, and drag of
-    motion and of spin.
+    For each motor its thrust forward, left and turning; then for each motor the bend of its curve,
+    which adds nothing at standstill and at full speed; constant accelerations; drag of motion and
+    of spin.
     """
     force = np.moveaxis(thrust(curves, speed), 0, 2)
     cos, sin = np.cos(measured[..., 2]), np.sin(measured[..., 2])
@@ -218,10 +247,12 @@ def _accelerations(
     turn[..., 0, 0] = turn[..., 1, 1] = cos
     turn[..., 0, 1], turn[..., 1, 0], turn[..., 2, 2] = -sin, sin, 1.0
     along = np.einsum("twj,twik->twijk", force, turn).reshape(*turn.shape[:3], -1)
+    full = _thrusts(curves, 1.0)
+    bent = np.einsum("jtw,twik,kj,j->twij", speed * (1 - speed), turn, matrix, full)
     others = np.zeros((*turn.shape[:3], 5))
     others[..., [0, 1, 2], [0, 1, 2]] = 1.0
     others[..., :2, 3], others[..., 2, 4] = -measured[..., 3:5], -measured[..., 5]
-    return np.concatenate([along, others], axis=3)
+    return np.concatenate([along, bent, others], axis=3)
 
 
 def _twice_integrated(

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.numbers import percent
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
+from airpuck.evaluation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
 from airpuck.evaluation.evaluate import Evaluation, coasting
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
@@ -26,8 +26,13 @@ from airpuck.model.model_file import Model
 #: time [s]: with both, all controllers of studies/verdicts.py settle.
 ACCELERATION_LIMIT = 0.3
 RESPONSE_LIMIT = 0.015
-#: The same errors as far as chance alone makes them: above, a recording tells too little to judge.
-_JUDGED_LIMIT, _JUDGED_RESPONSE = 0.15, 0.006
+#: Largest error of an acceleration with motors at `LOW_SPEED`, relative to the modelled one.
+LOW_LIMIT = 0.5
+#: Standard error of the timing that a recording shows, above which it tells too little [s].
+_JUDGED_RESPONSE = 0.006
+#: Least of each motor's largest commands, relative to the largest there is: thrusts beyond are an
+#: extrapolation of the curve.
+_REACHED = 0.6
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3
 #: Correlation of motor lag and transport delay below which data know their sum only.
@@ -125,7 +130,9 @@ class _Evidence:
         (chance, response), effects = self.by_chance, self.effects
         if effects is None:
             return chance, response
-        return np.hypot(chance, effects.push), float(np.hypot(response, effects.later))
+        push = _beyond_chance(effects.push, effects.push_error)
+        later = _beyond_chance(effects.later, effects.later_error)
+        return np.hypot(chance, push), float(np.hypot(response, later))
 
     @cached_property
     def missed(self) -> Float[np.ndarray, " 3"] | None:
@@ -205,7 +212,7 @@ def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
     if evidence.trajectory is None:
         uncertain = _uncertain(*evidence.by_chance)
         return ("not_enough_excitation", uncertain) if uncertain else ("not_judged", [])
-    quiet, order = _quiet(evidence.effects), order_suspect(model, evidence.effects)
+    quiet, order = _quiet(evidence), order_suspect(model, evidence.effects)
     clock = clock_suspect(model, evidence.trajectory)
     if suspects := [*clock, *order, *([] if quiet else unit_suspect(model))]:
         return "suspect_recording", suspects
@@ -233,23 +240,40 @@ def _learned_lag(model: Model) -> bool:
     return bool(model.free[model.parameters.mask(frozenset({"motor_time_constant"}))].any())
 
 
-def _quiet(effects: EffectErrors | None) -> list[str]:
+def _beyond_chance(value: Any, error: Any) -> Any:
+    """Return the size of an error that is not explained by the chance in its estimate."""
+    return np.sqrt(np.maximum(np.square(value) - np.square(error), 0.0))
+
+
+def _quiet(evidence: _Evidence) -> list[str]:
     """Tell if a recording excites the craft too little to judge a model by it."""
     fly = "Fly an excitation of 30 s or more: `airpuck excite`, or `airpuck design` for this craft."
-    if effects is None:
+    effects, trajectory = evidence.effects, evidence.trajectory
+    if effects is None or trajectory is None:
         return [f"The recording is too short to judge a model by it. {fly}"]
     worst = int(np.argmax(effects.push_error))
     found = []
-    if effects.push_error[worst] > _JUDGED_LIMIT:
+    if effects.push_error[worst] > ACCELERATION_LIMIT:
         found.append(
             f"The recording determines the largest acceleration {_way(worst)} to "
-            f"{percent(float(effects.push_error[worst]))} only; {percent(_JUDGED_LIMIT)} are "
+            f"{percent(float(effects.push_error[worst]))} only; {percent(ACCELERATION_LIMIT)} are "
             "needed."
         )
     if effects.later_error > _JUDGED_RESPONSE:
         found.append(
             f"The recording determines when commands take effect to "
             f"{1e3 * effects.later_error:.0f} ms only; {1e3 * _JUDGED_RESPONSE:.0f} ms are needed."
+        )
+    vehicle = evidence.model.vehicle
+    reached = trajectory.command.max(axis=0, initial=0.0) / vehicle.command_max
+    lazy = int(np.argmin(reached))
+    if reached[lazy] < _REACHED:
+        found.append(
+            f"The commands of {vehicle.propeller_names[lazy]} reach only "
+            f"{percent(float(reached[lazy]))} of the range; thrusts beyond are a guess, and "
+            f"{percent(_REACHED)} are needed. If the commands were larger than this, check the "
+            "unit in which they were logged; if no motor may go further, say so in the vehicle "
+            "file (command_max)."
         )
     return [*found, fly] if found else []
 
@@ -283,6 +307,15 @@ def _wrong(relative: Float[np.ndarray, " 6"], response: float, effects: EffectEr
         found.append(
             f"The modelled largest acceleration is wrong: {', '.join(off)}. A richer model may "
             "help (`--model auto`), or a check of mass, inertia and motors in the vehicle file."
+        )
+    low = np.sign(effects.low) * _beyond_chance(effects.low, effects.low_error)
+    worst = int(np.argmax(np.abs(low)))
+    if abs(low[worst]) > LOW_LIMIT:
+        size = "larger" if low[worst] > 0 else "smaller"
+        found.append(
+            f"With motors at {percent(LOW_SPEED)} of full speed, the modelled acceleration "
+            f"{_way(worst)} is {percent(abs(float(low[worst])))} {size} than the real one: the "
+            "thrust curves have the wrong shape. Use a richer model (`--model auto`)."
         )
     if response > RESPONSE_LIMIT:
         when = "later" if effects.later > 0 else "earlier"
