@@ -65,11 +65,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave long studies, and what needs a browser, out unless they are asked for."""
     for marker, target in (("study", "studies"), ("browser", "test-browser")):
-        if marker in (config.option.markexpr or ""):
-            continue
+        asked = marker in (config.option.markexpr or "")
+        mark = pytest.mark.timeout(0) if asked else pytest.mark.skip(f"runs with `make {target}`")
         for item in items:
             if item.get_closest_marker(marker):
-                item.add_marker(pytest.mark.skip(reason=f"runs with `make {target}`"))
+                item.add_marker(mark)
 
 
 def pytest_runtest_setup() -> None:

@@ -290,7 +290,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             _reader("airpuck.twin.settings", "read_twin_settings"),
         ),
         "mapping": toml(_MAPPING, "airpuck.recording.mapping", "read_mapping"),
-        "plan": toml(_PLAN, "airpuck.control.excitation", "read_excitation_plan"),
+        "plan": toml(_PLAN, "airpuck.control.excitation_plan", "read_excitation_plan"),
         "campaign": toml(_CAMPAIGN, "airpuck.campaigns.spec", "read_spec"),
         "set points": toml(_SETPOINTS, "airpuck.control.reference", "read_setpoints"),
     }
@@ -394,10 +394,12 @@ def fuzz(names: Sequence[str], count: int, first: int = 0) -> dict[str, Tally]:
             said = process.stderr.read()
         if process.returncode == 0:
             break
-        # It died in the last case that it reported, or before the first.
-        name = next((name for name in reversed(left) if tallies[name].seed is not None), left[0])
+        # It died in the last case that it reported.
+        name = next((name for name in reversed(left) if tallies[name].current), None)
+        if name is None:
+            raise RuntimeError(f"the process of {left[0]} died before its first case: {said}")
         tally = tallies[name]
-        seed = first if tally.seed is None else tally.seed
+        seed, tally.current = tally.seed or 0, False
         tally.outcomes["failed"] += 1
         tally.failures.append(f"{name} {seed}: died ({process.returncode}): {said[-1000:]}")
         left, done = left[left.index(name) :], seed + 1 - first

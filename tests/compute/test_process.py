@@ -35,9 +35,9 @@ run, ones = program(long, np.ones(144), compiled=True), np.ones(144)
 run(ones)
 shares = []
 for _ in range(5):
-    begun, wall = time.thread_time(), time.perf_counter()
+    own, whole = time.thread_time(), time.process_time()
     run(ones)
-    shares.append((time.thread_time() - begun) / (time.perf_counter() - wall))
+    shares.append((time.thread_time() - own) / (time.process_time() - whole))
 assert large_programs_are_fast() == in_time
 print(in_time, max(shares))
 """
@@ -49,7 +49,7 @@ def test_large_programs_run_in_the_calling_thread_if_set_in_time(set_):
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     in_time, share = done.stdout.split()
     assert in_time == str(set_ == "early")
-    assert (float(share) > 0.2) == (set_ == "early")
+    assert (float(share) > 0.5) == (set_ == "early")
 
 
 @pytest.fixture

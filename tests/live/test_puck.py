@@ -3,6 +3,7 @@
 import json
 import signal
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -39,12 +40,14 @@ def test_its_poses_are_on_the_graph_and_a_filter_follows_them(domain):
     assert abs(found.belief.mean[0] - 0.6) < 1e-3
 
 
-def hear(page, condition):
+def hear(page, condition, seconds=60.0):
     """Hear a page's messages until one is as it should be; return it."""
-    while True:
-        message = page.recv(timeout=30)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        message = page.recv(timeout=seconds)
         if condition(message if isinstance(message, bytes) else json.loads(message)):
             return message
+    raise AssertionError(f"no such message in {seconds:g} s")
 
 
 def test_the_craft_plays_who_sits_at_the_page(domain):
@@ -61,13 +64,13 @@ def test_the_craft_plays_who_sits_at_the_page(domain):
         watch.until(lambda: all(one in watch.events("play") for one in said), 120.0)
         with connect(f"ws://127.0.0.1:{port}/", compression=None) as page:
             hear(page, lambda one: not isinstance(one, bytes) and one.get("phase") == "play")
-            watch.forget()
+            before = len(watch.heard[MALLET])
             # Both move, and the craft stays on its half; its edge may be a little over the line.
             for k in range(150):
                 place = (0.3, 0.3, 0.0) if k % 20 < 10 else (0.8, -0.3, 0.0)
                 page.send(struct.pack("<Ifff", k, *place))
                 watch.run(0.1)
-                if len(watch.heard[MALLET]) > 800:
+                if len(watch.heard[MALLET]) > before + 800:
                     break
             state = hear(page, lambda one: isinstance(one, bytes))
             assert np.isfinite(np.frombuffer(state, "<f4", offset=16)).all()  # after the header
@@ -80,8 +83,9 @@ def test_the_craft_plays_who_sits_at_the_page(domain):
     assert code == 0
     figures = json.loads(out)
     assert sum(figures["score"]) == sum(figures["goals"]) <= figures["duration_s"]
+    codec = StreamCodec("puck")
     crafts, mallets = (
-        np.array([StreamCodec("puck").decode(message.data)[1] for message in watch.heard[topic]])
+        np.array([codec.decode(message.data)[1] for message in watch.heard[topic]])
         for topic in (POSES, MALLET)
     )
     assert np.ptp(crafts[:, :2], axis=0).max() > 0.02

@@ -97,14 +97,19 @@ class Trajectory:
     vehicle: Vehicle | None = None
 
     def __post_init__(self) -> None:
-        samples, commands, motors = len(self.time), len(self.command_time), len(self.propellers)
+        samples, commands = np.size(self.time), np.size(self.command_time)
         shapes = {
+            "time": (samples,),
             "state": (samples, 6),
             "acceleration": (samples, 3),
-            "command": (commands, motors),
+            "command_time": (commands,),
+            "command": (commands, len(self.propellers)),
         }
         for name, shape in shapes.items():
-            if np.shape(getattr(self, name)) != shape:
+            array = np.asarray(getattr(self, name))
+            if array.dtype.kind not in "fiu":
+                raise InputError("must hold numbers", file=self.source, field=name)
+            if array.shape != shape:
                 raise InputError(f"must have the shape {shape}", file=self.source, field=name)
         if (np.diff(self.time) <= 0).any():
             raise InputError("must increase", file=self.source, field="time")
