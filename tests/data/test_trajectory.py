@@ -45,16 +45,6 @@ def test_file_reads_back_equal(flight, tmp_path):
         assert {"t", "state", "input", "command_time", "command"} <= set(archive.files)
 
 
-@pytest.mark.parametrize(
-    ("values", "problem"),
-    [(np.array([b"a", b"b"]), "must hold numbers"), (np.array(0.5), r"must have the shape \(1,\)")],
-)
-def test_command_times_are_a_list_of_numbers(flight, values, problem):
-    with pytest.raises(InputError, match=problem) as raised:
-        replace(flight, command_time=values, command=np.zeros((values.size, 6)))
-    assert raised.value.field == "command_time"
-
-
 def test_files_of_earlier_versions_name_no_vehicle(flight, tmp_path):
     known = replace(flight, vehicle=default_vehicle())
     known.save(tmp_path / "new.npz")
