@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from airpuck.report.style import png
+from airpuck.report.style import write_png
 
 from .process import workload
 
@@ -75,7 +75,7 @@ def main() -> None:
     panels[0].set_ylabel("one Gauss-Newton step [s]")
     panels[0].legend()
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_bytes(png(figure))
+    write_png(figure, options.output)
     print(json.dumps({"exponents": exponents}))
 
 

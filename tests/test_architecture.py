@@ -1,9 +1,11 @@
 """The rules of the house: who may import whom, and what loads when."""
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -192,6 +194,28 @@ def test_every_public_name_can_be_imported():
         assert getattr(airpuck, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = airpuck.nonsense
+
+
+@pytest.mark.slow
+def test_what_studies_benchmarks_and_examples_import_exists():
+    def exists(module: str, name: str) -> bool:
+        with suppress(ImportError):
+            if hasattr(importlib.import_module(module), name):
+                return True
+            return bool(importlib.import_module(f"{module}.{name}"))
+        return False
+
+    folders = (TESTS.parent / folder for folder in ("studies", "benchmarks", "examples"))
+    missing = [
+        f"{path.name}:{node.lineno}: {node.module}.{alias.name}"
+        for folder in folders
+        for path in sorted(folder.rglob("*.py"))
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("airpuck")
+        for alias in node.names
+        if not exists(str(node.module), alias.name)
+    ]
+    assert not missing
 
 
 def test_no_room_takes_a_verbs_name():

@@ -10,7 +10,7 @@ import numpy as np
 
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Limits, Tuning
+from airpuck.control.tuning import SoftLimits, Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 
@@ -44,7 +44,7 @@ def thrown(tuning: Tuning, count: int, seed: int = 0, *, compiled: bool = True) 
     rng, found = np.random.default_rng(seed), Steps()
     low, high = craft().vehicle.command_min, craft().vehicle.command_max
     for changes, table in LIMITS:
-        regulator = tuning.regulator.model_copy(update={"limits": Limits(**changes)})
+        regulator = tuning.regulator.model_copy(update={"limits": SoftLimits(**changes)})
         given = tuning.model_copy(update={"regulator": regulator})
         controller = TrackingController(
             craft(), SetPoint(0.0, 0.0, 0.0), given, table=table, compiled=compiled

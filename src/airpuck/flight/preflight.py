@@ -12,7 +12,14 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.results import Result
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import match_columns
-from airpuck.faults.effect_match import AGREES, Match, cosines, match_effects, rotation, turned
+from airpuck.faults.effect_match import (
+    AGREES,
+    EffectMatch,
+    cosines,
+    match_effects,
+    rotation,
+    turned,
+)
 from airpuck.flight.link import Link
 from airpuck.flight.loop import fly
 from airpuck.flight.pulse_response import PulseResponse, pulse_responses
@@ -312,7 +319,7 @@ def _frame_check(
 
 
 def _motor_verdict(
-    names: tuple[str, ...], k: int, likeness: Match | None, strength: float
+    names: tuple[str, ...], k: int, likeness: EffectMatch | None, strength: float
 ) -> tuple[Verdict, str]:
     """Judge what a motor does."""
     if likeness is None:
