@@ -20,8 +20,8 @@ import airpuck
 from airpuck.craft.table import Table
 from airpuck.planning import transcription
 from airpuck.planning.request import checked_request
+from airpuck.planning.search import starts
 from airpuck.planning.settings import Limits
-from airpuck.planning.starts import starts
 
 INTERVALS = 40
 #: Tolerance on either side of a given final state.

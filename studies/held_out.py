@@ -36,8 +36,8 @@ from airpuck import (
     identify,
     load_trajectory,
 )
-from airpuck.evaluation.block_bootstrap import rmse_interval, rmse_ratio
 from airpuck.evaluation.evaluate import EveryStart
+from airpuck.evaluation.statistical_tests import rmse_interval, rmse_ratio
 from airpuck.recording.dataset import dataset_folder
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4", "M5", "M5+drag", "M5+drag+idle")

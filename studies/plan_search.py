@@ -21,9 +21,8 @@ from bounds import craft
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.planning.request import Goal, Request, checked_request
-from airpuck.planning.search import TIDY, refined, search
+from airpuck.planning.search import TIDY, guess, refined, search
 from airpuck.planning.settings import Limits
-from airpuck.planning.starts import guess
 from airpuck.planning.transcription import program_for
 
 PROPELLERS = (3, 4, 6, 8)

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from airpuck import load_trajectory, read_model
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.evaluation.block_bootstrap import rmse_interval
 from airpuck.evaluation.evaluate import hold_for, prediction_errors
+from airpuck.evaluation.statistical_tests import rmse_interval
 from airpuck.recording.dataset import dataset_folder
 
 #: The paper's window, and the step at which errors count [samples].

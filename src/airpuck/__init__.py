@@ -9,183 +9,22 @@ Public names are imported where they are used, so that ``import airpuck`` is qui
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 __version__ = "0.1.0"
 
-if TYPE_CHECKING:  # "X as X": for a type checker, X is then public
-    # isort: off
-    from airpuck.boundary.errors import InputError as InputError
-    from airpuck.campaigns.campaign import campaign as campaign
-    from airpuck.campaigns.match import match as match
-    from airpuck.control.reference import (
-        Rendezvous as Rendezvous,
-        SetPoint as SetPoint,
-        SetPoints as SetPoints,
-        TimedPath as TimedPath,
-    )
-    from airpuck.control.law import Law as Law, Step as Step
-    from airpuck.control.tracking import TrackingController as TrackingController
-    from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
-    from airpuck.craft.table import AirHockey as AirHockey, read_table as read_table
-    from airpuck.craft.vehicle import (
-        Vehicle as Vehicle,
-        default_vehicle as default_vehicle,
-        read_vehicle as read_vehicle,
-    )
-    from airpuck.data.measurement import Measurement as Measurement
-    from airpuck.data.trajectory import (
-        Span as Span,
-        Trajectory as Trajectory,
-    )
-    from airpuck.data.trajectory_file import read_trajectory as read_trajectory
-    from airpuck.estimate.encoder import PaperEncoder as PaperEncoder
-    from airpuck.evaluation.drift import Drift as Drift, drift as drift
-    from airpuck.evaluation.evaluate import (
-        Evaluation as Evaluation,
-        compare as compare,
-        evaluate as evaluate,
-    )
-    from airpuck.evaluation.prediction_bands import (
-        PredictionBands as PredictionBands,
-        prediction_bands as prediction_bands,
-    )
-    from airpuck.evaluation.presentation import Presentation as Presentation, present as present
-    from airpuck.evaluation.residuals import ResidualTests as ResidualTests, resid as resid
-    from airpuck.experiment_design.design import design as design
-    from airpuck.faults.find import find_faults as find_faults
-    from airpuck.faults.layout_check import check_layout as check_layout
-    from airpuck.flight.loop import fly as fly
-    from airpuck.control.pilot import Pilot as Pilot
-    from airpuck.flight.preflight import preflight as preflight
-    from airpuck.flight.replay import Replay as Replay, replay as replay
-    from airpuck.hockey.contestant import contestant as contestant
-    from airpuck.hockey.game import Game as Game
-    from airpuck.hockey.level import Level as Level
-    from airpuck.hockey.player import Player as Player
-    from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
-    from airpuck.hockey.rules import Rules as Rules
-    from airpuck.hockey.skills import skills as skills
-    from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
-    from airpuck.identification.adam import Adam as Adam
-    from airpuck.identification.bootstrap import bootstrap as bootstrap
-    from airpuck.identification.fit import identifiability as identifiability, identify as identify
-    from airpuck.identification.fit_result import Fit as Fit
-    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
-    from airpuck.identification.settings import Loss as Loss, Preparation as Preparation
-    from airpuck.identification.puck import identify_puck as identify_puck
-    from airpuck.identification.selection import (
-        Selection as Selection,
-        select_model as select_model,
-    )
-    from airpuck.model.model_file import Model as Model, read_model as read_model
-    from airpuck.model.parameters import Parameters as Parameters
-    from airpuck.model.rungs import named_rung as named_rung
-    from airpuck.planning.plan import Plan as Plan, plan as plan, read_plan as read_plan
-    from airpuck.planning.request import Goal as Goal
-    from airpuck.planning.settings import Limits as Limits
-    from airpuck.physics.puck import PuckState as PuckState
-    from airpuck.preprocessing.pipeline import (
-        load_trajectory as load_trajectory,
-        preprocess as preprocess,
-    )
-    from airpuck.recording.bag_writer import write_bag as write_bag
-    from airpuck.recording.csv_folder import write_csv as write_csv
-    from airpuck.recording.dataset import fetch as fetch
-    from airpuck.recording.mapping import (
-        CommandMapping as CommandMapping,
-        PoseMapping as PoseMapping,
-        RecordingMapping as RecordingMapping,
-        read_mapping as read_mapping,
-    )
-    from airpuck.recording.read import read_recording as read_recording
-    from airpuck.recording.stream import Recording as Recording, Stream as Stream
-    from airpuck.report import plot as plot
-    from airpuck.report.animation import animate as animate
-    from airpuck.report.reproduce import reproduce as reproduce
-    from airpuck.twin.experiments import excite as excite, track as track
-    from airpuck.twin.fleet import fly_fleet as fly_fleet
-    from airpuck.twin.settings import (
-        TwinSettings as TwinSettings,
-        read_twin_settings as read_twin_settings,
-    )
-    from airpuck.twin.tracking_study import tracking_study as tracking_study
-    from airpuck.twin.twin import Twin as Twin
-    # isort: on
-
-#: Module -> the public names that it defines, as above.
-_NAMES = {
-    "boundary.errors": "InputError",
-    "campaigns.campaign": "campaign",
-    "campaigns.match": "match",
-    "control.law": "Law Step",
-    "control.pilot": "Pilot",
-    "control.reference": "Rendezvous SetPoint SetPoints TimedPath",
-    "control.tracking": "TrackingController",
-    "control.tuning": "Tuning read_tuning",
-    "craft.table": "AirHockey read_table",
-    "craft.vehicle": "Vehicle default_vehicle read_vehicle",
-    "data.measurement": "Measurement",
-    "data.trajectory": "Span Trajectory",
-    "data.trajectory_file": "read_trajectory",
-    "estimate.encoder": "PaperEncoder",
-    "evaluation.drift": "Drift drift",
-    "evaluation.evaluate": "Evaluation compare evaluate",
-    "evaluation.prediction_bands": "PredictionBands prediction_bands",
-    "evaluation.presentation": "Presentation present",
-    "evaluation.residuals": "ResidualTests resid",
-    "experiment_design.design": "design",
-    "faults.find": "find_faults",
-    "faults.layout_check": "check_layout",
-    "flight.loop": "fly",
-    "flight.preflight": "preflight",
-    "flight.replay": "Replay replay",
-    "hockey.contestant": "contestant",
-    "hockey.game": "Game",
-    "hockey.level": "Level",
-    "hockey.player": "Player",
-    "hockey.puck_filter": "PuckFilter",
-    "hockey.rules": "Rules",
-    "hockey.skills": "skills",
-    "hockey.tactic": "Intention Tactic View",
-    "identification.adam": "Adam",
-    "identification.bootstrap": "bootstrap",
-    "identification.fit": "identifiability identify",
-    "identification.fit_result": "Fit",
-    "identification.levenberg_marquardt": "LevenbergMarquardt",
-    "identification.settings": "Loss Preparation",
-    "identification.puck": "identify_puck",
-    "identification.selection": "Selection select_model",
-    "model.model_file": "Model read_model",
-    "model.parameters": "Parameters",
-    "model.rungs": "named_rung",
-    "planning.plan": "Plan plan read_plan",
-    "planning.request": "Goal",
-    "planning.settings": "Limits",
-    "physics.puck": "PuckState",
-    "preprocessing.pipeline": "load_trajectory preprocess",
-    "recording.bag_writer": "write_bag",
-    "recording.csv_folder": "write_csv",
-    "recording.dataset": "fetch",
-    "recording.mapping": "CommandMapping PoseMapping RecordingMapping read_mapping",
-    "recording.read": "read_recording",
-    "recording.stream": "Recording Stream",
-    "report": "plot",
-    "report.animation": "animate",
-    "report.reproduce": "reproduce",
-    "twin.experiments": "excite track",
-    "twin.fleet": "fly_fleet",
-    "twin.settings": "TwinSettings read_twin_settings",
-    "twin.tracking_study": "tracking_study",
-    "twin.twin": "Twin",
+#: Public name -> its module, as the stub file declares them for type checkers.
+_HOME = {
+    alias.name: statement.module
+    for statement in ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body
+    if isinstance(statement, ast.ImportFrom) and statement.module
+    for alias in statement.names
 }
-#: Public name -> its module.
-_HOME = {name: f"airpuck.{module}" for module, names in _NAMES.items() for name in names.split()}
-
-if not TYPE_CHECKING:  # it reads the imports above
-    __all__ = sorted(_HOME)
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

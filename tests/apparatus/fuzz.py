@@ -179,7 +179,7 @@ def _read_definition(path: Path, *, idl: bool = False) -> None:
     """Decode a message by the definition in a file."""
     from airpuck.boundary.errors import InputError
     from airpuck.recording.cdr import decode, flatten
-    from airpuck.recording.definition import parse_definition
+    from airpuck.recording.message import parse_definition
 
     try:
         text = path.read_bytes().decode(errors="replace")

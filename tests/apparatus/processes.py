@@ -13,7 +13,7 @@ from typing import Any
 
 from airpuck.live.events import EVENT_TYPE, EVENTS
 from airpuck.live.graph import Graph
-from airpuck.live.listener import Heard, Listener
+from airpuck.live.record import Heard, Listener
 from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec
 
 POSES, COMMANDS, REFERENCES = "/optitrack/drone/pose", "/drone/control", "/control/state_ref"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.allocation import Daqp
 from airpuck.control.law import Step
-from airpuck.control.qp_solvers import Daqp
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 

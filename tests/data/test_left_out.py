@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.data.left_out import left_out_json, left_out_words
-from airpuck.data.trajectory import Span, Trajectory
+from airpuck.data.trajectory import Span, Trajectory, left_out_json, left_out_words
 
 N = 1001
 FLIGHT = Trajectory(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.data.zero_order_hold import hold, mean_hold
+from airpuck.data.trajectory import hold, mean_hold
 
 TIMES = st.lists(st.floats(0, 10), min_size=1, max_size=20).map(sorted)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airpuck.evaluation.block_bootstrap import (
+from airpuck.evaluation.statistical_tests import (
     FEWEST_BLOCKS,
     blocks,
     log_mean_square_errors,

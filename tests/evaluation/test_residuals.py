@@ -8,10 +8,9 @@ import pytest
 from scipy import stats
 
 from airpuck.boundary.errors import InputError
-from airpuck.evaluation.cross_correlation import cross_correlations
 
 # Rounding that hardly ever shows in a verdict: the matrix itself is looked at.
-from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, resid
+from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, cross_correlations, resid
 from airpuck.evaluation.statistical_tests import LEAST_SHARE, beyond_least, holm, ljung_box
 from airpuck.model.model_file import Model
 

@@ -15,8 +15,7 @@ from airpuck.flight.preflight import (
     judge_test,
     preflight,
 )
-from airpuck.flight.pulse_response import find_pulses, pulse_responses
-from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.flight.pulses import PulsePlan, PulseTest, find_pulses, pulse_responses
 from airpuck.live.fly import ANYWHERE
 from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.model_file import nominal_model, published_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.data.trajectory import Span
-from airpuck.identification import fault_exclusion
+from airpuck.identification import problem
 from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Loss, Preparation
@@ -93,8 +93,8 @@ def test_adam_leaves_them_out_too(faulty, fit):
 def test_where_most_looks_faulty_the_model_is_doubted(clean, monkeypatch):
     for until, doubted in ((4.0, False), (8.0, True)):
         spans = (Span(0.0, until, "radio out", 0.9),)
-        monkeypatch.setattr(fault_exclusion, "find_faults", lambda *_, spans=spans: spans)
-        found = fault_exclusion.exclude_faults([clean], MODEL, 90, 7)
+        monkeypatch.setattr(problem, "find_faults", lambda *_, spans=spans: spans)
+        found = problem.exclude_faults([clean], MODEL, 90, 7)
         assert bool(found.warnings) is doubted
         assert found.faults == ((() if doubted else spans),)
         assert (found.share == 0) is doubted

@@ -7,9 +7,8 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory, mean_hold
 from airpuck.data.windows import make_windows
-from airpuck.data.zero_order_hold import mean_hold
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.adam import Adam

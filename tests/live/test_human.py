@@ -10,9 +10,9 @@ import pytest
 import airpuck
 from airpuck.hockey.scorekeeper import Scorekeeper
 from airpuck.live.graph import SENSOR, Graph
-from airpuck.live.human import BEGINS, Human
 from airpuck.live.process import Process
 from airpuck.live.settings import LiveSettings
+from airpuck.live.twin import BEGINS, Human
 from airpuck.physics.puck import PuckState
 from airpuck.recording.message import StreamCodec
 

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from airpuck.live.graph import LOG, SENSOR, STATE
-from airpuck.live.listener import Listener
+from airpuck.live.record import Listener
 from airpuck.recording.message import StreamCodec
 
 from ..apparatus.processes import until

@@ -5,7 +5,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import SetPoints, check_inside, read_setpoints
-from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
+from airpuck.live.fly import FollowedSetPoint, PlannedSetPoints
 
 FENCE = (1.0, 0.5)
 

@@ -9,7 +9,7 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import published_model
-from airpuck.physics.linearization import linearize, trim
+from airpuck.model.statespace import linearize, trim
 from airpuck.physics.rigid_body import acceleration, derivative
 from airpuck.physics.rollout import rollout
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.twin.motors import MotorUnit
+from airpuck.twin.craft import MotorUnit
 from airpuck.twin.settings import Motors, Stall, Weakness
 
 from ..apparatus.examples import examples

@@ -106,7 +106,7 @@ def fly(
 ) -> None:
     """Fly a craft on the graph, real or a twin, to set points; Ctrl-C lands it."""
     from airpuck.control.reference import SetPoints, check_inside, read_setpoints
-    from airpuck.live.setpoints import PlannedSetPoints
+    from airpuck.live.fly import PlannedSetPoints
 
     if setpoints_file is not None and setpoints:
         raise InputError("give set points or a file of them, not both", field=SETPOINT)
@@ -135,7 +135,7 @@ def fly_topic(
     json_file: options.Json = None,
 ) -> None:
     """Fly a craft on the graph to where the graph's reference topic says."""
-    from airpuck.live.setpoints import FollowedSetPoint
+    from airpuck.live.fly import FollowedSetPoint
 
     craft = inputs.read_belief(model)
     controls = inputs.read_controls(tuning, regulator, craft)

@@ -53,7 +53,7 @@ def evaluate(
     quiet: options.Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
-    from airpuck.data.left_out import left_out_json, left_out_words
+    from airpuck.data.trajectory import left_out_json, left_out_words
     from airpuck.evaluation.evaluate import PROTOCOLS, coasting
     from airpuck.evaluation.verdict import verdict
 
@@ -123,7 +123,7 @@ def faults(
     quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
-    from airpuck.data.left_out import left_out_words
+    from airpuck.data.trajectory import left_out_words
 
     healthy = read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else read_craft(vehicle)
@@ -268,7 +268,7 @@ def resid(
     quiet: options.Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and what commands still explain."""
-    from airpuck.data.left_out import left_out_json, left_out_words
+    from airpuck.data.trajectory import left_out_json, left_out_words
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -16,7 +17,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.notebook import html_table
 from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.zero_order_hold import hold, mean_hold
 
 #: Of the file; another one is refused.
 FORMAT = "airpuck trajectory 1"
@@ -390,3 +390,105 @@ def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
             f"{len(mine)} ({', '.join(mine)}); give the right vehicle file or model",
             file=trajectory.source,
         )
+
+
+def hold(
+    event_time: Float[np.ndarray, " K"],
+    values: Float[np.ndarray, "K n"],
+    time: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, "N n"]:
+    """Zero-order hold: the last value at or before each time.
+
+    Parameters
+    ----------
+    event_time : array of float64, shape (K,)
+        When the values were set, not decreasing [s].
+    values : array of float64, shape (K, n)
+        The values.
+    time : array of float64, shape (N,)
+        Where to evaluate [s].
+
+    Returns
+    -------
+    array of float64, shape (N, n)
+        Before the first event, the first value.
+    """
+    index = np.searchsorted(event_time, time, side="right") - 1
+    return values[np.clip(index, 0, None)]
+
+
+def mean_hold(
+    event_time: Float[np.ndarray, " K"],
+    values: Float[np.ndarray, "K n"],
+    time: Float[np.ndarray, " N"],
+) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N n"]]:
+    """Mean of the held values from each time to the next, and its derivative by a delay [1/s].
+
+    For events that come ``d`` later, ``u_k(d) = 1/h ∫ u(s - d) ds`` over ``[t_k, t_{k+1}]`` is
+    continuous and piecewise linear in ``d``, whereas `hold` jumps whenever an event passes a
+    sample. The mean keeps the impulse of an event at the fraction x of a step, and spreads it in
+    time by a variance of x (1 - x) h²: as a change of a motor lag of 28 ms by at most 0.08 ms.
+    """
+    held = hold(event_time, values, time)
+    length = np.diff(time)[:, None]
+    mean, slope = held.copy(), np.zeros_like(held)
+    slope[:-1] = (held[:-1] - held[1:]) / length
+    # Each change counts for the rest of its interval.
+    interval = np.searchsorted(time, event_time, side="left") - 1
+    within = (interval >= 0) & (interval < len(time) - 1)
+    within[0] = False  # the first value holds before its event, too
+    interval, change = interval[within], np.diff(values, axis=0, prepend=values[:1])[within]
+    left = (time[interval + 1] - event_time[within])[:, None]
+    np.add.at(mean, interval, change * left / length[interval])
+    return mean, slope
+
+
+#: Causes that are counted in words, one and several.
+_NOUNS = {
+    "gap": ("gap", "gaps"),
+    "frozen pose": ("frozen pose", "frozen poses"),
+    "jumping pose": ("jump", "jumps"),
+    "no commands": ("pause of the commands", "pauses of the commands"),
+    "contact": ("contact", "contacts"),
+}
+
+
+def left_out_words(trajectory: Trajectory) -> str:
+    """Describe which share of a trajectory must not be used, and why.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Perhaps with faults left out, too.
+
+    Returns
+    -------
+    str
+        For example ``left out: 3.1 % (2 gaps, 14 jumps; longest 0.21 s at 31.2 s)``.
+    """
+    first, last = trajectory.time[[0, -1]]
+    spans = [s for s in trajectory.excluded if s.stop >= first and s.start <= last]
+    if not spans:
+        return "left out: nothing"
+    causes = Counter(span.cause for span in spans)
+    counted = ", ".join(_counted(cause, count) for cause, count in causes.items())
+    longest = max(spans, key=lambda span: span.stop - span.start)
+    return (
+        f"left out: {100 * (1 - trajectory.usable.mean()):.1f} % ({counted}; longest "
+        f"{longest.stop - longest.start:.2f} s at {longest.start:.1f} s)"
+    )
+
+
+def left_out_json(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the share of a trajectory that can be used, and every span that must not be."""
+    return {
+        "usable": float(trajectory.usable.mean()),
+        "excluded": [vars(span) for span in trajectory.excluded],
+    }
+
+
+def _counted(cause: str, count: int) -> str:
+    """Write how often there was a cause."""
+    if cause in _NOUNS:
+        return f"{count} {_NOUNS[cause][count > 1]}"
+    return cause if count == 1 else f"{count} × {cause}"

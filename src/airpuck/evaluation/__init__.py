@@ -1,5 +1,5 @@
 """Model x trajectory -> errors.
 
-Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `gauge.physical_thrust`,
-`innovations.innovations`, `verdict.verdict`.
+Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `innovations.innovations`,
+`main_quantities.physical_thrust`, `verdict.verdict`.
 """

@@ -21,7 +21,7 @@ from airpuck.data.trajectory import Trajectory, as_trajectories, check_propeller
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.evaluation.block_bootstrap import BLOCK_S, rmse_interval
+from airpuck.evaluation.statistical_tests import BLOCK_S, rmse_interval
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rollout import rollout

@@ -7,11 +7,44 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from airpuck.evaluation.gauge import physical_thrust
 from airpuck.model.model_file import Model
+from airpuck.model.parameters import thrust_scale as parameters_scale
 from airpuck.model.quantities import QUANTITIES, Quantity
 from airpuck.physics.thrust import thrust
+
+
+def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:
+    """Return the factor that brings each thrust curve to newtons."""
+    return parameters_scale(np, model.parameters, model.vehicle)
+
+
+def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:
+    """Return the thrust coefficients at the physical scale.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    array, shape (n, degree)
+        Coefficients of φ, φ², … [N].
+    """
+    return thrust_scale(model)[:, None] * np.asarray(model.parameters.thrust)
+
+
+def largest_accelerations(
+    model: Model, speed: float = 1.0
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return what each propeller alone does to the craft, linear [m/s²] and angular [rad/s²]."""
+    coefficients = np.asarray(model.parameters.thrust)
+    force = thrust(coefficients, np.full(len(coefficients), speed))
+    matrix = np.asarray(model.dynamics.configuration)
+    return np.hypot(matrix[0], matrix[1]) * force, matrix[2] * force
+
 
 #: Shown by what they do: thrusts at a speed, not coefficients; products, not the matrix.
 _BY_EFFECT = frozenset({"thrust", "configuration_matrix"})

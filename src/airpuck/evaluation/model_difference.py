@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.results import Result
-from airpuck.evaluation.block_bootstrap import rmse_ratio
 from airpuck.evaluation.evaluate import Evaluation, known_intervals
-from airpuck.evaluation.statistical_tests import holm
+from airpuck.evaluation.statistical_tests import holm, rmse_ratio
 
 #: Chance of any false alarm among all pairs and channels.
 LEVEL = 0.05

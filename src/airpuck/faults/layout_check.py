@@ -4,19 +4,123 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, check_propellers
-from airpuck.data.zero_order_hold import hold
-from airpuck.faults.axis_signs import AXES, AxisSigns, body_acceleration, find_axis_signs
+from airpuck.data.trajectory import Trajectory, check_propellers, hold
 from airpuck.faults.effect_match import EffectMatch, cosines, match_effects, rotation, turned
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
+
+#: Axes as a mapping has them that renames none.
+AXES = ("x", "y", "z")
+#: A turn of the forces nearer to 180 degrees than to none is two more flips, if it is within this.
+_HALF_TURN = 0.5
+#: By how much another choice of signs must explain more, of at most 2.
+_MARGIN = 0.15
+
+
+@dataclass(frozen=True)
+class AxisSigns:
+    """Signs that turn logged x, y and yaw into true ones."""
+
+    x: int = 1
+    y: int = 1
+    yaw: int = 1
+
+    @property
+    def flipped(self) -> tuple[str, ...]:
+        """Names of what counts the wrong way."""
+        return tuple(name for name in ("x", "y", "yaw") if getattr(self, name) < 0)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The same in words."""
+        return tuple("the yaw" if name == "yaw" else f"the {name} axis" for name in self.flipped)
+
+    def line(self, axes: Sequence[str]) -> str:
+        """Return the line of a mapping file that mends it; `axes`: as the mapping has them now."""
+        signs = (self.x, self.y, self.yaw)
+        mended = [_turned(a) if sign < 0 else a for a, sign in zip(axes, signs, strict=True)]
+        return f"axes = {mended}".replace("'", '"')
+
+    def remark(self, axes: Sequence[str]) -> str:
+        """Return what is wrong and how to mend it; empty where the axes are right."""
+        what = " and ".join(self.names)
+        if not what:
+            return ""
+        one = len(self.names) == 1
+        return (
+            f"{what} {'is' if one else 'are'} flipped: {'counts' if one else 'count'} the wrong "
+            f"way; mend it in the mapping file, under [pose]: {self.line(axes)}"
+        )
+
+    def undone(self, trajectory: Trajectory) -> Trajectory:
+        """Return the trajectory with true signs."""
+        signs = np.array([self.x, self.y, self.yaw], dtype=float)
+        return replace(
+            trajectory,
+            state=trajectory.state * np.tile(signs, 2),
+            acceleration=trajectory.acceleration * signs,
+        )
+
+
+def _turned(axis: str) -> str:
+    """Return an axis of a mapping the other way round."""
+    return axis.removeprefix("-") if axis.startswith("-") else f"-{axis}"
+
+
+def find_axis_signs(
+    trajectory: Trajectory, modelled: Float[np.ndarray, "3 N"], longest_delay: float
+) -> AxisSigns:
+    """Find the signs with which modelled accelerations of the body explain the measured ones best.
+
+    Forces may be turned by any angle, since the rigid body may be: their complex correlation
+    counts by its size, the correlation of moments by its value.
+    """
+    scores = {}
+    for y, yaw in product((1, -1), repeat=2):
+        signs = AxisSigns(1, y, yaw)
+        measured = body_acceleration(signs.undone(trajectory)) * trajectory.usable
+        scores[signs] = max(
+            _likeness(measured[:, shift:], modelled[:, : modelled.shape[1] - shift])
+            for shift in range(trajectory.steps(longest_delay) + 1)
+        )
+    usual = scores[AxisSigns()]
+    best = max(scores, key=lambda signs: scores[signs][0])
+    if scores[best][0] < usual[0] + _MARGIN:
+        return AxisSigns()
+    if np.pi - abs(scores[best][1]) < _HALF_TURN:
+        return replace(best, x=-best.x, y=-best.y)
+    return best
+
+
+def body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
+    """Return measured accelerations in the body frame."""
+    ax, ay, spin_rate = trajectory.acceleration.T
+    cos, sin = np.cos(trajectory.state[:, 2]), np.sin(trajectory.state[:, 2])
+    return np.stack([cos * ax + sin * ay, cos * ay - sin * ax, spin_rate])
+
+
+def _likeness(
+    measured: Float[np.ndarray, "3 M"], modelled: Float[np.ndarray, "3 M"]
+) -> tuple[float, float]:
+    """Return the sum of the two correlations, and the angle by which forces are turned [rad]."""
+    force, cause = (a[0] + 1j * a[1] for a in (measured, modelled))
+    turned = _correlation(cause, force)
+    return float(abs(turned) + _correlation(modelled[2], measured[2]).real), float(np.angle(turned))
+
+
+def _correlation(cause: np.ndarray, effect: np.ndarray) -> complex:
+    """Return the normalised inner product; zero where either is zero."""
+    size = np.linalg.norm(cause) * np.linalg.norm(effect)
+    return complex(np.vdot(cause, effect) / size) if size > 0 else 0j
+
 
 #: Longest transport delay that is tried [s].
 _LONGEST_DELAY = 0.1

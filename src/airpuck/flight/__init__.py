@@ -1,4 +1,4 @@
 """Flights: real, simulated and replayed.
 
-Entry points: `loop.fly`, `link.Link`.
+Entry points: `loop.fly`, `loop.Link`.
 """

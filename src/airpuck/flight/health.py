@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import Table
-from airpuck.estimate.held_commands import HeldCommands
-from airpuck.estimate.kalman import KalmanFilter
+from airpuck.estimate.kalman import HeldCommands, KalmanFilter
 from airpuck.estimate.motor_regression import normal_equations, solved, with_effectiveness
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -14,8 +15,52 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import asked, check_inside
-from airpuck.flight.link import Link
+from airpuck.data.measurement import Measurement
 from airpuck.flight.pilot import called, check_pilot, checked_step
+
+
+@runtime_checkable
+class Link(Protocol):
+    """A connection to a craft, simulated or real."""
+
+    @property
+    def now(self) -> float:
+        """The present, on the controller's clock [s]."""
+        ...
+
+    def wait_until(self, time: float) -> list[Measurement]:
+        """Let time pass.
+
+        Parameters
+        ----------
+        time : float
+            When to return [s].
+
+        Returns
+        -------
+        list of Measurement
+            Those that have arrived since the last call, in the order of their arrival.
+        """
+        ...
+
+    def send(self, command: Float[np.ndarray, " n"]) -> None:
+        """Send a command now.
+
+        Parameters
+        ----------
+        command : array, shape (n,)
+            Motor commands.
+        """
+
+    def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
+        """Publish what the craft is asked to do.
+
+        Parameters
+        ----------
+        reference : array, shape (6,)
+            x, y, yaw and their rates.
+        """
+
 
 #: Steps from one prediction that is kept, or sent to others, to the next.
 PREDICTIONS_EVERY = 10

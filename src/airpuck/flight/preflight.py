@@ -20,10 +20,8 @@ from airpuck.faults.effect_match import (
     rotation,
     turned,
 )
-from airpuck.flight.link import Link
-from airpuck.flight.loop import fly
-from airpuck.flight.pulse_response import PulseResponse, pulse_responses
-from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.flight.loop import Link, fly
+from airpuck.flight.pulses import PulsePlan, PulseResponse, PulseTest, pulse_responses
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.clock import align_clocks

@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.discretization import motor_lag
 from airpuck.control.law import Status
-from airpuck.control.lqr import LQR
+from airpuck.control.lqr import LQR, look_ahead
 from airpuck.control.reference import Target
-from airpuck.control.stages import look_ahead
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.estimate.estimator import Estimate

@@ -16,7 +16,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.adam import Adam
-from airpuck.identification.fault_exclusion import Exclusion, exclude_faults
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
@@ -29,7 +28,7 @@ from airpuck.identification.method import (
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.packet_delays import PacketDelays
-from airpuck.identification.problem import Problem
+from airpuck.identification.problem import Exclusion, Problem, exclude_faults
 from airpuck.identification.retiming import (
     delay_jitter,
     error_growth,

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.results import Result
-from airpuck.data.left_out import left_out_words
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Trajectory, left_out_words
 from airpuck.evaluation.presentation import delay_words
-from airpuck.identification.fault_exclusion import Exclusion
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.problem import Exclusion
 from airpuck.identification.uncertainty import Identifiability
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty

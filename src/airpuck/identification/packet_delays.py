@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.data.trajectory import Trajectory
-from airpuck.data.zero_order_hold import mean_hold
+from airpuck.data.trajectory import Trajectory, mean_hold
 from airpuck.estimate.motor_regression import (
     accelerations_by_motor,
     normal_equations,

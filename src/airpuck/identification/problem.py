@@ -1,10 +1,11 @@
-"""An identification problem: data, model, settings, and their checks."""
+"""An identification problem: data without faults, model, settings, and their checks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from jaxtyping import Bool
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers, vehicle_of
+from airpuck.data.trajectory import Span, Trajectory, as_trajectories, check_propellers, vehicle_of
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.faults.find import find_faults
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.objective import PredictionLoss
@@ -122,3 +124,61 @@ def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     """Return the transport delay that preprocessing found, in whole samples [s]."""
     known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
     return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
+
+
+#: Largest share of the windows that faults may take; if more, the model is wrong instead.
+MOST = 0.5
+#: Time constants of the motors after which an encoder knows their speeds again.
+_SETTLING = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Exclusion:
+    """The faults that a fit leaves out."""
+
+    #: The recordings without their faults.
+    trajectories: tuple[Trajectory, ...]
+    #: The faults found in each recording.
+    faults: tuple[tuple[Span, ...], ...]
+    #: Share of the windows that they took.
+    share: float
+    #: Names recordings that lost too many windows to be plausible: these keep all.
+    warnings: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for ``--json`` and the model file."""
+        names = ("recording", "start_s", "stop_s", "cause", "confidence")
+        return {
+            "share_of_windows": self.share,
+            "spans": [
+                dict(zip(names, (Path(trajectory.source).name, *astuple(span)), strict=True))
+                for trajectory, faults in zip(self.trajectories, self.faults, strict=True)
+                for span in faults
+            ],
+        }
+
+
+def exclude_faults(
+    trajectories: Sequence[Trajectory], model: Model, length: int, stride: int
+) -> Exclusion:
+    """Find the faults of recordings, and leave them out until the motors have caught up."""
+    settling = _SETTLING * float(model.dynamics.motor_time_constant)
+    kept, found, warnings = [], [], []
+    before = after = 0
+    for trajectory in trajectories:
+        faults = find_faults(trajectory, model)
+        healthy = trajectory.leave_out([replace(f, stop=f.stop + settling) for f in faults])
+        windows = len(trajectory.window_starts(length, stride))
+        left = len(healthy.window_starts(length, stride))
+        if left < (1 - MOST) * windows:
+            name = Path(trajectory.source).name or "a recording"
+            warnings.append(
+                f"{100 * (1 - left / windows):.0f} % of the windows of {name} look faulty; none of "
+                "these is left out, since it is the model that does not fit: check the vehicle "
+                "file with `airpuck check`"
+            )
+            healthy, faults, left = trajectory, (), windows
+        kept.append(healthy)
+        found.append(faults)
+        before, after = before + windows, after + left
+    return Exclusion(tuple(kept), tuple(found), 1 - after / before, tuple(warnings))

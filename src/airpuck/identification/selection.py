@@ -27,14 +27,13 @@ from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.data.windows import Windows, make_windows
-from airpuck.evaluation.block_bootstrap import log_mean_square_errors, rmse_ratio
 from airpuck.evaluation.evaluate import hold_for, prediction_errors
-from airpuck.identification.fault_exclusion import Exclusion
+from airpuck.evaluation.statistical_tests import log_mean_square_errors, rmse_ratio
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.problem import Problem
+from airpuck.identification.problem import Exclusion, Problem
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import Rung, named_rung

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from airpuck.compute.process import prioritize
 from airpuck.control.pilot import Pilot
+from airpuck.control.reference import SetPoint, SetPoints, Target
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.measurement import Kind, Measurement
@@ -28,9 +29,49 @@ from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.plan import PlanOutbox
 from airpuck.live.process import Inbox, Outbox, Process
 from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits
-from airpuck.live.setpoints import FollowedSetPoint, PlannedSetPoints
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
+
+
+class PlannedSetPoints:
+    """Set points whose times [s] count from when the craft first flies; a `Reference`."""
+
+    def __init__(self, points: SetPoints) -> None:
+        self._points = points
+        self._start: float | None = None
+
+    def begin(self, start: float) -> None:
+        """Start the time of the set points; later calls do nothing."""
+        if self._start is None:
+            self._start = start
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the set point in force now; see `Reference.at`."""
+        return self._points.at(-np.inf if self._start is None else now - self._start, ahead)
+
+
+class FollowedSetPoint:
+    """A set point that others may move while the craft flies; a `Reference`."""
+
+    def __init__(self, geofence: tuple[float, float]) -> None:
+        self._geofence = geofence
+        #: None before it has been moved to its first place.
+        self.point: SetPoint | None = None
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the set point in force now; see `Reference.at`."""
+        return (self.point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
+
+    def move(self, pose: Float[np.ndarray, " k"]) -> str | None:
+        """Move it to x, y, yaw, at rest; return why not, if it may not go there."""
+        if not np.isfinite(pose[:3]).all():
+            return "a set point that is not finite"
+        x, y, yaw = pose[:3].tolist()
+        if abs(x) > self._geofence[0] or abs(y) > self._geofence[1]:
+            return f"a set point outside the geofence, ({x:.2f}, {y:.2f})"
+        self.point = SetPoint(x, y, yaw)
+        return None
+
 
 NAME = "airpuck fly"
 #: Idle commands at the end, since one may be lost.
@@ -181,7 +222,7 @@ class GraphLink:
         return self._clock.now
 
     def wait_until(self, time: float) -> list[Measurement]:
-        """Sleep; then take what has come; see `airpuck.flight.link.Link`."""
+        """Sleep; then take what has come; see `airpuck.flight.loop.Link`."""
         self._clock.sleep_until(time)
         arrived = [Measurement("pose", stamp, pose) for stamp, pose in self.poses.take()]
         if arrived:
@@ -196,11 +237,11 @@ class GraphLink:
         return arrived
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
-        """Publish a command; see `airpuck.flight.link.Link`."""
+        """Publish a command; see `airpuck.flight.loop.Link`."""
         self.commands.send(command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
-        """Publish what the craft is asked to do; see `airpuck.flight.link.Link`."""
+        """Publish what the craft is asked to do; see `airpuck.flight.loop.Link`."""
         if self._references is not None:
             self._references.send(reference)
 

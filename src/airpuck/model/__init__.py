@@ -1,4 +1,5 @@
 """What is learned: the table of quantities, rungs, and models with their files.
 
-Entry points: `model_file.published_model`, `rungs.named_rung`, `uncertainty.Uncertainty`.
+Entry points: `model_file.published_model`, `rungs.named_rung`, `uncertainty.Uncertainty`,
+`statespace.linearize`.
 """

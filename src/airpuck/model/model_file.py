@@ -313,7 +313,7 @@ class Model:
             Orientation of the craft [rad].
         command : array, shape (n,), optional
             Motor commands to linearise about; by default near half speed with no net thrust
-            (`airpuck.physics.linearization.trim`).
+            (`airpuck.model.statespace.trim`).
         period : float, optional
             Sample time of a discrete-time model with commands held over it [s]; by default the
             model is in continuous time.

@@ -1,4 +1,4 @@
-"""A model linearised at rest, as python-control has it."""
+"""A model linearised at rest, as matrices and as python-control has it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,85 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.physics.linearization import linearize, trim
 from airpuck.physics.rigid_body import Dynamics
 
 if TYPE_CHECKING:
     import control
+
+
+from collections.abc import Callable
+from typing import Any
+
+from airpuck.physics.rigid_body import acceleration, derivative
+from airpuck.physics.thrust import inverse_thrust, thrust
+
+#: Newton's method on a trim that effects have moved: it settles in two or three passes.
+_PASSES = 10
+
+
+def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.ndarray, " n"]:
+    """Find commands under which the craft at rest stays at rest.
+
+    Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`. Where
+    optional effects change that, Newton's method continues from there by steps of least norm.
+    """
+    configuration = np.asarray(dynamics.configuration)
+    wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))
+    cancelling = wanted - np.linalg.pinv(configuration) @ (configuration @ wanted)
+    command = inverse_thrust(np, dynamics.thrust, cancelling)
+    if not dynamics.effects:
+        return command
+    motion = np.array([yaw, 0.0, 0.0, 0.0])
+    for _ in range(_PASSES):
+        left = np.array(acceleration(np, dynamics, motion, command))
+        slope = _slope(lambda u: acceleration(np, dynamics, motion[:, None], u), command)
+        command = np.clip(command - np.linalg.pinv(slope) @ left, 0.0, 1.0)
+    return command
+
+
+def linearize(
+    dynamics: Dynamics, yaw: float, command: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, "s n"]]:
+    """Linearise the equations of motion of a craft at rest, exactly.
+
+    A = ∂f/∂z and B = ∂f/∂u at z = (0, 0, γ, 0, 0, 0, u), for eq. extended_model_dynamics.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Coefficients.
+    yaw : float
+        γ [rad].
+    command : array, shape (n,)
+        Motor commands u, which the motors have reached.
+
+    Returns
+    -------
+    a, b : array, shape (s, s) and (s, n)
+        Of the deviations from the operating point. The state is x, y, γ, vx, vy, ω and the n motor
+        speeds; without motor lag (τ = 0) the motor speeds are no states: s = 6 + n or 6.
+    """
+    pose = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0])
+    lagging = float(dynamics.motor_time_constant) > 0
+    state = np.append(pose, command) if lagging else pose
+    size = len(state)
+
+    def rates(point: Any) -> Any:
+        if lagging:
+            return derivative(np, dynamics, point[:size], point[size:])
+        return [*point[3:6], *acceleration(np, dynamics, point[2:6], point[6:])]
+
+    slope = _slope(rates, np.append(state, command))
+    return slope[:, :size], slope[:, size:]
+
+
+def _slope(
+    function: Callable[[Any], Any], point: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "m k"]:
+    """Differentiate by complex steps, exact to rounding (Squire, Trapp, SIAM Review 40, 1998)."""
+    step = 1e-30
+    moved = function(point[:, None] + 1j * step * np.eye(len(point)))
+    return np.imag(np.array(np.broadcast_arrays(*moved))) / step
 
 
 def statespace(

@@ -13,13 +13,12 @@ from airpuck.boundary.limits import DEFINITION_BYTES
 from airpuck.boundary.parsing import load_yaml
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, sha256, shortened
-from airpuck.recording.log import Log, TopicLog
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.sqlite_file import read_sqlite
 from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream
 from airpuck.recording.topic_stream import may_hold, topic_stream
-from airpuck.recording.unpacking import unpacked_file, unpacked_message
+from airpuck.recording.unpacking import Log, TopicLog, unpacked_file, unpacked_message
 
 METADATA = "metadata.yaml"
 #: Topics among which a missing one is looked for.

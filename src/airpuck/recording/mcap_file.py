@@ -25,8 +25,7 @@ from airpuck.boundary.limits import (
     Unpacking,
     refused,
 )
-from airpuck.recording.log import Log, TopicLog
-from airpuck.recording.unpacking import unpacked
+from airpuck.recording.unpacking import Log, TopicLog, unpacked
 
 if TYPE_CHECKING:
     from mcap.records import ChunkIndex, Schema

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import MESSAGE_BYTES, MIB, TOPICS, refused
-from airpuck.recording.log import Log, TopicLog
+from airpuck.recording.unpacking import Log, TopicLog
 
 #: A row takes about 15 steps and at least ten bytes. Steps beyond these are of a damaged file.
 _STEPS, _STEPS_PER_BYTE = 10**6, 20

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Shaped
 
 from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.cdr import Field, decode, flatten
-from airpuck.recording.command_message import (
-    command_fields,
-    command_places,
-    commands_in,
-    joint_names,
-)
 from airpuck.recording.conversion import (
     SECOND_NS,
     commands_of,
@@ -23,7 +20,6 @@ from airpuck.recording.conversion import (
     stamps_of,
 )
 from airpuck.recording.files import listing, shortened
-from airpuck.recording.log import TopicLog
 from airpuck.recording.mapping import (
     CommandMapping,
     Orientation,
@@ -32,6 +28,118 @@ from airpuck.recording.mapping import (
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
 from airpuck.recording.stream import COLUMNS, COMMANDS, POSES, Stream
+from airpuck.recording.unpacking import TopicLog
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+#: Where it names its values.
+_JOINT_NAMES = "name"
+#: Where the commands of a JointState may be.
+_JOINT_VALUES = ("position", "velocity", "effort")
+#: Parts of a message that hold no command.
+_BESIDE = ("header.", "layout.")
+_ENTRY = re.compile(r"(.+)\[(\d+)\]")
+
+_ACCEPTED = (
+    "a message of numbers of one type, one for each motor or an array of them, with or without a "
+    "header (std_msgs/msg/Float64MultiArray, sensor_msgs/msg/JointState, own types)"
+)
+
+
+class Place(NamedTuple):
+    """Where values are in a message."""
+
+    path: str
+    #: Entry of an array; None for all.
+    entry: int | None
+
+
+def command_fields(msgtype: str, fields: Sequence[Field]) -> tuple[str, ...]:
+    """Return the fields that hold commands; none where that is not clear."""
+    if msgtype == _JOINT_STATE:
+        return _JOINT_VALUES
+    rest = [field for field in fields if not field.path.startswith(_BESIDE)]
+    kinds = {_number(field.code) for field in rest}
+    return tuple(field.path for field in rest) if len(kinds) == 1 and all(kinds) else ()
+
+
+def joint_names(msgtype: str) -> tuple[str, ...]:
+    """Return the field in which messages of this type name their values, if they do."""
+    return (_JOINT_NAMES,) if msgtype == _JOINT_STATE else ()
+
+
+def _number(code: str) -> str:
+    """Return the kind of number in a field or its array; empty where it holds none."""
+    return "" if "<" not in code else code[code.index("<") :]
+
+
+def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] = ()) -> list[Place]:
+    """Return where commands are: fields, arrays, entries of arrays (``data[2]``) as `given`."""
+    chosen = tuple(given) or command_fields(msgtype, fields)
+    if not chosen:
+        raise InputError(
+            f"holds {shortened(msgtype)}, but a command is {_ACCEPTED}; choose its fields, as in "
+            f'command = {{values = ["..."]}}, out of {listing(field.path for field in fields)}'
+        )
+    entries = [_ENTRY.fullmatch(name) for name in chosen]
+    places = [
+        Place(entry[1], int(entry[2])) if entry else Place(name, None)
+        for name, entry in zip(chosen, entries, strict=True)
+    ]
+    known = [field.path for field in fields if _number(field.code)]
+    unknown = [place.path for place in places if place.path not in known]
+    if unknown:
+        raise InputError(f"has no number {', '.join(unknown)} (it has {listing(known)})")
+    return places
+
+
+def commands_in(
+    found: Mapping[str, np.ndarray], places: Sequence[Place], given: Sequence[str] = ()
+) -> tuple[tuple[str, ...], Float[np.ndarray, "N n"]]:
+    """Return the values in decoded messages, and what they are called there."""
+    joints = found.get(_JOINT_NAMES)
+    if joints is not None and not given:
+        places = [place for place in places if found[place.path].shape[1]]
+        if len(places) > 1:
+            filled = ", ".join(place.path for place in places)
+            raise InputError(
+                f"has numbers in {filled}; choose, as in "
+                f'command = {{values = ["{places[0].path}"]}}'
+            )
+    names: list[str] = []
+    parts = []
+    for path, entry in places:
+        part = found[path].astype(np.float64)
+        single = part.ndim == 1
+        part = part[:, None] if single else part
+        if entry is not None:
+            if single or entry >= part.shape[1]:
+                entries = "no" if single else part.shape[1]
+                raise InputError(f"{path} has {entries} entries, so there is no {path}[{entry}]")
+            part = part[:, [entry]]
+        parts.append(part)
+        names += [path if single else ""] * part.shape[1]
+    if not names:
+        raise InputError("holds no message, or messages without a number")
+    values = np.concatenate(parts, axis=1)
+    whole = len(places) == 1 and places[0].entry is None
+    if joints is not None and whole and values.shape[1] == joints.shape[1]:
+        return _in_one_order(joints, values)
+    return tuple(names) if all(names) else unnamed_columns(len(names)), values
+
+
+def _in_one_order(
+    names: Shaped[np.ndarray, "N n"], values: Float[np.ndarray, "N n"]
+) -> tuple[tuple[str, ...], Float[np.ndarray, "N n"]]:
+    """Put values in the order of the first message's names: each message brings its own."""
+    order = np.argsort(names, axis=1)
+    ranked = np.take_along_axis(names, order, axis=1)
+    differs = (ranked != ranked[:1]).any(axis=1)
+    if differs.any() or (ranked[0, 1:] == ranked[0, :-1]).any():
+        raise InputError(f"message {int(np.argmax(differs)) + 1} names other joints than the first")
+    sorted_values = np.empty_like(values)
+    sorted_values[:, order[0]] = np.take_along_axis(values, order, axis=1)
+    return tuple(str(name) for name in names[0]), sorted_values
+
 
 Decoded = Mapping[str, np.ndarray]
 #: Fields to decode, and what turns them into columns and values.

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.left_out import left_out_words
-from airpuck.data.trajectory import Span, Trajectory
+from airpuck.data.trajectory import Span, Trajectory, left_out_words
 from airpuck.evaluation.evaluate import Evaluation, coasting
 from airpuck.evaluation.fit_measures import FitMeasures, fit_text
 from airpuck.evaluation.verdict import Verdict, verdict

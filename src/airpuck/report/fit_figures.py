@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.gauge import largest_accelerations, physical_thrust
+from airpuck.evaluation.main_quantities import largest_accelerations, physical_thrust
 from airpuck.experiment_design.design import Design
 from airpuck.experiment_design.trials import CheckedFlights
 from airpuck.identification.fit_result import Fit

@@ -7,8 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from airpuck.evaluation.gauge import largest_accelerations, thrust_scale
-from airpuck.evaluation.main_quantities import UNUSED_WHERE_DIRECT, main_quantities
+from airpuck.evaluation.main_quantities import (
+    UNUSED_WHERE_DIRECT,
+    largest_accelerations,
+    main_quantities,
+    thrust_scale,
+)
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import named_rung

@@ -130,7 +130,7 @@ class Twin:
         return [time for time, _ in self.craft.contacts]
 
     def wait_until(self, time: float) -> list[Measurement]:
-        """Simulate until a time; see `airpuck.flight.link.Link`."""
+        """Simulate until a time; see `airpuck.flight.loop.Link`."""
         self.world.run(time)
         self.now = time
         return self._sensors.arrived(time)
@@ -147,7 +147,7 @@ class Twin:
         self._sensors.observe(time)
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
-        """Send a command by radio, now; see `airpuck.flight.link.Link`.
+        """Send a command by radio, now; see `airpuck.flight.loop.Link`.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Twin:
         self.craft.radio.send(self.now, command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
-        """Log what the craft is asked to do; see `airpuck.flight.link.Link`."""
+        """Log what the craft is asked to do; see `airpuck.flight.loop.Link`."""
         if self._logs:
             self._announced.append((self.now, np.array(reference, dtype=float)))
 
